@@ -1,0 +1,79 @@
+"""Cameras: how a point of the world falls on a pixel, and from where it is seen."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole or orthographic camera with square or oblong pixels and no lens distortion.
+
+    Axes are Blender's: x right, y up, z toward the viewer (the camera looks along −z). Pixel coordinates start at the
+    lower left corner of the lower left pixel, whose centre is (0.5, 0.5).
+
+    width, height: pixels. matrix: (4, 4) camera to world, float64. scale: (2,) the focal length in pixels of a
+    perspective camera, or pixels per world unit of an orthographic one. centre: (2,) principal point in pixels.
+    """
+
+    width: int
+    height: int
+    scale: tuple[float, float]
+    centre: tuple[float, float]
+    matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
+    perspective: bool = True
+
+    @staticmethod
+    def from_fov(width: int, height: int, fov_degrees: float, matrix: np.ndarray | None = None) -> Camera:
+        """Return a centred perspective camera; ``fov_degrees`` is the full angle over the image's width."""
+        focal = 0.5 * width / math.tan(math.radians(fov_degrees) / 2)
+        return Camera(width, height, (focal, focal), (width / 2, height / 2), np.eye(4) if matrix is None else matrix)
+
+    @staticmethod
+    def orthographic(width: int, height: int, world_width: float, matrix: np.ndarray | None = None) -> Camera:
+        """Return a centred orthographic camera whose image is ``world_width`` units wide."""
+        scale = width / world_width
+        return Camera(
+            width, height, (scale, scale), (width / 2, height / 2), np.eye(4) if matrix is None else matrix, False
+        )
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) the camera's place in the world."""
+        return self.matrix[:3, 3]
+
+    @property
+    def backward(self) -> np.ndarray:
+        """(3,) unit vector from the scene toward the camera, along its axis."""
+        axis = self.matrix[:3, 2]
+        return axis / np.linalg.norm(axis)
+
+    @property
+    def view(self) -> np.ndarray:
+        """(4,) what shaders need: xyz, w = the position and 1, or the direction toward the camera and 0."""
+        return np.append(self.position, 1.0) if self.perspective else np.append(self.backward, 0.0)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pixel coordinates (…, 2) and depth (…) along the axis, in world units, of world points (…, 3).
+
+        Points behind a perspective camera have depth ≤ 0 and meaningless pixels.
+        """
+        inverse = np.linalg.inv(self.matrix)
+        local = points @ inverse[:3, :3].T + inverse[:3, 3]
+        depth = -local[..., 2]
+        plane = local[..., :2]
+        if self.perspective:
+            plane = plane / np.where(depth > 0, depth, np.inf)[..., None]
+        return plane * np.asarray(self.scale) + np.asarray(self.centre), depth
+
+    def points(self, depth: float = 1.0) -> np.ndarray:
+        """Return (H, W, 3) the world points at ``depth`` that the pixel centres show, row 0 at the bottom."""
+        x = (np.arange(self.width) + 0.5 - self.centre[0]) / self.scale[0]
+        y = (np.arange(self.height) + 0.5 - self.centre[1]) / self.scale[1]
+        plane = np.stack(np.meshgrid(x, y), axis=-1)
+        if self.perspective:
+            plane = plane * depth
+        local = np.concatenate([plane, np.full((*plane.shape[:2], 1), -depth)], axis=-1)
+        return local @ self.matrix[:3, :3].T + self.matrix[:3, 3]

@@ -1,0 +1,25 @@
+"""The result of a recovery, as arrays."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..reflectance.model import ReflectanceModel
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Recovered parameters of H×W texels, row 0 at the bottom.
+
+    values: parameter name → (H, W, components) float32 in the parameter's own units; a normal is a unit vector in
+    tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
+    mean absolute difference between render and reference over the weighted samples, or None. confidence: parameter
+    name → (H, W, components) standard deviation, or None. A normal's is in radians, one component.
+    """
+
+    model: ReflectanceModel
+    values: dict[str, np.ndarray]
+    covered: np.ndarray
+    residual: np.ndarray | None = None
+    confidence: dict[str, np.ndarray] | None = field(default=None)

@@ -1,0 +1,11 @@
+"""Where the program's own data lie, and what the package is called once Blender has installed it."""
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SHADERS = ROOT / "shaders"
+MODELS = SHADERS / "models"
+PRESETS = ROOT / "presets"
+
+# Installed as an extension this module is bl_ext.REPOSITORY.irpso.irpso_addon.paths; Blender's own functions
+# (preferences, extension_path_user) want the part before irpso_addon.
+BASE_PACKAGE = __package__.rpartition(".")[0] or __package__

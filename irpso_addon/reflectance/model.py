@@ -1,0 +1,173 @@
+"""Reading a reflectance model: its table of parameters (TOML) and the shader beside it (GLSL)."""
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..paths import MODELS
+
+MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
+_IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
+_KINDS = ("search", "linear")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of a model's table.
+
+    name: also the field of ``Material`` in GLSL. components: 1 to 4 (a normal has 3). range: (low, high), the same for
+    all components. default: what it is held at where it is neither known nor searched. kind: "search" for what swarms
+    must search, "linear" for what the radiance is linear in. map: the file stem it is written to; parameters that name
+    the same map become its channels in order. color_space: "sRGB" or "Non-Color", of the 8/16-bit picture.
+    socket: the shader socket it drives, "" for none. stage: which stage of a staged schedule searches it.
+    is_normal: a unit vector rather than independent numbers.
+    """
+
+    name: str
+    components: int = 1
+    range: tuple[float, float] = (0.0, 1.0)
+    default: tuple[float, ...] = (0.5,)
+    kind: str = "search"
+    map: str = ""
+    color_space: str = "Non-Color"
+    socket: str = ""
+    stage: str = ""
+    is_normal: bool = False
+
+
+@dataclass(frozen=True)
+class ReflectanceModel:
+    """A reflectance model: what there is to find, and the shader that says how it looks.
+
+    ordered: names of scalar parameters kept in rising order while searching (interchangeable lobes). complement: names
+    of scalars that become 1 − value when the lobes are exchanged. material: the table [material] of the TOML, read by
+    maps.material: ``shader`` names a builder there.
+    """
+
+    name: str
+    title: str
+    shader: Path
+    parameters: tuple[Parameter, ...]
+    ordered: tuple[str, ...] = ()
+    complement: tuple[str, ...] = ()
+    material: dict[str, Any] = field(default_factory=dict)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the parameter called ``name``; InputError names the ones there are."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        names = ", ".join(p.name for p in self.parameters)
+        raise InputError(f"model {self.name} has no parameter '{name}'; it has: {names}")
+
+    @property
+    def components(self) -> int:
+        """How many numbers describe one texel's material."""
+        return sum(p.components for p in self.parameters)
+
+    def offset(self, name: str) -> int:
+        """Return the index of a parameter's first component among all components, in the table's order."""
+        position = 0
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return position
+            position += parameter.components
+        raise KeyError(name)
+
+
+def shipped_models() -> list[str]:
+    """Return the names of the models that come with the program."""
+    return sorted(path.stem for path in MODELS.glob("*.toml"))
+
+
+def load_model(name_or_path: str | Path) -> ReflectanceModel:
+    """Read a shipped model by name, or a user's own by the path of its .toml file (the .glsl lies beside it)."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = MODELS / f"{name_or_path}.toml"
+        if not path.exists():
+            raise InputError(
+                f"model '{name_or_path}' is not shipped; choose one of {', '.join(shipped_models())},"
+                " or give the path of a .toml file"
+            )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a model's .toml file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid TOML: {error}") from error
+    return _model_from_table(table, path)
+
+
+def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
+    known = {"name", "title", "source", "shader", "ordered", "complement", "parameter", "material"}
+    _refuse_unknown_keys(table, known, path, "the table")
+    rows = table.get("parameter")
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{path}: declares no [[parameter]]; add one table for each unknown of the model")
+    parameters = tuple(_parameter_from_table(row, path) for row in rows)
+    names = [p.name for p in parameters]
+    if len(set(names)) != len(names):
+        raise InputError(f"{path}: two parameters have the same name; names must differ")
+    if sum(p.is_normal for p in parameters) != 1:
+        raise InputError(f"{path}: exactly one parameter must have is_normal = true")
+    components = sum(p.components for p in parameters)
+    if components > MAX_COMPONENTS:
+        raise InputError(f"{path}: {components} components in all; at most {MAX_COMPONENTS} fit")
+    shader = path.with_name(table.get("shader", path.stem + ".glsl"))
+    if not shader.is_file():
+        raise InputError(f"{path}: its shader {shader.name} is not beside it; write it there or set shader = \"…\"")
+    ordered, complement = tuple(table.get("ordered", ())), tuple(table.get("complement", ()))
+    for name in (*ordered, *complement):
+        if name not in names or parameters[names.index(name)].components != 1:
+            raise InputError(f"{path}: ordered and complement must name scalar parameters; '{name}' is none")
+    if len(ordered) not in (0, 2) or len({parameters[names.index(n)].range for n in ordered}) > 1:
+        raise InputError(f"{path}: ordered must name two parameters with the same range")
+    if any(parameters[names.index(n)].range != (0.0, 1.0) for n in complement):
+        raise InputError(f"{path}: a complement must have the range [0, 1]")
+    name = table.get("name", path.stem)
+    return ReflectanceModel(
+        name, table.get("title", name), shader, parameters, ordered, complement, dict(table.get("material", {}))
+    )
+
+
+def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
+    name = row.get("name", "")
+    where = f"parameter '{name}'"
+    _refuse_unknown_keys(row, set(Parameter.__dataclass_fields__), path, where)
+    if not isinstance(name, str) or not _IDENTIFIER.match(name):
+        raise InputError(f"{path}: {where}: a name is lower-case letters, digits and _")
+    is_normal = bool(row.get("is_normal", False))
+    components = row.get("components", 3 if is_normal else 1)
+    if not isinstance(components, int) or not 1 <= components <= 4 or (is_normal and components != 3):
+        raise InputError(f"{path}: {where}: components must be 1 to 4, and 3 for a normal")
+    low, high = _two_numbers(row.get("range", (-1.0, 1.0) if is_normal else (0.0, 1.0)), path, where)
+    if not low < high:
+        raise InputError(f"{path}: {where}: range must rise, as in range = [0.0, 1.0]")
+    if row.get("kind", "search") not in _KINDS:
+        raise InputError(f"{path}: {where}: kind must be one of {', '.join(_KINDS)}")
+    default = row.get("default", (0.0, 0.0, 1.0) if is_normal else (low + high) / 2)
+    default = tuple(default) if isinstance(default, list | tuple) else (default,) * components
+    if len(default) != components or not all(isinstance(v, int | float) and low <= v <= high for v in default):
+        raise InputError(f"{path}: {where}: default must be one number, or one a component, inside the range")
+    return Parameter(
+        name, components, (low, high), tuple(float(v) for v in default), row.get("kind", "search"),
+        row.get("map", name), row.get("color_space", "Non-Color"), row.get("socket", ""), row.get("stage", name),
+        is_normal,
+    )  # fmt: skip
+
+
+def _two_numbers(value: Any, path: Path, where: str) -> tuple[float, float]:
+    if not (isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(v, int | float) for v in value)):
+        raise InputError(f"{path}: {where}: range must be two numbers, as in range = [0.0, 1.0]")
+    return float(value[0]), float(value[1])
+
+
+def _refuse_unknown_keys(table: dict[str, Any], known: set[str], path: Path, where: str) -> None:
+    unknown = sorted(set(table) - known)
+    if unknown:
+        raise InputError(f"{path}: {where}: unknown key '{unknown[0]}'; known are {', '.join(sorted(known))}")
