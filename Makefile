@@ -1,0 +1,45 @@
+# Every target makes the environment it needs (see scripts/environment.sh). PYTHON=/path/to/python3.11 chooses the
+# interpreter, OUT=folder where results go.
+VENV ?= .venv
+OUT ?= out
+# The link of a virtual environment, not resolved: so it must be spelled through $(VENV).
+RUN = $(VENV)/bin/python
+
+.DEFAULT_GOAL := help
+.PHONY: help demo paper test test-matrix lint format extension clean environment environment-test
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST) | expand -t 22
+
+environment:
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime
+
+environment-test:
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime test
+
+demo: environment ## the paper's experiment in small, in under three minutes
+	$(RUN) -m irpso_addon demo --quick -o $(OUT)/demo
+
+paper: environment ## the paper's experiment at full size
+	$(RUN) -m irpso_addon demo -o $(OUT)/paper
+
+test: environment-test lint ## all checks: style, unit tests, tests in headless Blender
+	$(RUN) tests/run.py
+
+test-matrix: environment-test ## the headless Blender tests on every supported version of Blender
+	$(RUN) tests/matrix.py
+
+lint: environment-test ## style only
+	$(RUN) -m ruff check --quiet .
+	$(RUN) -m ruff format --check --quiet .
+
+format: environment-test ## rewrite the sources in the style that lint asks for
+	$(RUN) -m ruff check --quiet --fix .
+	$(RUN) -m ruff format --quiet .
+
+extension: environment ## the zip that Blender installs, into dist/
+	$(RUN) scripts/extension.py dist
+
+clean: ## remove what the targets made, the environments included
+	rm -rf .venv .venv-* out dist build .cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

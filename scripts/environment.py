@@ -1,0 +1,54 @@
+"""Makes a virtual environment holding some dependency groups of pyproject.toml, unless it already does."""
+
+import argparse
+import hashlib
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def requirements(groups: list[str], bpy: str | None) -> list[str]:
+    """Return the requirements of the groups; ``bpy`` replaces what they ask of Blender's wheel."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
+    chosen = [line for group in groups for line in table[group]]
+    if bpy is None:
+        return chosen
+    return [bpy, *(line for line in chosen if not line.startswith("bpy"))]
+
+
+def stamp_text(wanted: list[str]) -> str:
+    """Return what identifies an environment: its interpreter and its requirements."""
+    return hashlib.sha256("\n".join([sys.executable, sys.version, *sorted(wanted)]).encode()).hexdigest()
+
+
+def main() -> int:
+    """Make the environment; return pip's exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("environment", type=Path)
+    parser.add_argument("groups", nargs="+")
+    parser.add_argument("--bpy", help="a requirement that takes the place of the one in pyproject.toml")
+    options = parser.parse_args()
+
+    wanted = requirements(options.groups, options.bpy)
+    # A stamp a set of groups: `make demo` after `make test` finds its own or adds nothing.
+    stamp = options.environment / f"installed-{'-'.join(sorted(options.groups))}"
+    if stamp.is_file() and stamp.read_text(encoding="utf-8") == stamp_text(wanted):
+        return 0
+    python = options.environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    if subprocess.run([python, "-m", "pip", "--version"], capture_output=True).returncode if python.exists() else True:
+        print(f"making {options.environment} with {sys.executable}", file=sys.stderr)
+        venv.create(options.environment, with_pip=True, clear=True)
+    print(f"installing {', '.join(wanted)}", file=sys.stderr)
+    install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted]
+    code = subprocess.run(install).returncode
+    if code == 0:
+        stamp.write_text(stamp_text(wanted), encoding="utf-8")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
