@@ -1,0 +1,1 @@
+"""The only folder that imports Blender's gpu module: context, textures, shader library, passes."""

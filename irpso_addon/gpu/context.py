@@ -1,0 +1,96 @@
+"""Getting a GPU context with or without a window, and ending the process cleanly afterwards."""
+from __future__ import annotations
+
+import os
+import sys
+
+from ..errors import GpuUnavailableError
+
+_ready = False
+
+
+def ensure() -> None:
+    """Make a GPU context in this process, once. Raises GpuUnavailableError where bpy or the context is missing.
+
+    A machine without a usable EGL kills the process inside Blender, which Python cannot catch: where that may be, ask
+    ``probe.probe()`` first, which tries it in a child process.
+    """
+    global _ready
+    if _ready:
+        return
+    try:
+        import bpy
+        import gpu
+    except ImportError as error:
+        raise GpuUnavailableError(f"Blender's Python module does not load ({error}); run 'make doctor'") from error
+    if bpy.app.background:
+        if hasattr(gpu, "init"):  # since Blender 5.2
+            gpu.init()
+        else:
+            _render_once()
+    try:
+        gpu.platform.renderer_get()
+    except SystemError as error:
+        raise GpuUnavailableError(f"no GPU context could be made ({error}); run 'make doctor'") from error
+    _ready = True
+
+
+def describe() -> dict[str, str | int]:
+    """Return the renderer, vendor, version, backend and limits of the context."""
+    import gpu
+
+    ensure()
+    return {
+        "renderer": gpu.platform.renderer_get(),
+        "vendor": gpu.platform.vendor_get(),
+        "version": gpu.platform.version_get(),
+        "backend": gpu.platform.backend_type_get(),
+        "max_texture_size": max_texture_size(),
+        "max_texture_layers": gpu.capabilities.max_texture_layers_get(),
+    }
+
+
+def max_texture_size() -> int:
+    """Return the longest side of a 2-D texture, in texels."""
+    import gpu
+
+    return gpu.capabilities.max_texture_size_get()
+
+
+def exit_process(code: int) -> None:
+    """End the process now with ``code``, buffers flushed.
+
+    Interpreter shutdown is skipped on purpose: bpy 4.5 never returns from it once a GPU context exists, and 4.2
+    crashes in it when GPU objects outlive the context.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _render_once() -> None:
+    """Render an empty scene with an engine that asks for a GPU context: it stays current afterwards (before 5.2)."""
+    import bpy
+
+    class ContextEngine(bpy.types.RenderEngine):
+        bl_idname = "IRPSO_CONTEXT"
+        bl_label = "IRPSO GPU context"
+        bl_use_gpu_context = True
+
+        def render(self, depsgraph):
+            """Draw nothing: only the context is wanted."""
+
+    bpy.utils.register_class(ContextEngine)
+    scene = bpy.data.scenes.new("IRPSO context")
+    camera = bpy.data.cameras.new("IRPSO context")
+    scene.camera = bpy.data.objects.new("IRPSO context", camera)
+    try:
+        scene.render.engine = ContextEngine.bl_idname
+        scene.render.resolution_x = scene.render.resolution_y = 4
+        scene.render.use_compositing = scene.render.use_sequencer = False
+        bpy.ops.render.render(scene=scene.name)
+    finally:
+        bpy.data.objects.remove(scene.camera)
+        bpy.data.cameras.remove(camera)
+        bpy.data.scenes.remove(scene)
+        bpy.utils.unregister_class(ContextEngine)

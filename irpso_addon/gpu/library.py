@@ -1,0 +1,72 @@
+"""The shader library: GLSL files with includes, and compile errors that name file and line."""
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import ShaderError
+from ..paths import SHADERS
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+
+
+def read_source(path: str | Path, folders: Sequence[Path] = ()) -> str:
+    """Return a GLSL file after the files it includes, each file once and whole, with #line marks.
+
+    An include is as if it stood at the top of its file, wherever it stands: Blender's error messages look for the
+    last ``#line 1 "file"``, so every file has to be one piece. Names are looked for beside the including file, then in
+    ``folders``, then in the shipped shaders/. Raises ShaderError naming file and line where a name is not found.
+    """
+    return "\n".join(_expand(_find(str(path), None, folders, "shader library", 0), folders, set())) + "\n"
+
+
+def _expand(path: Path, folders: Sequence[Path], seen: set[Path]) -> list[str]:
+    seen.add(path)
+    # Names stay short and free of quotes and backslashes, which #line would not survive.
+    label = path.relative_to(SHADERS).as_posix() if path.is_relative_to(SHADERS) else path.name
+    before, lines = [], [f'#line 1 "{label}"']
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        match = _INCLUDE.match(line)
+        if match:
+            included = _find(match.group(1), path.parent, folders, label, number)
+            if included not in seen:
+                before += _expand(included, folders, seen)
+            line = ""
+        lines.append(line)
+    return before + lines
+
+
+def _find(name: str, beside: Path | None, folders: Sequence[Path], label: str, line: int) -> Path:
+    candidates = [Path(name)] if beside is None else [beside / name]
+    for path in (*candidates, *(folder / name for folder in folders), SHADERS / name):
+        if path.is_file():
+            return path.resolve()
+    raise ShaderError(f'{label}:{line}: #include "{name}" names no file beside it or in shaders/')
+
+
+def compile_shader(name: str, create: Callable[[], Any]) -> Any:
+    """Run ``create`` (which makes a GPUShader); where it fails, raise ShaderError carrying the compiler's own lines.
+
+    Blender writes them from C to the process's own output, so that is caught for as long as the compiler runs.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as log:
+        kept = [os.dup(stream) for stream in (1, 2)]
+        for stream in (1, 2):
+            os.dup2(log.fileno(), stream)
+        try:
+            return create()
+        except Exception as error:
+            log.seek(0)
+            text = log.read().decode("utf-8", "replace").strip()
+            raise ShaderError(f"shader '{name}' does not compile", text or str(error)) from error
+        finally:
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)

@@ -1,0 +1,172 @@
+"""Passes: one kernel run over the texels of its targets, as fragments or as a compute dispatch."""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ..errors import ShaderError
+from . import context
+from .library import compile_shader, read_source
+
+Entry = Literal["fragment", "compute"]
+MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
+_GROUP = (8, 8)  # texels of a compute work group
+_GLSL = {1: ("float", "FLOAT"), 4: ("vec4", "VEC4")}
+_OUTPUT_CHANNELS = {"R32F": 1, "RGBA32F": 4, "RGBA16F": 4}
+
+
+@dataclass(frozen=True)
+class Output:
+    """One texture that a kernel writes: the GLSL variable's name and the texture's format (R32F, RGBA32F, RGBA16F)."""
+
+    name: str
+    format: str = "RGBA32F"
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel: the file with ``bool kernel(ivec2 texel)``, which returns false to leave a texel as it was.
+
+    source: path under shaders/ or of the user's own. outputs: at most 6, all targets of one size. samplers: name →
+    FLOAT_2D or FLOAT_2D_ARRAY. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. preamble:
+    GLSL put before the file (generated declarations). folders: more places to look for includes.
+    """
+
+    source: str
+    outputs: tuple[Output, ...]
+    samplers: Mapping[str, str]
+    constants: Mapping[str, str]
+    defines: Mapping[str, str | int | float]
+    preamble: str = ""
+    folders: tuple = ()
+
+
+class Pass:
+    """A compiled kernel. Fragment and compute entries take the same arguments and write the same values."""
+
+    def __init__(self, kernel: Kernel, entry: Entry = "fragment"):
+        if not 1 <= len(kernel.outputs) <= MAX_OUTPUTS:
+            raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.outputs)}")
+        context.ensure()
+        self.kernel, self.entry = kernel, entry
+        info = self._create_info()
+        build = self._compute if entry == "compute" else self._fragment
+        self._shader = build(info)
+        self._framebuffers: dict[tuple[int, ...], Any] = {}
+        self._active = {name for name in kernel.constants if _has_uniform(self._shader, name)}
+        self._samplers = {name for name in kernel.samplers if _has_uniform(self._shader, name)}
+
+    def run(
+        self,
+        targets: Sequence[Any],
+        textures: Mapping[str, Any],
+        constants: Mapping[str, int | float] = {},
+        rows: tuple[int, int] | None = None,
+    ) -> None:
+        """Run the kernel over rows [start, stop) of the targets (all rows where None). Returns before it is done."""
+        import gpu
+
+        first, last = rows or (0, targets[0].height)
+        shader = self._shader
+        shader.bind()
+        try:
+            for name in self._samplers:
+                shader.uniform_sampler(name, textures[name])
+            for name in self._active:
+                value = constants[name]
+                (shader.uniform_int if self.kernel.constants[name] == "INT" else shader.uniform_float)(name, value)
+            if self.entry == "compute":
+                self._dispatch(targets, first, last)
+            else:
+                framebuffer = self.framebuffer(targets)
+                with framebuffer.bind():
+                    gpu.state.viewport_set(0, first, targets[0].width, last - first)
+                    self._triangle.draw(shader)
+        finally:
+            gpu.shader.unbind()
+
+    def framebuffer(self, targets: Sequence[Any]) -> Any:
+        """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets."""
+        import gpu
+
+        key = tuple(id(target) for target in targets)
+        if key not in self._framebuffers:
+            self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), tuple(targets))
+        return self._framebuffers[key][0]
+
+    def fence(self, targets: Sequence[Any]) -> None:
+        """Wait until all that was drawn into ``targets`` is there."""
+        self.framebuffer(targets).read_color(0, 0, 1, 1, 4, 0, "FLOAT")
+
+    def close(self) -> None:
+        """Free the shader and its frame buffers."""
+        self._framebuffers.clear()
+        self._shader = self._triangle = None
+
+    def _create_info(self) -> Any:
+        import gpu
+
+        info = gpu.types.GPUShaderCreateInfo()
+        for name, value in self.kernel.defines.items():
+            info.define(name, str(value))
+        for slot, (name, kind) in enumerate(self.kernel.samplers.items()):
+            info.sampler(slot, kind, name)
+        for name, kind in self.kernel.constants.items():
+            info.push_constant(kind, name)
+        return info
+
+    def _sources(self) -> str:
+        return '#line 1 "generated declarations"\n' + self.kernel.preamble + "\n" + read_source(self.kernel.source, self.kernel.folders)
+
+    def _fragment(self, info: Any) -> Any:
+        import gpu
+        from gpu_extras.batch import batch_for_shader
+
+        for slot, output in enumerate(self.kernel.outputs):
+            info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
+        info.vertex_in(0, "VEC2", "position")
+        info.vertex_source(read_source("common/full_screen.glsl"))
+        info.fragment_source(self._sources() + read_source("common/entry_fragment.glsl"))
+        shader = compile_shader(self.kernel.source, lambda: gpu.shader.create_from_info(info))
+        self._triangle = batch_for_shader(shader, "TRIS", {"position": [(-1, -1), (3, -1), (-1, 3)]})
+        return shader
+
+    def _compute(self, info: Any) -> Any:
+        import gpu
+
+        for slot, output in enumerate(self.kernel.outputs):
+            info.image(slot, output.format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
+            info.define(f"OUTPUT_{slot}", output.name)
+            info.define(f"OUTPUT_{slot}_TYPE", _GLSL[_OUTPUT_CHANNELS[output.format]][0])
+        for name in ("u_first_row", "u_last_row", "u_columns"):
+            info.push_constant("INT", name)
+        info.local_group_size(*_GROUP, 1)
+        source = read_source("common/outputs_compute.glsl") + self._sources()
+        info.compute_source(source + read_source("common/entry_compute.glsl"))
+        self._triangle = None
+        return compile_shader(self.kernel.source, lambda: gpu.shader.create_from_info(info))
+
+    def _dispatch(self, targets: Sequence[Any], first: int, last: int) -> None:
+        import gpu
+
+        shader, width = self._shader, targets[0].width
+        for slot, target in enumerate(targets):
+            shader.image(f"u_image_{slot}", target)
+        shader.uniform_int("u_first_row", first)
+        shader.uniform_int("u_last_row", last)
+        shader.uniform_int("u_columns", width)
+        groups = (-(-width // _GROUP[0]), -(-(last - first) // _GROUP[1]))
+        gpu.compute.dispatch(shader, *groups, 1)
+
+
+def _has_uniform(shader: Any, name: str) -> bool:
+    """Return whether the compiler kept a uniform: setting one that it removed is an error in Blender."""
+    try:
+        shader.uniform_from_name(name)
+    except ValueError:
+        return False
+    return True
+
+
+__all__ = ["Entry", "Kernel", "Output", "Pass", "ShaderError"]

@@ -1,0 +1,67 @@
+"""numpy arrays to GPU textures and back, exactly."""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+CHANNELS = {"R32F": 1, "RG32F": 2, "RGBA32F": 4, "RGBA16F": 4}
+_FORMATS = {1: "R32F", 2: "RG32F", 4: "RGBA32F"}
+
+
+def upload(array: np.ndarray) -> Any:
+    """Return a float32 texture of an array (H, W) or (H, W, C) with C of 1, 2, 3 or 4 (3 gains a zero channel)."""
+    import gpu
+
+    array = _padded(array[..., None] if array.ndim == 2 else array)
+    height, width, channels = array.shape
+    return gpu.types.GPUTexture((width, height), format=_FORMATS[channels], data=_buffer(array))
+
+
+def upload_layers(array: np.ndarray, texture_format: str = "RGBA32F") -> Any:
+    """Return an array texture of (K, H, W, 4) float32: K layers, read in shaders as FLOAT_2D_ARRAY."""
+    import gpu
+
+    layers, height, width, _ = array.shape
+    array = np.ascontiguousarray(array, np.float32)
+    return gpu.types.GPUTexture((width, height), layers=layers, format=texture_format, data=_buffer(array))
+
+
+def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float | None = None) -> Any:
+    """Return a texture, cleared to ``value`` where one is given, else with undefined contents."""
+    import gpu
+
+    texture = gpu.types.GPUTexture((width, height), format=texture_format)
+    if value is not None:
+        texture.clear(format="FLOAT", value=(value,) * CHANNELS[texture_format])
+    return texture
+
+
+def download(texture: Any) -> np.ndarray:
+    """Return a copy of a float texture as (H, W, C) float32."""
+    channels = CHANNELS[texture.format]
+    return _array(texture.read(), (texture.height, texture.width, channels))
+
+
+def download_rectangle(framebuffer: Any, x: int, y: int, width: int, height: int) -> np.ndarray:
+    """Return a copy (height, width, 4) of a part of a frame buffer's first colour attachment."""
+    return _array(framebuffer.read_color(x, y, width, height, 4, 0, "FLOAT"), (height, width, 4))
+
+
+def _array(buffer: Any, shape: tuple[int, ...]) -> np.ndarray:
+    # Up to Blender 5.0 a multi-dimensional Buffer has transposed strides: flatten it before numpy sees it.
+    buffer.dimensions = int(np.prod(shape))
+    return np.frombuffer(buffer, np.float32).reshape(shape).copy()
+
+
+def _buffer(array: np.ndarray) -> Any:
+    import gpu
+
+    return gpu.types.Buffer("FLOAT", array.size, array.ravel())
+
+
+def _padded(array: np.ndarray) -> np.ndarray:
+    array = np.asarray(array, np.float32)
+    if array.shape[-1] == 3:
+        array = np.concatenate([array, np.zeros((*array.shape[:-1], 1), np.float32)], axis=-1)
+    return np.ascontiguousarray(array)

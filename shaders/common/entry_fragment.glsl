@@ -1,0 +1,8 @@
+// Entry of a fragment pass: one fragment a texel; the outputs are the frame buffer's attachments.
+
+void main()
+{
+    if (!kernel(ivec2(gl_FragCoord.xy))) {
+        discard;
+    }
+}
