@@ -25,6 +25,14 @@ def stamp_text(wanted: list[str]) -> str:
     return hashlib.sha256("\n".join([sys.executable, sys.version, *sorted(wanted)]).encode()).hexdigest()
 
 
+def serves(python: Path) -> bool:
+    """Return whether an environment's interpreter is there, has pip, and is the version that runs this script."""
+    if not python.exists():
+        return False
+    probe = subprocess.run([python, "-c", "import sys, pip; print(sys.version)"], capture_output=True, text=True)
+    return probe.stdout.strip() == sys.version.strip()
+
+
 def main() -> int:
     """Make the environment; return pip's exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -39,7 +47,7 @@ def main() -> int:
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == stamp_text(wanted):
         return 0
     python = options.environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    if subprocess.run([python, "-m", "pip", "--version"], capture_output=True).returncode if python.exists() else True:
+    if not serves(python):
         print(f"making {options.environment} with {sys.executable}", file=sys.stderr)
         venv.create(options.environment, with_pip=True, clear=True)
     print(f"installing {', '.join(wanted)}", file=sys.stderr)

@@ -17,7 +17,13 @@ LIBRARIES = {
 }
 # EGL without a driver behind it kills the process: either NVIDIA's, or a Mesa driver file.
 DRIVER_PACKAGE = "libgl1-mesa-dri"
-DRIVER_FILES = ("/usr/lib/*/dri/*_dri.so", "/usr/lib/dri/*_dri.so", "/usr/lib64/dri/*_dri.so", "/usr/lib*/libgallium*.so")
+DRIVER_FILES = (
+    "/usr/lib/*/dri/*_dri.so",
+    "/usr/lib/*/libgallium*.so",
+    "/usr/lib/dri/*_dri.so",
+    "/usr/lib64/dri/*_dri.so",
+    "/usr/lib64/libgallium*.so",
+)
 
 
 def loads(library: str) -> bool:

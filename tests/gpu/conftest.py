@@ -1,0 +1,35 @@
+"""Tests in headless Blender: one process a module, ended by force once pytest has said all it has to say."""
+
+import os
+import sys
+
+import pytest
+
+NO_GPU = os.environ.get("IRPSO_NO_GPU")  # the reason, found by tests/run.py in a process of its own
+_exit_status = pytest.StashKey[int]()
+
+
+def pytest_collection_modifyitems(config, items):
+    here = [item for item in items if item.path.parent == config.rootpath / "tests" / "gpu"]
+    modules = {item.path.name for item in here}
+    if len(modules) > 1 and not config.option.collectonly:
+        # A shared process was seen to invent failures: GPU objects and scenes of one module reach into the next.
+        raise pytest.UsageError("each module of tests/gpu needs its own process: use tests/run.py, or name one module")
+    if NO_GPU:
+        for item in here:
+            if not item.get_closest_marker("bpy_only"):
+                item.add_marker(pytest.mark.skip(reason=NO_GPU))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[_exit_status] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    # bpy 4.5 never exits by itself and 4.2 may crash while it does, long after the tests have passed.
+    if "bpy" in sys.modules and _exit_status in config.stash:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[_exit_status])

@@ -1,0 +1,174 @@
+"""Runs the tests: the unit tests in one process, every module of tests/gpu in a Blender process of its own.
+
+Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 600] [-- ARGUMENTS FOR PYTEST]
+The last line is `N passed, N failed, N skipped`; the exit code is 1 if anything failed. IRPSO_REQUIRE_GPU=1 turns a
+missing GPU context from a reason to skip into a failure.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
+
+# Makes a context in the two ways there are, without a line of the program under test: a machine that has a GPU but on
+# which the program cannot use it must fail, not skip. 5.2 has gpu.init(); before it, a render engine is lent one.
+PROBE = """
+import os, sys
+import bpy, gpu
+if hasattr(gpu, "init"):
+    gpu.init()
+    print("IRPSO-GPU", gpu.platform.renderer_get(), flush=True)
+else:
+    class Probe(bpy.types.RenderEngine):
+        bl_idname, bl_label, bl_use_gpu_context = "IRPSO_TEST_PROBE", "Probe", True
+        def render(self, depsgraph):
+            print("IRPSO-GPU", gpu.platform.renderer_get(), flush=True)
+    bpy.utils.register_class(Probe)
+    scene = bpy.context.scene
+    scene.render.engine = Probe.bl_idname
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    bpy.ops.render.render()
+os._exit(0)
+"""
+
+
+@dataclass
+class Result:
+    """What became of one process of tests."""
+
+    name: str
+    passed: int = 0
+    failed: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+    output: str = ""
+    seconds: float = 0.0
+
+
+def run_process(command: list[str], timeout: float, environment: dict[str, str]) -> tuple[int | None, str]:
+    """Run a command; return its exit code (None when it was stopped at the timeout) and all that it printed."""
+    with tempfile.TemporaryFile() as sink:
+        process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )  # fmt: skip
+        try:
+            code = process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        sink.seek(0)
+        return code, sink.read().decode(errors="replace")
+
+
+def probe_gpu() -> str:
+    """Return "" when this machine can give Blender a GPU context, otherwise the reason why not."""
+    code, output = run_process([sys.executable, "-c", PROBE], 120, dict(os.environ))
+    found = [line for line in output.splitlines() if line.startswith("IRPSO-GPU ")]
+    if found:
+        print(f"GPU: {found[0].removeprefix('IRPSO-GPU ')}", flush=True)
+        return ""
+    last = (output.strip().splitlines() or ["no output"])[-1]
+    return f"no GPU context: the probe {'timed out' if code is None else f'ended with {code}'} ({last})"
+
+
+def run_pytest(target: Path, timeout: float, arguments: list[str], no_gpu: str) -> Result:
+    """Run pytest on one file or folder in its own process and read what it recorded, however the process ended."""
+    name = str(target.relative_to(ROOT))
+    result, started = Result(name), time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / "record"
+        environment = {**os.environ, "IRPSO_TEST_RECORD": str(record), "IRPSO_NO_GPU": no_gpu}
+        command = [sys.executable, "-X", "faulthandler", "-m", "pytest", "-q", str(target), *arguments]
+        code, result.output = run_process(command, timeout, environment)
+        lines = [json.loads(line) for line in record.read_text().splitlines()] if record.exists() else []
+    result.seconds = time.monotonic() - started
+    read_record(result, lines)
+    deselected_all = code == 5 and bool(arguments) and not lines
+    if code != 0 and not result.failed and not deselected_all:
+        started_tests = [line["test"] for line in lines if line["event"] == "start"]
+        finished = {line["test"] for line in lines if line["event"] == "finish"}
+        during = next((test for test in started_tests if test not in finished), name)
+        ending = f"stopped after {timeout:.0f} s" if code is None else f"process ended with {code}"
+        result.failed.append(f"{during} ({ending})")
+    return result
+
+
+def read_record(result: Result, lines: list[dict[str, str]]) -> None:
+    """Count the outcomes of a record; a test that fails and then fails again while cleaning up counts once."""
+    for line in lines:
+        if line["event"] == "passed":
+            result.passed += 1
+        elif line["event"] == "failed" and line["test"] not in result.failed:
+            result.failed.append(line["test"])
+        elif line["event"] == "skipped":
+            result.skipped.append(f"{line['test']}: {line['reason']}")
+
+
+def targets_of(paths: list[Path]) -> tuple[list[Path], list[Path]]:
+    """Return what runs in one unit process each, and the modules that need a Blender process each."""
+    unit, gpu = [], []
+    for path in paths or [TESTS / "unit", TESTS / "gpu"]:
+        path = path.resolve()
+        if TESTS / "gpu" in (path, *path.parents):
+            gpu += sorted(path.glob("test_*.py")) if path.is_dir() else [path]
+        else:
+            unit.append(path)
+    return unit, gpu
+
+
+def report(result: Result) -> None:
+    """Print one line for a process, and all of its output where something failed."""
+    counts = f"{result.passed} passed, {len(result.failed)} failed, {len(result.skipped)} skipped"
+    if result.failed:
+        print(result.output.rstrip(), flush=True)
+    print(f"{'FAIL' if result.failed else 'ok':4} {result.name}: {counts} ({result.seconds:.0f} s)", flush=True)
+
+
+def main() -> int:
+    """Run everything asked for; return 1 if anything failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--jobs", type=int, default=2, help="Blender processes at a time")
+    parser.add_argument("--timeout", type=float, default=600, help="seconds for one process")
+    cut = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    options, rest = parser.parse_args(sys.argv[1:cut]), sys.argv[cut + 1 :]
+
+    unit, gpu = targets_of(options.paths)
+    results = []
+    for target in unit:
+        results.append(run_pytest(target, options.timeout, rest, ""))
+        report(results[-1])
+    no_gpu = probe_gpu() if gpu else ""
+    if no_gpu and os.environ.get("IRPSO_REQUIRE_GPU"):
+        results.append(Result("GPU probe", failed=[no_gpu]))
+    with ThreadPoolExecutor(options.jobs) as pool:
+        running = [pool.submit(run_pytest, target, options.timeout, rest, no_gpu) for target in gpu]
+        for future in running:
+            results.append(future.result())
+            report(results[-1])
+
+    failed = [test for result in results for test in result.failed]
+    skipped = [test for result in results for test in result.skipped]
+    for test in skipped:
+        print(f"SKIPPED {test}")
+    for test in failed:
+        print(f"FAILED {test}")
+    print(f"{sum(result.passed for result in results)} passed, {len(failed)} failed, {len(skipped)} skipped")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
