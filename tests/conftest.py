@@ -10,6 +10,18 @@ ROOT = Path(__file__).resolve().parent.parent
 RECORD = os.environ.get("IRPSO_TEST_RECORD")  # a file; tests/run.py reads it even when this process has died
 
 
+class _RootIsNoPackage:
+    """Keeps pytest from importing the ``__init__.py`` that Blender needs at the root, which means something there only."""
+
+    @staticmethod
+    def pytest_collect_directory(path, parent):
+        return pytest.Dir.from_parent(parent, path=path) if path == ROOT else None
+
+
+def pytest_configure(config):
+    config.pluginmanager.register(_RootIsNoPackage(), "irpso-root")
+
+
 def _record(**line):
     if RECORD:
         with open(RECORD, "a", encoding="utf-8") as file:

@@ -96,14 +96,18 @@ def run_pytest(target: Path, timeout: float, arguments: list[str], no_gpu: str) 
         lines = [json.loads(line) for line in record.read_text().splitlines()] if record.exists() else []
     result.seconds = time.monotonic() - started
     read_record(result, lines)
-    deselected_all = code == 5 and bool(arguments) and not lines
-    if code != 0 and not result.failed and not deselected_all:
-        started_tests = [line["test"] for line in lines if line["event"] == "start"]
-        finished = {line["test"] for line in lines if line["event"] == "finish"}
-        during = next((test for test in started_tests if test not in finished), name)
+    nothing_matched = code == 5 and bool(arguments) and not lines
+    unfinished = unfinished_tests(lines)
+    if unfinished or (code != 0 and not result.failed and not nothing_matched):
         ending = f"stopped after {timeout:.0f} s" if code is None else f"process ended with {code}"
-        result.failed.append(f"{during} ({ending})")
+        result.failed.append(f"{(unfinished or [name])[0]} ({ending})")
     return result
+
+
+def unfinished_tests(lines: list[dict[str, str]]) -> list[str]:
+    """Return the tests of a record that began and did not end, because the process did."""
+    finished = {line["test"] for line in lines if line["event"] == "finish"}
+    return [line["test"] for line in lines if line["event"] == "start" and line["test"] not in finished]
 
 
 def read_record(result: Result, lines: list[dict[str, str]]) -> None:
@@ -114,7 +118,7 @@ def read_record(result: Result, lines: list[dict[str, str]]) -> None:
         elif line["event"] == "failed" and line["test"] not in result.failed:
             result.failed.append(line["test"])
         elif line["event"] == "skipped":
-            result.skipped.append(f"{line['test']}: {line['reason']}")
+            result.skipped.append(f"{line['test']}: {line['reason'].removeprefix('Skipped: ')}")
 
 
 def targets_of(paths: list[Path]) -> tuple[list[Path], list[Path]]:

@@ -1,0 +1,51 @@
+"""IRPSO recovers a material from photographs: normal, albedo and roughness maps by a particle swarm at every texel.
+
+In Blender ``register`` adds the command ``blender --command irpso``. In Python the names of ``__all__`` are the public
+interface; nothing is imported before one of them is asked for, so that numpy-only parts work without Blender.
+"""
+
+from importlib import import_module
+
+_HOMES = {
+    "read_capture": "capture.read",
+    "load_model": "reflectance.model",
+    "load_schedule": "solver.schedule",
+    "Recovery": "solver.recovery",
+    "Domain": "geometry.domain",
+    "Maps": "maps.result",
+    "write_maps": "maps.write",
+}
+__all__ = ["register", "unregister", *_HOMES]
+
+_commands: list = []  # handles of what register() added; empty while unregistered
+
+
+def __getattr__(name: str):
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})
+
+
+def register() -> None:
+    """Add the program to Blender: the command ``irpso``. Blender calls it when the extension is enabled."""
+    import bpy
+
+    _commands.append(bpy.utils.register_cli_command("irpso", _run_command))
+
+
+def unregister() -> None:
+    """Take out of Blender all that ``register`` added."""
+    import bpy
+
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
+
+
+def _run_command(argv: list[str]) -> int:
+    from . import cli
+
+    return cli.main(argv)
