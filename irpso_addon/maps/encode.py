@@ -1,0 +1,90 @@
+"""From numbers to what a picture holds: colour transfer, normal encoding, margins past UV islands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+MARGIN_TEXELS = 8  # mip levels and bilinear filtering reach this far past an island before it shows
+FLAT_NORMAL = (0.0, 0.0, 1.0)
+
+
+def srgb_from_linear(values: np.ndarray) -> np.ndarray:
+    """Return sRGB-encoded values of linear ones (IEC 61966-2-1), same shape; negative input is treated as 0.
+
+    Values above 1 go on along the curve: clipping belongs to the file format.
+    """
+    values = np.maximum(np.asarray(values, np.float64), 0.0)
+    curve = 1.055 * np.power(np.maximum(values, 0.0031308), 1 / 2.4) - 0.055
+    return np.where(values <= 0.0031308, 12.92 * values, curve).astype(np.float32)
+
+
+def linear_from_srgb(values: np.ndarray) -> np.ndarray:
+    """Return linear values of sRGB-encoded ones (IEC 61966-2-1), same shape."""
+    values = np.maximum(np.asarray(values, np.float64), 0.0)
+    curve = np.power((values + 0.055) / 1.055, 2.4)
+    return np.where(values <= 0.04045, values / 12.92, curve).astype(np.float32)
+
+
+def encode_normal(normals: np.ndarray) -> np.ndarray:
+    """Return (…, 3) values in 0…1 of vectors in −1…1, normalised first: the OpenGL (Y+) normal map."""
+    normals = np.asarray(normals, np.float32)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    unit = np.where(length > 0, normals / np.where(length > 0, length, 1), np.asarray(FLAT_NORMAL, np.float32))
+    return unit * np.float32(0.5) + np.float32(0.5)
+
+
+def fill_margin(
+    values: np.ndarray, covered: np.ndarray, texels: int = MARGIN_TEXELS, far: tuple[float, ...] | None = None
+) -> np.ndarray:
+    """Return ``values`` (H, W, C) float32 with every uncovered texel filled.
+
+    Texels within ``texels`` (Euclidean) of a covered one take the value of the nearest; the others take ``far`` (C
+    numbers), by default the mean of the covered ones, so that the smallest mip levels stay near the map's own colour.
+    covered: (H, W) bool. What uncovered texels held before, NaN included, does not matter.
+    """
+    values = np.asarray(values, np.float32)
+    if covered.all():
+        return values.copy()
+    if far is None:
+        far = values[covered].mean(axis=0, dtype=np.float64) if covered.any() else np.zeros(values.shape[-1])
+    result = np.where(covered[..., None], values, np.asarray(far, np.float32))
+    row, column, source_row, source_column = _nearest_covered(covered, texels)
+    result[row, column] = values[source_row, source_column]
+    return result
+
+
+def _nearest_covered(covered: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows and columns of uncovered texels within ``reach``, and of the nearest covered texel of each."""
+    height, width = covered.shape
+    row, column = np.nonzero(_box_dilated(covered, reach) & ~covered)
+    found = []
+    for dy, dx in _offsets_by_distance(reach):
+        y, x = row + dy, column + dx
+        inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+        hit = inside.copy()
+        hit[inside] = covered[y[inside], x[inside]]
+        found.append((row[hit], column[hit], y[hit], x[hit]))
+        row, column = row[~hit], column[~hit]
+        if not row.size:
+            break
+    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def _offsets_by_distance(reach: int) -> list[tuple[int, int]]:
+    """Return the non-zero (dy, dx) of a disc, the nearest first."""
+    side = range(-reach, reach + 1)
+    disc = [(dy, dx) for dy in side for dx in side if 0 < dy * dy + dx * dx <= reach * reach]
+    return sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2)
+
+
+def _box_dilated(mask: np.ndarray, reach: int) -> np.ndarray:
+    """Return the mask grown by ``reach`` texels along both axes (a square window)."""
+    for axis in (0, 1):
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (reach + 1, reach)
+        total = np.cumsum(np.pad(mask, padding), axis=axis, dtype=np.int32)
+        length = mask.shape[axis]
+        window = 2 * reach + 1
+        high = np.take(total, np.arange(window, window + length), axis=axis)
+        mask = high > np.take(total, np.arange(length), axis=axis)
+    return mask
