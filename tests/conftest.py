@@ -11,7 +11,7 @@ RECORD = os.environ.get("IRPSO_TEST_RECORD")  # a file; tests/run.py reads it ev
 
 
 class _RootIsNoPackage:
-    """Keeps pytest from importing the ``__init__.py`` that Blender needs at the root, which means something there only."""
+    """Keeps pytest from importing the ``__init__.py`` at the root, which is there for Blender only."""
 
     @staticmethod
     def pytest_collect_directory(path, parent):

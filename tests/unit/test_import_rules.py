@@ -1,0 +1,233 @@
+"""The rules of the house: who may import whom, where GLSL lives, and what must not be in the repository."""
+
+import ast
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+PACKAGE = ROOT / "irpso_addon"
+
+# Part of the program -> the parts it may import, besides itself and the small helpers of BASE, which everyone may.
+BASE = {"errors", "paths", "files"}
+ENGINE = {"reflectance", "capture", "gpu", "maps", "geometry", "solver"}
+ALLOWED = {
+    "errors": set(),
+    "paths": set(),
+    "files": set(),
+    "reflectance": set(),
+    "capture": set(),
+    "gpu": set(),
+    "maps": {"reflectance", "capture"},
+    "geometry": {"capture", "reflectance", "maps", "gpu"},
+    "solver": {"geometry", "maps", "reflectance", "capture", "gpu"},
+    "cluster": ENGINE,
+    "ui": ENGINE,
+    "demo": ENGINE,
+    "cli": ENGINE | {"demo", "cluster"},
+    "__main__": {"cli"},
+    "__init__": {"cli", "ui"},
+}
+BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "gpu_extras", "bl_ui", "bl_math", "aud", "blf", "idprop", "imbuf"}
+THIRD_PARTY = {"numpy", "OpenEXR"}
+WITHOUT_BLENDER = BASE | {"reflectance", "capture"}
+GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)
+
+
+@dataclass(frozen=True)
+class Import:
+    """One imported module: absolute ("numpy.linalg") or a part of the program (".capture")."""
+
+    module: str
+    at_module_level: bool
+    line: int
+
+
+def part_of(path: Path) -> str:
+    """Return the part of the program that a file below irpso_addon belongs to."""
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0] if len(relative.parts) > 1 else path.stem
+
+
+def imports_of(source: str, package: tuple[str, ...]) -> list[Import]:
+    """Return the imports of a module whose package below irpso_addon is ``package``, relative ones resolved."""
+    found = []
+
+    def visit(node: ast.AST, top: bool) -> None:
+        if isinstance(node, ast.Import):
+            found.extend(Import(alias.name, top, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.append(Import(node.module or "", top, node.lineno))
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) + 1 - node.level]
+            for name in [node.module] if node.module else [alias.name for alias in node.names]:
+                found.append(Import("." + ".".join((*base, name)), top, node.lineno))
+        inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        # What stands under `if TYPE_CHECKING:` is never run.
+        typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for child in ast.iter_child_nodes(node):
+            visit(child, top and not inside and not typing_only)
+
+    visit(ast.parse(source), True)
+    return found
+
+
+def broken_rules(source: str, path: Path) -> list[str]:
+    """Return one line for each rule that the source of a module at ``path`` breaks."""
+    part, package = part_of(path), path.relative_to(PACKAGE).parent.parts
+    if part not in ALLOWED:
+        return [f"{path.relative_to(ROOT)}: say in ALLOWED what {part} may import"]
+    broken = []
+    for item in imports_of(source, package):
+        top_name = item.module.split(".")[0]
+        where = f"{path.relative_to(ROOT)}:{item.line}: "
+        if item.module.startswith(".") or top_name == PACKAGE.name:
+            target = item.module.removeprefix(PACKAGE.name).split(".")[1]
+            if target != part and target not in ALLOWED[part] | BASE:
+                broken.append(where + f"{part} must not import {target}")
+            if part == "__init__" and item.at_module_level:
+                broken.append(where + "the package imports its parts only when asked for them")
+        elif top_name in BLENDER:
+            if top_name in ("gpu", "gpu_extras") and part != "gpu":
+                broken.append(where + "only irpso_addon/gpu may import Blender's gpu module")
+            elif part in WITHOUT_BLENDER:
+                broken.append(where + f"{part} must work without Blender")
+            elif item.at_module_level and part not in ("ui", "gpu"):
+                broken.append(where + f"import {top_name} where it is used; at module level only ui may")
+            elif item.at_module_level and part == "gpu" and top_name == "bpy":
+                broken.append(where + "import bpy where it is used; at module level only ui may")
+        elif top_name not in sys.stdlib_module_names | THIRD_PARTY:
+            broken.append(where + f"{top_name} is not a dependency of the program")
+    return broken
+
+
+def glsl_in(source: str) -> list[str]:
+    """Return the string constants of a Python source, docstrings left out, that hold GLSL statements."""
+    tree = ast.parse(source)
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    texts = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    return [text.value for text in texts if id(text) not in docstrings and GLSL.search(text.value)]
+
+
+def modules() -> list[Path]:
+    """Return every Python file of the program."""
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def tracked() -> list[Path]:
+    """Return the files under version control; outside a checkout there are none to speak of."""
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
+    if listing.returncode:
+        pytest.skip("this is not a git checkout: which files are tracked is unknown")
+    return [ROOT / name for name in listing.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def lines_matching(pattern: str) -> list[str]:
+    """Return "file:line: text" for every line of a tracked text file in which the pattern is found."""
+    found = []
+    for path in tracked():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        for number, line in enumerate(text.splitlines(), 1):
+            if re.search(pattern, line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    return found
+
+
+def test_imports_go_down_only():
+    assert [line for path in modules() for line in broken_rules(path.read_text(encoding="utf-8"), path)] == []
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("capture/a.py", "def f():\n    import bpy"),
+        ("capture/a.py", "from ..gpu.context import x"),
+        ("capture/deep/a.py", "from ...solver import x"),
+        ("reflectance/a.py", "from .. import capture"),
+        ("maps/a.py", "import bpy"),
+        ("maps/a.py", "class A:\n    import bpy"),
+        ("maps/a.py", "from ..solver.recovery import Recovery"),
+        ("solver/a.py", "def f():\n    import gpu"),
+        ("ui/a.py", "import gpu.types"),
+        ("gpu/a.py", "import bpy"),
+        ("gpu/a.py", "from ..capture.types import Light"),
+        ("solver/a.py", "from irpso_addon.ui import panel"),
+        ("geometry/a.py", "import scipy.ndimage"),
+        ("__init__.py", "from .cli import main"),
+    ],
+)
+def test_a_forbidden_import_is_found(file, source):
+    assert len(broken_rules(source, PACKAGE / file)) == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("capture/deep/a.py", "from ...errors import InputError\nfrom ..types import Light\nimport numpy.linalg"),
+        ("gpu/a.py", "import gpu\ndef f():\n    import bpy"),
+        ("ui/a.py", "import bpy\nfrom ..solver import recovery"),
+        ("solver/a.py", "from __future__ import annotations\nfrom ..gpu import context\nimport math"),
+        ("maps/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import bpy"),
+        ("__init__.py", "def f():\n    from . import cli"),
+    ],
+)
+def test_an_import_that_goes_down_is_let_through(file, source):
+    assert broken_rules(source, PACKAGE / file) == []
+
+
+def test_importing_the_package_imports_neither_blender_nor_numpy():
+    probe = "import sys, irpso_addon; print(sorted({'bpy', 'gpu', 'numpy', 'OpenEXR'} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True)
+    assert (result.stdout.strip(), result.stderr) == ("[]", "")
+
+
+def test_the_parts_that_promise_to_work_without_blender_do():
+    names = [
+        "irpso_addon." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+        for path in modules()
+        if part_of(path) in WITHOUT_BLENDER
+    ]
+    probe = f"import importlib, sys; [importlib.import_module(n) for n in {names}]; print('bpy' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True)
+    assert (result.stdout.strip(), result.stderr) == ("False", "")
+
+
+def test_shaders_are_files_and_not_strings_in_python():
+    assert {path.name: glsl_in(path.read_text(encoding="utf-8")) for path in modules()} == {
+        p.name: [] for p in modules()
+    }
+
+
+def test_a_shader_in_a_string_is_found_and_one_named_in_a_docstring_is_not():
+    assert glsl_in("s = 'void main() {}'") == ["void main() {}"]
+    assert glsl_in("def f():\n    'Writes the body of void main().'\n    return 1") == []
+
+
+def test_no_tracked_file_names_a_place_on_one_machine():
+    places = "|".join(["home", "root", "work", "tmp", "Users"])
+    assert lines_matching(rf"(?<![\w./$}}~-])/({places})\b(?!\s*/\s*\d)") == []
+
+
+def test_no_tracked_file_names_a_package_registry():
+    assert lines_matching("|".join(["py" + r"pi\.", "python" + "hosted", "index" + "-url", "find" + "-links"])) == []
+
+
+def test_a_fresh_clone_is_under_two_megabytes():
+    files = sum(path.stat().st_size for path in tracked())
+    names = subprocess.run(
+        ["git", "rev-list", "--objects", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    objects = "\n".join(line.split()[0] for line in names.stdout.splitlines())
+    sizes = subprocess.run(
+        ["git", "cat-file", "--batch-check=%(objectsize:disk)"],
+        cwd=ROOT, input=objects, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    history = sum(int(line) for line in sizes.stdout.split())
+    assert files + history < 2_000_000
