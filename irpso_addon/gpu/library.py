@@ -5,7 +5,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +15,45 @@ from ..paths import SHADERS
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 
-def read_source(path: str | Path, folders: Sequence[Path] = ()) -> str:
+def read_source(path: str | Path, given: Mapping[str, str | Path] = {}) -> str:
     """Return a GLSL file after the files it includes, each file once and whole, with #line marks.
 
     An include is as if it stood at the top of its file, wherever it stands: Blender's error messages look for the
-    last ``#line 1 "file"``, so every file has to be one piece. Names are looked for beside the including file, then in
-    ``folders``, then in the shipped shaders/. Raises ShaderError naming file and line where a name is not found.
+    last ``#line 1 "file"``, so every file has to be one piece. Names are looked for in ``given`` (name → text, or the
+    path of another file), then beside the including file, then in the shipped shaders/.
+    Raises ShaderError naming file and line where a name is not found.
     """
-    return "\n".join(_expand(_find(str(path), None, folders, "shader library", 0), folders, set())) + "\n"
+    return "\n".join(_expand(_find(str(path), None, given, "shader library", 0), given, set())) + "\n"
 
 
-def _expand(path: Path, folders: Sequence[Path], seen: set[Path]) -> list[str]:
-    seen.add(path)
-    # Names stay short and free of quotes and backslashes, which #line would not survive.
-    label = path.relative_to(SHADERS).as_posix() if path.is_relative_to(SHADERS) else path.name
+def _expand(found: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
+    seen.add(found)
+    if isinstance(found, Path):
+        # Names stay short and free of quotes and backslashes, which #line would not survive.
+        label = found.relative_to(SHADERS).as_posix() if found.is_relative_to(SHADERS) else found.name
+        text, beside = found.read_text(encoding="utf-8"), found.parent
+    else:
+        label, text = found
+        beside = None
     before, lines = [], [f'#line 1 "{label}"']
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(text.splitlines(), start=1):
         match = _INCLUDE.match(line)
         if match:
-            included = _find(match.group(1), path.parent, folders, label, number)
+            included = _find(match.group(1), beside, given, label, number)
             if included not in seen:
-                before += _expand(included, folders, seen)
+                before += _expand(included, given, seen)
             line = ""
         lines.append(line)
     return before + lines
 
 
-def _find(name: str, beside: Path | None, folders: Sequence[Path], label: str, line: int) -> Path:
-    candidates = [Path(name)] if beside is None else [beside / name]
-    for path in (*candidates, *(folder / name for folder in folders), SHADERS / name):
+def _find(
+    name: str, beside: Path | None, given: Mapping[str, str | Path], label: str, line: int
+) -> Path | tuple[str, str]:
+    if name in given:
+        value = given[name]
+        return value.resolve() if isinstance(value, Path) else (name, value)
+    for path in (Path(name) if beside is None else beside / name, SHADERS / name):
         if path.is_file():
             return path.resolve()
     raise ShaderError(f'{label}:{line}: #include "{name}" names no file beside it or in shaders/')

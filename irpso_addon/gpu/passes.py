@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import ShaderError
@@ -29,17 +30,16 @@ class Kernel:
     """A kernel: the file with ``bool kernel(ivec2 texel)``, which returns false to leave a texel as it was.
 
     source: path under shaders/ or of the user's own. outputs: at most 6, all targets of one size. samplers: name →
-    FLOAT_2D or FLOAT_2D_ARRAY. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. preamble:
-    GLSL put before the file (generated declarations). folders: more places to look for includes.
+    FLOAT_2D or FLOAT_2D_ARRAY. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given: what
+    an #include of that name brings, as text (generated declarations) or as the path of a file (a model).
     """
 
-    source: str
+    source: str | Path
     outputs: tuple[Output, ...]
     samplers: Mapping[str, str]
     constants: Mapping[str, str]
     defines: Mapping[str, str | int | float]
-    preamble: str = ""
-    folders: tuple = ()
+    given: Mapping[str, str | Path] = field(default_factory=dict)
 
 
 class Pass:
@@ -117,7 +117,7 @@ class Pass:
         return info
 
     def _sources(self) -> str:
-        return '#line 1 "generated declarations"\n' + self.kernel.preamble + "\n" + read_source(self.kernel.source, self.kernel.folders)
+        return read_source(self.kernel.source, self.kernel.given)
 
     def _fragment(self, info: Any) -> Any:
         import gpu

@@ -1,0 +1,118 @@
+"""Asking what a machine's GPU can do, with real kernels rather than capability flags."""
+from __future__ import annotations
+
+import functools
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from ..errors import GpuUnavailableError
+from ..paths import ROOT
+from . import context, textures
+from .passes import Entry, Kernel, Output, Pass
+
+COMPUTE_WORTHWHILE = 1.5  # times faster before the compute entry is chosen over the paper's fragment passes
+_SIZE = 256
+_ROUNDS = 400
+_TOLERANCE = 1e-4  # of the probe's values, which are of order 1, after 400 float32 steps
+_PROBE_SECONDS = 120
+
+
+def probe() -> dict:
+    """Try a context and the probe kernel in a child process; return its description. Raises GpuUnavailableError.
+
+    A child, because a machine without a usable EGL kills the process that asks.
+    """
+    code = "import sys; sys.path.insert(0, sys.argv[-1]); from irpso_addon.gpu.probe import main; main()"
+    if _inside_blender():
+        import bpy
+
+        options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code, "--", str(ROOT)]
+        command = [bpy.app.binary_path, *options]
+    else:
+        command = [sys.executable, "-c", code, str(ROOT)]
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
+    except subprocess.TimeoutExpired as error:
+        raise GpuUnavailableError(f"the GPU probe did not answer in {_PROBE_SECONDS} s") from error
+    lines = [line for line in child.stdout.splitlines() if line.startswith('{"irpso_probe"')]
+    if lines:
+        answer = json.loads(lines[-1])["irpso_probe"]
+        if "error" not in answer:
+            return answer
+        raise GpuUnavailableError(answer["error"])
+    why = (child.stderr.strip().splitlines() or ["no message"])[-1]
+    raise GpuUnavailableError(
+        f"no GPU context: the probe ended with exit code {child.returncode} ({why});"
+        " a machine without a GPU needs Mesa: libegl1 libgl1 libgl1-mesa-dri"
+    )
+
+
+def main() -> None:
+    """Answer a parent's probe on standard output, then end the process."""
+    try:
+        answer = {**context.describe(), **check()}
+    except GpuUnavailableError as error:
+        answer = {"error": str(error)}
+    sys.stdout.write("\n" + json.dumps({"irpso_probe": answer}) + "\n")
+    context.exit_process(0)
+
+
+def check() -> dict[str, float]:
+    """Run the probe kernel both ways in this process, compare with numpy, and time it. Raises GpuUnavailableError."""
+    expected = _expected()
+    seconds = {}
+    for entry in ("fragment", "compute"):
+        value, seconds[f"{entry}_seconds"] = _run(entry)
+        if not np.allclose(value, expected, atol=_TOLERANCE):
+            worst = float(np.abs(value - expected).max())
+            raise GpuUnavailableError(f"this GPU computes wrongly: the {entry} probe is off by {worst:.3g}")
+    return seconds
+
+
+@functools.cache
+def faster_entry() -> Entry:
+    """Return "compute" where it is worth it on this device, else "fragment"."""
+    seconds = check()
+    return "compute" if seconds["fragment_seconds"] > COMPUTE_WORTHWHILE * seconds["compute_seconds"] else "fragment"
+
+
+def _run(entry: Entry) -> tuple[np.ndarray, float]:
+    kernel = Kernel("common/probe.glsl", (Output("o_value"),), {}, {"u_rounds": "INT"}, {})
+    work = Pass(kernel, entry)
+    copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
+    target, result = textures.empty(_SIZE, _SIZE), textures.empty(_SIZE, _SIZE)
+    times = []
+    for _ in range(4):
+        work.fence([target])
+        start = time.perf_counter()
+        work.run([target], {}, {"u_rounds": _ROUNDS})
+        work.fence([target])
+        times.append(time.perf_counter() - start)
+    copy.run([result], {"u_source": target})
+    value = textures.download(result)[..., 0]
+    work.close()
+    copy.close()
+    return value, statistics.median(times[1:])
+
+
+def _expected() -> np.ndarray:
+    y, x = np.mgrid[:_SIZE, :_SIZE].astype(np.float64)
+    value = (x + _SIZE * y) / _SIZE**2
+    for _ in range(_ROUNDS):
+        value = 0.5 * np.exp(-value * value) + 0.25 * value
+    return value
+
+
+def _inside_blender() -> bool:
+    """Whether Python runs inside the Blender program rather than Blender inside Python (the bpy wheel)."""
+    try:
+        import bpy
+    except ImportError:
+        return False
+    return bool(bpy.app.binary_path) and os.path.basename(bpy.app.binary_path).lower().startswith("blender")

@@ -1,0 +1,81 @@
+"""Checkpoints: the state of a recovery in one file, written whole or not at all."""
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.domain import Domain
+from ..reflectance.model import ReflectanceModel
+from .schedule import Schedule
+
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """stage: index of the running stage. iteration: as RunningStage counts. arrays: texture contents by name."""
+
+    stage: int
+    iteration: int
+    evaluations: int
+    arrays: dict[str, np.ndarray]
+
+
+def identity(domain: Domain, model: ReflectanceModel, schedule: Schedule, seed: int, entry: str) -> dict[str, Any]:
+    """Return what must be equal for a checkpoint to be gone on from, as plain data."""
+    digest = hashlib.sha256()
+    for array in (domain.stack, domain.lights, domain.intensities, domain.views, domain.bake.position):
+        digest.update(np.ascontiguousarray(array))
+    digest.update(model.shader.read_bytes())
+    return {
+        "model": model.name,
+        "preset": dataclasses.asdict(schedule),
+        "seed": seed,
+        "entry": entry,
+        "domain": [*domain.shape, *domain.origin],
+        "content": digest.hexdigest(),
+    }
+
+
+def write(
+    path: Path, who: dict[str, Any], stage: int, iteration: int, evaluations: int, arrays: dict[str, np.ndarray]
+) -> None:
+    """Write a checkpoint to ``path`` through a temporary name beside it."""
+    about = {"version": _VERSION, "identity": who, "stage": stage, "iteration": iteration, "evaluations": evaluations}
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("wb") as file:
+            np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{path}: the checkpoint cannot be written ({error.strerror})") from error
+
+
+def read(path: Path, who: dict[str, Any]) -> Checkpoint:
+    """Read a checkpoint. Raises InputError where it is missing, damaged, or of another recovery (naming what differs)."""
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        about = json.loads(bytes(arrays.pop("about")))
+    except OSError as error:
+        raise InputError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
+    if about.get("version") != _VERSION:
+        raise InputError(f"{path}: is a checkpoint of another version; start without --resume")
+    ours = json.loads(json.dumps(who))
+    if differing := [name for name in ours if about["identity"].get(name) != ours[name]]:
+        raise InputError(f"{path}: is of another recovery: {', '.join(differing)} differ; start without --resume")
+    return Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays)

@@ -1,0 +1,56 @@
+"""What the numbers of a particle mean: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..reflectance.model import ReflectanceModel
+from .schedule import NormalSearch, ResolvedStage
+
+
+@dataclass(frozen=True)
+class Codec:
+    """dimensions: n of 1 to 8. source: GLSL ``decode(x, s)`` and ``encode(s, x)``. defines: for the swarm kernels."""
+
+    dimensions: int
+    source: str
+    defines: dict[str, int]
+
+    @property
+    def blocks(self) -> int:
+        """How many RGBA texels hold one particle."""
+        return 1 if self.dimensions <= 4 else 2
+
+
+def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSearch) -> Codec:
+    """Return the codec of a stage: its parameters one after the other, each component scaled to its range."""
+    decode, encode, places = [], [], {}
+    defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
+    at = 0
+    for p in stage.parameters:
+        places[p.name] = at
+        if p.is_normal:
+            size = 2 if normal == "hemisphere" else 3
+            arguments = ", ".join(f"x[{at + i}]" for i in range(size))
+            decode.append(f"s.{p.name} = normal_from_{normal}(vec{size}({arguments}));")
+            encode.append(f"vec{size} place = {normal}_from_normal(s.{p.name});")
+            encode += [f"x[{at + i}] = place[{i}];" for i in range(size)]
+            defines |= {"NORMAL_SIZE": size, "NORMAL_AT": at}
+            at += size
+            continue
+        low, width = p.range[0], p.range[1] - p.range[0]
+        for i in range(p.components):
+            field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
+            decode.append(f"{field} = {low!r} + {width!r} * x[{at}];")
+            encode.append(f"x[{at}] = clamp(({field} - {low!r}) / {width!r}, 0.0, 1.0);")
+            at += 1
+    if model.ordered and all(name in places for name in (*model.ordered, *model.complement)):
+        defines |= {"LOBE_FIRST": places[model.ordered[0]], "LOBE_SECOND": places[model.ordered[1]]}
+        if model.complement:
+            defines["LOBE_WEIGHT"] = places[model.complement[0]]
+    clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
+    source = "\n".join(
+        ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
+         "void decode(float x[8], inout Material s) {", *decode, "}",
+         "void encode(Material s, out float x[8]) {", clear, *encode, "}", ""]
+    )  # fmt: skip
+    return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2})

@@ -1,0 +1,139 @@
+"""The kernels of a stage: shader files with the declarations and constants that one model and stage give them."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..gpu.passes import Entry, Kernel, Output, Pass
+from ..reflectance.glsl import material_declaration
+from ..reflectance.model import ReflectanceModel
+from .codec import Codec
+from .schedule import Schedule
+
+_2D = "FLOAT_2D"
+_GEOMETRY = {"u_position": _2D, "u_normal": _2D, "u_tangent": _2D}
+_OBSERVATIONS = {**_GEOMETRY, "u_observation_table": _2D, "u_stack": "FLOAT_2D_ARRAY"}
+_SIZE = {"u_width": "INT", "u_height": "INT"}
+_MOVE = {
+    **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
+    "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
+    "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
+}  # fmt: skip
+_LOSSES = {"l1": 0, "l2": 1, "robust": 2}  # FITNESS_… in shaders/swarm/fitness.glsl
+_WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/move.glsl
+
+
+@dataclass(frozen=True)
+class StagePasses:
+    """The compiled passes of a stage. ``resolve`` is always a fragment pass: what it wrote may be read back."""
+
+    start: Pass
+    move: Pass
+    commit_state: Pass
+    commit_personal: Pass
+    commit_global: Pass
+    resolve: Pass
+    take_halo: Pass
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name).close()
+
+
+def build_stage_passes(
+    model: ReflectanceModel,
+    codec: Codec,
+    schedule: Schedule,
+    particles: int,
+    across: int,
+    domain_defines: dict[str, int],
+    entry: Entry,
+) -> StagePasses:
+    """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
+    swarm = schedule.swarm
+    estimates = estimate_samplers(model)
+    given = {**model_includes(model), "codec.glsl": codec.source}
+    defines = {
+        **domain_defines,
+        **codec.defines,
+        **estimate_defines(model),
+        "PARTICLES": particles,
+        "TILES_X": across,
+        "REACH": swarm.neighbourhood // 2,
+        "FITNESS": _LOSSES[schedule.fitness.loss],
+        "WALLS": _WALLS[swarm.walls],
+        "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
+        "START_SPEED": f"{swarm.start_speed:.9f}",
+    }
+    blocks = range(codec.blocks)
+    bests = {f"u_best_{b}": _2D for b in blocks}
+    particle = {f"u_particle_{name}": _2D for name in ("position", "velocity", "best", "fitness")}
+    candidates = {f"u_candidate_position_{b}": _2D for b in blocks}
+    speeds = {f"u_candidate_velocity_{b}": _2D for b in blocks}
+    moved = tuple(Output(f"o_{kind}_{b}") for kind in ("position", "velocity") for b in blocks)
+    best_outputs = tuple(Output(f"o_best_{b}") for b in blocks)
+    verdict = {"u_verdict": _2D}
+
+    def make(source: str, outputs: tuple, samplers: dict, constants: dict, more: dict = {}, how: Entry = entry) -> Pass:
+        kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
+        return Pass(kernel, how)
+
+    read = {**particle, "u_best_fitness": _2D, **bests, **estimates, **_OBSERVATIONS}
+    return StagePasses(
+        start=make("move", (*moved, Output("o_verdict")), read, _MOVE, {"START": 1}),
+        move=make("move", (*moved, Output("o_verdict")), read, _MOVE),
+        commit_state=make(
+            "commit_state", (Output("o_position"), Output("o_velocity")), {**candidates, **speeds, **verdict}, _SIZE
+        ),
+        commit_personal=make(
+            "commit_personal", (Output("o_best"), Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
+        ),
+        commit_global=make(
+            "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
+        ),
+        resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **_GEOMETRY}, _SIZE, how="fragment"),
+        take_halo=make(
+            "take_halo", best_outputs, {**{f"u_given_{b}": _2D for b in blocks}, **_GEOMETRY}, _SIZE, how="fragment"
+        ),
+    )
+
+
+def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Compile the pass that compares the render of the estimates with the references."""
+    return _model_pass(model, "swarm/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
+
+
+def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Compile the pass that renders the estimates under one observation's light."""
+    return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
+
+
+def copy_pass() -> Pass:
+    """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
+    return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": _2D}, {}, {}))
+
+
+def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:
+    samplers = {**estimate_samplers(model), **_OBSERVATIONS}
+    defines = {**defines, **estimate_defines(model)}
+    return Pass(Kernel(source, (Output(output),), samplers, constants, defines, model_includes(model)))
+
+
+def model_includes(model: ReflectanceModel) -> dict:
+    """Return what a kernel's includes of material.glsl and model.glsl bring."""
+    return {"material.glsl": material_declaration(model), "model.glsl": model.shader}
+
+
+def estimate_defines(model: ReflectanceModel) -> dict[str, int]:
+    """Return ESTIMATES, how many textures hold a model's components."""
+    return {"ESTIMATES": -(-model.components // 4)}
+
+
+def estimate_samplers(model: ReflectanceModel) -> dict[str, str]:
+    """Return the samplers of a model's estimates."""
+    return {f"u_estimate_{i}": _2D for i in range(estimate_defines(model)["ESTIMATES"])}
+
+
+def estimate_outputs(model: ReflectanceModel) -> tuple[Output, ...]:
+    """Return the outputs that write a model's estimates."""
+    return tuple(Output(f"o_estimate_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))

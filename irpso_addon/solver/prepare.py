@@ -1,0 +1,108 @@
+"""Before the search: each texel's scale, the weights of its samples, and a Lambertian first guess."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.domain import Domain
+from .schedule import Fitness
+
+_LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
+_CHUNK = 65536  # texels at a time: bounds the memory of the normal equations
+
+
+def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
+    """Return (H, W) float32: the percentile of each texel's weighted samples, radiance over light intensity; 1 if none."""
+    scale = np.ones(domain.shape, np.float32)
+    for texels in _chunks(domain):
+        values = _grey(domain, texels)
+        with np.errstate(all="ignore"):
+            found = _nan_percentile(values, percentile)
+        scale[texels] = np.where(found > 0, found, 1.0)
+    return scale
+
+
+def robust_stack(domain: Domain, scale: np.ndarray, fitness: Fitness) -> np.ndarray:
+    """Return the sample stack with weight 0 where a sample lies under the shadow threshold of its texel's scale."""
+    if fitness.loss != "robust" or fitness.shadow == 0:
+        return domain.stack
+    stack = domain.stack.copy()
+    for k in range(domain.observations):
+        brightness = stack[k, ..., :3].mean(axis=-1) / domain.intensities[k].mean()
+        stack[k, ..., 3] *= brightness >= fitness.shadow * scale
+    return stack
+
+
+def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals (H, W, 3), in the frames that are searched, and albedos (H, W, 3) of a trimmed Lambertian fit.
+
+    Photometric stereo (Woodham 1980) by least squares over those of a texel's lit samples that lie between the 20th
+    and the 75th percentile. Texels that leave fewer than three samples get the frame's own normal.
+    """
+    normal = np.zeros((*domain.shape, 3), np.float32)
+    normal[..., 2] = 1
+    albedo = np.zeros((*domain.shape, 3), np.float32)
+    for texels in _chunks(domain):
+        normal[texels], albedo[texels] = _lambert_fit(domain, texels)
+    return normal, albedo
+
+
+def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for T texels, unit vectors to the light in each texel's own frame (K, T, 3), and irradiance/π (K, T, 3)."""
+    bake = domain.bake
+    position, normal, tangent = bake.position[texels], bake.normal[texels], bake.tangent[texels]
+    frame = np.stack(
+        [tangent[..., :3], tangent[..., 3:] * np.cross(normal, tangent[..., :3]), normal], axis=-1
+    )  # fmt: skip
+    near = domain.lights[:, 3] > 0
+    toward = np.repeat(domain.lights[:, None, :3], len(position), axis=1)
+    toward[near] -= position
+    squared = np.where(near[:, None], (toward**2).sum(axis=-1), 1.0)
+    toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+    return np.einsum("ktc,tcd->ktd", toward, frame), domain.intensities[:, None, :] / squared[..., None]
+
+
+def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    vectors, irradiance = light_vectors(domain, texels)
+    samples = domain.stack[:, texels[0], texels[1]]
+    shades = samples[..., :3] / irradiance
+    grey = shades.mean(axis=-1)
+    lit = (samples[..., 3] > 0) & (grey > 0)
+    values = np.where(lit, grey, np.nan)
+    with np.errstate(all="ignore"):
+        low, high = (_nan_percentile(values, q) for q in _LIT_PERCENTILES)
+        kept = lit & (grey >= low) & (grey <= high)
+    kept = np.where(kept.sum(axis=0) >= 3, kept, lit).astype(np.float64)
+    gram = np.einsum("kt,kti,ktj->tij", kept, vectors, vectors)
+    scaled = np.linalg.pinv(gram, hermitian=True) @ np.einsum("kt,kti,kt->ti", kept, vectors, grey)[..., None]
+    scaled = scaled[..., 0]
+    scaled[:, 2] = np.maximum(scaled[:, 2], 0)
+    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    usable = (kept.sum(axis=0) >= 3)[:, None] & (length > 1e-8)
+    normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
+    cosine = np.maximum(np.einsum("kti,ti->kt", vectors, normal), 0) * kept
+    albedo = np.einsum("kt,ktc->tc", cosine, shades) / np.maximum((cosine**2).sum(axis=0), 1e-8)[:, None]
+    return normal.astype(np.float32), albedo.astype(np.float32)
+
+
+def _grey(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(K, T) mean of RGB over the light's own, NaN where a sample weighs nothing."""
+    samples = domain.stack[:, texels[0], texels[1]]
+    grey = samples[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None]
+    return np.where(samples[..., 3] > 0, grey, np.nan)
+
+
+def _nan_percentile(values: np.ndarray, percentile: float) -> np.ndarray:
+    """Percentile over axis 0 of what is not NaN, linear between ranks; NaN for empty columns. Sorts once: np's own loops."""
+    ordered = np.sort(values, axis=0)  # NaN last
+    count = (~np.isnan(values)).sum(axis=0)
+    rank = np.maximum(count - 1, 0) * percentile / 100
+    low = np.floor(rank).astype(int)
+    high = np.minimum(low + 1, np.maximum(count - 1, 0))
+    columns = np.arange(values.shape[1])
+    a, b = ordered[low, columns], ordered[high, columns]
+    return a + (b - a) * (rank - low)
+
+
+def _chunks(domain: Domain) -> list[tuple[np.ndarray, np.ndarray]]:
+    rows, columns = np.nonzero(domain.solvable)
+    return [(rows[i : i + _CHUNK], columns[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)]

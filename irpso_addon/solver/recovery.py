@@ -1,0 +1,257 @@
+"""The one engine of the program: a recovery, stepped by whoever drives it."""
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.domain import Domain
+from ..gpu import context, probe, textures
+from ..gpu.bands import Bands
+from ..maps.result import Maps
+from ..reflectance.model import ReflectanceModel
+from . import checkpoint, prepare
+from .kernels import residual_pass
+from .schedule import Schedule, resolve
+from .stage import RunningStage
+from .state import DomainTextures, Estimates
+
+BAND_SECONDS = 0.02  # of one draw while a window waits
+BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
+_THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a recovery is. iteration counts from 0 in the stage, negative while swarms are being placed.
+
+    fraction: of all the work, 0 to 1. evaluations: renders of all observations at one texel, so far.
+    """
+
+    stage: int
+    stages: int
+    title: str
+    iteration: int
+    iterations: int
+    fraction: float
+    evaluations: int
+    done: bool
+
+
+class Recovery:
+    """One run: domain, model and schedule to maps.
+
+    The same seed, settings and device give the same maps bit for bit, however the steps were sliced, the domain
+    tiled or the run interrupted. Needs a GPU context (GpuUnavailableError); a model that does not compile raises
+    ShaderError, settings that do not fit InputError.
+
+    domain: what was observed. known: parameter name → (H, W, components) or (components,), taken as given and not
+    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int = 0,
+        known: Mapping[str, np.ndarray] | None = None,
+        entry: Literal["auto", "fragment", "compute"] = "auto",
+    ):
+        context.ensure()
+        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
+        self.entry = probe.faster_entry() if entry == "auto" else entry
+        known = {name: _full(model, name, value, domain.shape) for name, value in (known or {}).items()}
+        self._stages = resolve(schedule, model, set(known))
+        scale = prepare.texel_scale(domain, schedule.fitness.percentile)
+        self._textures = DomainTextures(domain, prepare.robust_stack(domain, scale, schedule.fitness), scale)
+        self._solved = int((domain.solvable).sum())
+        self._estimates = Estimates(model, {**self._first_guess(known), **known})
+        self._residual = residual_pass(model, self._textures.defines)
+        self._bands = Bands()
+        self._work: Iterator[None] | None = None
+        self._index = 0
+        self._evaluations = 0
+        self._stage: RunningStage | None = self._begin(0)
+
+    def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
+        """Advance by whole iterations of the current stage, or for about so long, or to the end; return the progress.
+
+        With a time budget it may stop inside an iteration, between bands of rows, and goes on there next time.
+        """
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        seconds = BACKGROUND_BAND_SECONDS if deadline is None else min(BAND_SECONDS, time_budget_s)
+        left = iterations
+        while self._stage is not None and (left is None or left > 0):
+            if self._work is None:
+                self._work = self._stage.advance(self._bands, seconds)
+            for _ in self._work:
+                if deadline is not None:
+                    self._wait()
+                    if time.perf_counter() >= deadline:
+                        return self.progress
+            self._work = None
+            self._evaluations += self._solved
+            left = left - 1 if left is not None and self._stage.iteration > 0 else left
+            if self._stage.done or self._reached_threshold():
+                self._finish_stage()
+        return self.progress
+
+    @property
+    def progress(self) -> Progress:
+        """How far the recovery is."""
+        stages = self._stages
+        total = sum(stage.iterations for stage in stages)
+        before = sum(stage.iterations for stage in stages[: self._index])
+        running = stages[min(self._index, len(stages) - 1)]
+        iteration = self._stage.iteration if self._stage else running.iterations
+        return Progress(
+            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations,
+            (before + max(iteration, 0)) / total if self._stage else 1.0, self._evaluations, self._stage is None,
+        )  # fmt: skip
+
+    def maps(self) -> Maps:
+        """Return what has been found so far, with the mean absolute error of its render."""
+        self._finish_iteration()
+        resolved = self._resolve()
+        values = self._estimates.values(resolved)
+        target = textures.empty(*self._estimates.size)
+        inputs = {**self._textures.textures, **self._estimates.bindings(resolved)}
+        self._residual.run([target], inputs, {"u_observations": self.domain.observations})
+        return Maps(self.model, values, self.domain.solvable, textures.download(target)[..., 0])
+
+    @contextmanager
+    def view(self) -> Iterator[dict[str, Any]]:
+        """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
+
+        u_estimate_0 … hold the parameters' components in the model's order; no copy and no read-back is made.
+        """
+        yield {**self._textures.textures, **self._estimates.bindings(self._resolve())}
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need."""
+        self._finish_iteration()
+        return self._running().global_bests()
+
+    def set_halo(self, bests: np.ndarray) -> None:
+        """Take (H, W, n) global bests for the texels that neighbouring tiles solve; others are left alone."""
+        self._finish_iteration()
+        self._running().take_halo(bests)
+
+    def save(self, path: str | Path) -> None:
+        """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all."""
+        self._finish_iteration()
+        arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
+        if self._stage is not None:
+            arrays |= {name: self._stage.read(t) for name, t in self._stage.swarm.remembered.items()}
+        iteration = self._stage.iteration if self._stage else 0
+        checkpoint.write(Path(path), self._identity(), self._index, iteration, self._evaluations, arrays)
+
+    def load(self, path: str | Path) -> None:
+        """Go on from a checkpoint of the same domain, model, schedule and seed. Raises InputError where it is another's."""
+        saved = checkpoint.read(Path(path), self._identity())
+        self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
+        self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
+        if self._stage is not None:
+            self._stage.close()
+        self._stage = self._begin(self._index) if self._index < len(self._stages) else None
+        if self._stage is not None:
+            self._stage.swarm.restore(saved.arrays)
+            self._stage.iteration = saved.iteration
+
+    def close(self) -> None:
+        """Free all that lies on the GPU."""
+        if self._stage is not None:
+            self._stage.close()
+        if self._residual is not None:
+            self._residual.close()
+        self._stage = self._textures = self._estimates = self._residual = None
+
+    def __enter__(self) -> Recovery:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _begin(self, index: int) -> RunningStage:
+        return RunningStage(
+            self._stages[index], self.model, self.schedule, self.seed, self._textures, self._estimates, self.entry
+        )
+
+    def _finish_stage(self) -> None:
+        self._stage.resolve()
+        self._estimates.accept()
+        self._stage.close()
+        self._index += 1
+        self._stage = self._begin(self._index) if self._index < len(self._stages) else None
+
+    def _finish_iteration(self) -> None:
+        if self._work is not None:
+            for _ in self._work:
+                pass
+            self._work = None
+            self._evaluations += self._solved
+            if self._stage.done:
+                self._finish_stage()
+
+    def _resolve(self) -> bool:
+        """Resolve what the running stage has found; return whether the resolved textures are the ones to look at."""
+        if self._stage is None:
+            return False
+        self._stage.resolve()
+        return True
+
+    def _reached_threshold(self) -> bool:
+        threshold, stage = self.schedule.threshold, self._stage
+        if threshold == 0 or stage.iteration <= 0 or stage.iteration % _THRESHOLD_EVERY:
+            return False
+        return bool((stage.global_fitness()[self.domain.solvable] <= threshold).all())
+
+    def _running(self) -> RunningStage:
+        if self._stage is None:
+            raise InputError("the recovery is done: its swarms are gone, read maps() instead")
+        return self._stage
+
+    def _wait(self) -> None:
+        swarm = self._stage.swarm
+        self._stage.passes.commit_global.fence([*swarm.global_best, swarm.global_fitness])
+
+    def _first_guess(self, known: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        height, width = self.domain.shape
+        guess = {
+            p.name: np.broadcast_to(np.asarray(p.default, np.float32), (height, width, p.components))
+            for p in self.model.parameters
+        }
+        if self.schedule.swarm.seed == "lambert":
+            normal, albedo = prepare.lambert_seed(self.domain)
+            for p in self.model.parameters:
+                if p.is_normal:
+                    guess[p.name] = normal
+                elif p.map == "base_color" and p.components == 3:
+                    guess[p.name] = np.clip(albedo, *p.range)
+        return guess
+
+    def _identity(self) -> dict[str, Any]:
+        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry)
+
+
+def _full(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a known map as (H, W, components), checked against the model and the domain."""
+    parameter = model.parameter(name)
+    value = np.asarray(value, np.float32)
+    if value.ndim == 1:
+        value = np.broadcast_to(value, (*shape, len(value)))
+    if value.shape != (*shape, parameter.components):
+        raise InputError(
+            f"known {name}: its shape is {value.shape}, the domain wants {(*shape, parameter.components)};"
+            " resample it to the domain"
+        )
+    if not np.isfinite(value).all():
+        raise InputError(f"known {name}: it holds values that are not finite; fill them first")
+    return value

@@ -1,0 +1,235 @@
+"""Schedules: which parameters are searched together, in which order, and with what constants. Read from presets/."""
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from ..errors import InputError
+from ..paths import PRESETS
+from ..reflectance.model import Parameter, ReflectanceModel
+
+Walls = Literal["clamp", "stop", "reflect"]
+Loss = Literal["l1", "l2", "robust"]
+Seed = Literal["random", "lambert"]
+NormalSearch = Literal["hemisphere", "cartesian"]
+MAX_DIMENSIONS = 8  # two RGBA texels a particle
+ALL = "all"
+REST = "rest"  # what no stage of the schedule names
+_USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
+
+
+@dataclass(frozen=True)
+class Swarm:
+    """Constants of the update (Eq. 2–4); places are in [0, 1], so speeds are fractions of a parameter's range.
+
+    particles: m to a texel, or particles_per_dimension · n where that is more. inertia (Shi & Eberhart 1998) and
+    constriction (Clerc & Kennedy 2002) are 1 in the paper. c1, c2, c3: Eq. 2; c3 falls to 0 over the fraction
+    c3_until of the iterations, and stays where c3_until is 0. neighbourhood: the odd H of Eq. 4. v_max: largest speed.
+    walls: what a particle does that would leave the range. start_speed: largest speed of a new particle. seed: where
+    the first particles stand; seeded: the fraction of the swarm that stands within seed_spread of the seed.
+    normal: two numbers on the hemisphere, or the paper's three that are normalised.
+    """
+
+    particles: int
+    particles_per_dimension: float
+    inertia: float
+    constriction: float
+    c1: float
+    c2: float
+    c3: float
+    c3_until: float
+    neighbourhood: int
+    v_max: float
+    walls: Walls
+    start_speed: float
+    seed: Seed
+    seeded: float
+    seed_spread: float
+    normal: NormalSearch
+
+
+@dataclass(frozen=True)
+class Fitness:
+    """What a swarm minimises: the mean over observations of |e| (l1), e² (l2) or log(1 + (e/δ)²) (robust).
+
+    delta: δ as a fraction of the texel's own scale, which is the ``percentile`` of its radiance per light intensity;
+    shadow: under this fraction of it a sample is taken for cast shadow and weighs nothing (robust only).
+    """
+
+    loss: Loss
+    delta: float
+    percentile: float
+    shadow: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one."""
+
+    search: tuple[str, ...]
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
+
+    threshold: the fitness h at which a swarm stops (0: never before the last iteration).
+    """
+
+    name: str
+    title: str
+    swarm: Swarm
+    fitness: Fitness
+    stages: tuple[Stage, ...]
+    cycles: int = 1
+    threshold: float = 0.0
+
+    def replaced(self, **changes: Any) -> Schedule:
+        """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
+
+        ``iterations`` sets every stage's; ``search`` makes one stage of the names given.
+        """
+        result = self
+        if (search := changes.pop("search", None)) is not None:
+            most = max(stage.iterations for stage in self.stages)
+            result = dataclasses.replace(result, stages=(Stage(tuple(search), most),))
+        if (iterations := changes.pop("iterations", None)) is not None:
+            stages = tuple(dataclasses.replace(stage, iterations=iterations) for stage in result.stages)
+            result = dataclasses.replace(result, stages=stages)
+        for part in ("swarm", "fitness"):
+            group = getattr(result, part)
+            names = {f.name for f in dataclasses.fields(group)} & set(changes)
+            values = {name: changes.pop(name) for name in names}
+            result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
+        if unknown := set(changes) - {"name", "title", "cycles", "threshold"}:
+            raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
+        result = dataclasses.replace(result, **changes)
+        _check(result)
+        return result
+
+
+def shipped_presets() -> list[str]:
+    """Return the names of the presets that come with the program."""
+    return sorted(path.stem for path in PRESETS.glob("*.toml"))
+
+
+def load_schedule(name_or_path: str | Path) -> Schedule:
+    """Read a shipped preset by name, or a .toml file of one's own by path. Raises InputError."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = PRESETS / f"{name_or_path}.toml"
+        if not path.exists():
+            raise InputError(f"preset '{name_or_path}' is not shipped; choose one of {', '.join(shipped_presets())}")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a preset's .toml") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid TOML: {error}") from error
+    try:
+        stages = tuple(_build(Stage, row, f"{path}: [[stage]]") for row in table.pop("stage", []))
+        swarm = _build(Swarm, table.pop("swarm", {}), f"{path}: [swarm]")
+        fitness = _build(Fitness, table.pop("fitness", {}), f"{path}: [fitness]")
+        table = {"name": path.stem, "title": path.stem, **table}
+        schedule = _build(Schedule, {**table, "swarm": swarm, "fitness": fitness, "stages": stages}, str(path))
+    except AttributeError as error:
+        raise InputError(f"{path}: [swarm], [fitness] and [[stage]] must be tables") from error
+    _check(schedule, str(path))
+    return schedule
+
+
+def _build(kind: type, table: dict[str, Any], where: str) -> Any:
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    if unknown := sorted(set(table) - set(fields)):
+        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(fields)}")
+    missing = [n for n, f in fields.items() if n not in table and f.default is dataclasses.MISSING]
+    if missing:
+        raise InputError(f"{where}: '{missing[0]}' is not set; a preset sets every constant")
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
+
+
+def _check(schedule: Schedule, where: str = "") -> None:
+    swarm, fitness = schedule.swarm, schedule.fitness
+    for value, choices, name in (
+        (swarm.walls, get_args(Walls), "walls"),
+        (swarm.seed, get_args(Seed), "seed"),
+        (swarm.normal, get_args(NormalSearch), "normal"),
+        (fitness.loss, get_args(Loss), "loss"),
+    ):
+        if value not in choices:
+            raise InputError(f"{where or schedule.name}: {name} must be one of {', '.join(choices)}, not '{value}'")
+    whole = {
+        "particles": swarm.particles,
+        "neighbourhood": swarm.neighbourhood,
+        "cycles": schedule.cycles,
+        "iterations": min((s.iterations for s in schedule.stages), default=0),
+    }
+    for name, value in whole.items():
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise InputError(f"{where or schedule.name}: {name} must be a whole number from 1, not {value}")
+    if swarm.neighbourhood % 2 == 0:
+        raise InputError(f"{where or schedule.name}: neighbourhood must be odd (1, 3, 5, …), not {swarm.neighbourhood}")
+    numbers = {f.name: getattr(g, f.name) for g in (swarm, fitness) for f in dataclasses.fields(g)}
+    for name, value in {**numbers, "threshold": schedule.threshold}.items():
+        if not isinstance(value, str) and not (isinstance(value, int | float) and 0 <= value < float("inf")):
+            raise InputError(f"{where or schedule.name}: {name} must be a number from 0, not {value!r}")
+    for name, value in (("v_max", swarm.v_max), ("delta", fitness.delta), ("percentile", fitness.percentile)):
+        if value == 0:
+            raise InputError(f"{where or schedule.name}: {name} must be above 0")
+    if swarm.seeded > 1 or swarm.c3_until > 1 or fitness.percentile > 100:
+        raise InputError(f"{where or schedule.name}: seeded and c3_until are fractions, percentile at most 100")
+
+
+@dataclass(frozen=True)
+class ResolvedStage:
+    """A stage for one model: the parameters that are searched, in the table's order, and for how long."""
+
+    parameters: tuple[Parameter, ...]
+    iterations: int
+    cycle: int = 0
+
+    @property
+    def title(self) -> str:
+        """What is searched, for people."""
+        return " + ".join(p.name for p in self.parameters)
+
+    def dimensions(self, normal: NormalSearch) -> int:
+        """Return n, the number of dimensions that a particle has."""
+        return sum((2 if normal == "hemisphere" else 3) if p.is_normal else p.components for p in self.parameters)
+
+
+def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tuple[ResolvedStage, ...]:
+    """Return the stages that a model's unknown parameters leave to be done, for all cycles. Raises InputError."""
+    names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
+    asked = {name for stage in schedule.stages for name in stage.search}
+    if unknown := sorted(asked - names - _USUAL_STAGES - {ALL, REST}):
+        offered = ", ".join(p.name for p in model.parameters)
+        raise InputError(f"search: model {model.name} has no parameter or stage '{unknown[0]}'; it has: {offered}")
+    resolved = []
+    for cycle in range(schedule.cycles):
+        for stage in schedule.stages:
+            result = ResolvedStage(
+                tuple(p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)),
+                stage.iterations,
+                cycle,
+            )
+            if not result.parameters:
+                continue
+            if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
+                raise InputError(
+                    f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
+                    " search fewer, give some as known, or search the normal on the hemisphere"
+                )
+            resolved.append(result)
+    if not resolved:
+        raise InputError("search: nothing is left to find; every parameter searched is given as known")
+    return tuple(resolved)
+
+
+def _is_asked(parameter: Parameter, stage: Stage, asked: set[str]) -> bool:
+    called = {parameter.name, parameter.stage}
+    return bool(({ALL} | called) & set(stage.search)) or (REST in stage.search and not called & asked)

@@ -1,0 +1,149 @@
+"""One stage under way: its swarms, placed and then moved iteration by iteration in lock step."""
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..gpu import textures
+from ..gpu.bands import Bands
+from ..gpu.passes import Entry
+from ..reflectance.model import ReflectanceModel
+from .codec import build_codec
+from .kernels import build_stage_passes, copy_pass
+from .schedule import ResolvedStage, Schedule
+from .state import DomainTextures, Estimates, SwarmTextures
+
+
+class RunningStage:
+    """The swarms of a stage. ``iteration`` counts from −particles (placing one particle of each swarm at a time)."""
+
+    def __init__(
+        self,
+        stage: ResolvedStage,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+    ):
+        self.stage, self.schedule, self.seed = stage, schedule, seed
+        self._domain, self._estimates = domain, estimates
+        self.codec = build_codec(model, stage, schedule.swarm.normal)
+        self.particles = particle_count(schedule, self.codec.dimensions)
+        height, width = domain.domain.shape
+        self.width, self.height = width, height
+        self.swarm = SwarmTextures(width, height, self.particles, self.codec)
+        self.passes = build_stage_passes(
+            model, self.codec, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
+        )
+        self._copy = copy_pass() if entry == "compute" else None
+        self.iteration = -self.particles
+
+    @property
+    def done(self) -> bool:
+        """Whether all iterations have been made."""
+        return self.iteration >= self.stage.iterations
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        swarm = self.swarm
+        constants = self.constants()
+        placing = self.iteration < 0
+        candidate = {**swarm.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        steps = (
+            ("place" if placing else "move", self.passes.start if placing else self.passes.move,
+             [*swarm.candidates, swarm.verdict], candidate),
+            ("state", self.passes.commit_state, [swarm.position, swarm.velocity], swarm.candidate_bindings()),
+            ("personal", self.passes.commit_personal, [swarm.best, swarm.fitness], swarm.candidate_bindings()),
+            ("global", self.passes.commit_global, [*swarm.global_best, swarm.global_fitness],
+             swarm.candidate_bindings()),
+        )  # fmt: skip
+        for name, work, targets, inputs in steps:
+            yield from bands.run(
+                name,
+                targets[0].height,
+                seconds,
+                lambda rows, work=work, targets=targets, inputs=inputs: work.run(targets, inputs, constants, rows),
+                lambda work=work, targets=targets: work.fence(targets),
+            )
+        self.iteration += 1
+
+    def constants(self) -> dict[str, int | float]:
+        """Return the push constants of the iteration that is next."""
+        swarm = self.schedule.swarm
+        seeded = math.ceil(swarm.seeded * self.particles) if swarm.seed != "random" else 0
+        if self.stage.cycle > 0:
+            seeded = max(1, seeded)  # a later cycle must not lose what the one before has found
+        return {
+            "u_width": self.width,
+            "u_height": self.height,
+            "u_origin_x": self._domain.domain.origin[0],
+            "u_origin_y": self._domain.domain.origin[1],
+            "u_observations": self._domain.domain.observations,
+            "u_seed": self.seed,
+            "u_iteration": self.iteration,
+            "u_particle": self.iteration + self.particles,
+            "u_seeded": seeded,
+            "u_inertia": swarm.inertia,
+            "u_constriction": swarm.constriction,
+            "u_c1": swarm.c1,
+            "u_c2": swarm.c2,
+            "u_c3": neighbour_constant(self.schedule, self.iteration, self.stage.iterations),
+            "u_v_max": swarm.v_max,
+            "u_threshold": self.schedule.threshold,
+            "u_delta": self.schedule.fitness.delta,
+        }
+
+    def resolve(self) -> None:
+        """Put the global bests into the resolved estimates."""
+        inputs = {**self.swarm.best_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
+
+    def global_bests(self) -> np.ndarray:
+        """Return (H, W, n) float32: every swarm's best place, in [0, 1]."""
+        packed = np.concatenate([self.read(t) for t in self.swarm.global_best], axis=-1)
+        return packed[..., : self.codec.dimensions]
+
+    def global_fitness(self) -> np.ndarray:
+        """Return (H, W) float32: every swarm's best fitness."""
+        return self.read(self.swarm.global_fitness)[..., 0]
+
+    def take_halo(self, bests: np.ndarray) -> None:
+        """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+        packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
+        packed[..., : self.codec.dimensions] = bests
+        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
+        self.passes.take_halo.run(self.swarm.global_best, {**given, **self._domain.textures}, self.constants())
+
+    def read(self, texture: Any) -> np.ndarray:
+        """Return a texture's contents, whichever entry wrote it."""
+        if self._copy is None:
+            return textures.download(texture)
+        target = textures.empty(texture.width, texture.height)
+        self._copy.run([target], {"u_source": texture})
+        return textures.download(target)[..., : textures.CHANNELS[texture.format]]
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        self.passes.close()
+        if self._copy is not None:
+            self._copy.close()
+        self.swarm = None
+
+
+def particle_count(schedule: Schedule, dimensions: int) -> int:
+    """Return m, the particles of a swarm that searches so many dimensions."""
+    swarm = schedule.swarm
+    return max(swarm.particles, math.ceil(swarm.particles_per_dimension * dimensions))
+
+
+def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> float:
+    """Return c3 of Eq. 2 at an iteration: falling linearly to 0 at the fraction c3_until, or constant where that is 0."""
+    swarm = schedule.swarm
+    if swarm.c3_until == 0:
+        return swarm.c3
+    return swarm.c3 * max(0.0, 1 - max(iteration, 0) / (swarm.c3_until * iterations))

@@ -1,0 +1,173 @@
+"""The textures of a recovery: the domain as shaders read it, the estimates, and the swarms of one stage."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.domain import Domain
+from ..gpu import context, textures
+from ..reflectance.model import ReflectanceModel
+from .codec import Codec
+
+UNFIT = 1e30  # as in shaders/swarm/fitness.glsl: the fitness of what was never evaluated
+_OUTSIDE, _SOLVED, _HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
+
+
+class DomainTextures:
+    """A domain on the GPU. stack: the sample stack to use, weights and all. scale: (H, W) for a robust fitness."""
+
+    def __init__(self, domain: Domain, stack: np.ndarray, scale: np.ndarray):
+        self.domain = domain
+        bake = domain.bake
+        state = texel_states(domain)[..., None]
+        self.textures = {
+            "u_position": textures.upload(np.concatenate([bake.position, state], axis=-1)),
+            "u_normal": textures.upload(np.concatenate([bake.normal, scale[..., None]], axis=-1)),
+            "u_tangent": textures.upload(bake.tangent),
+            "u_observation_table": textures.upload(observation_table(domain)),
+            "u_stack": textures.upload_layers(stack),
+        }
+
+    @property
+    def defines(self) -> dict[str, int]:
+        """What lets a kernel do less: a card, lights that are all distant, one view for all observations."""
+        return domain_defines(self.domain)
+
+
+def domain_defines(domain: Domain) -> dict[str, int]:
+    """Return the defines that specialise kernels for a domain."""
+    defines = {}
+    if domain.card:
+        defines["CARD"] = 1
+    if not domain.lights[:, 3].any():
+        defines["DISTANT_LIGHTS"] = 1
+    if (domain.views == domain.views[:1]).all():
+        defines["ONE_VIEW"] = 1
+    return defines
+
+
+def texel_states(domain: Domain) -> np.ndarray:
+    """Return (H, W) float32: 0 outside, 1 solved here, 2 solved by a neighbouring tile."""
+    state = np.where(domain.solvable, _SOLVED, _OUTSIDE).astype(np.float32)
+    left, right, bottom, top = domain.halo
+    height, width = domain.shape
+    inside = np.zeros(domain.shape, bool)
+    inside[bottom : height - top, left : width - right] = True
+    state[~inside & (state == _SOLVED)] = _HALO
+    return state
+
+
+def observation_table(domain: Domain) -> np.ndarray:
+    """Return (3, K, 4) float32: lights, intensities, views; one column an observation."""
+    intensities = np.pad(domain.intensities, ((0, 0), (0, 1)))
+    return np.stack([domain.lights, intensities, domain.views]).astype(np.float32)
+
+
+class Estimates:
+    """The components of all parameters, packed in the table's order into one to three RGBA textures."""
+
+    def __init__(self, model: ReflectanceModel, values: dict[str, np.ndarray]):
+        self.model = model
+        self.count = -(-model.components // 4)
+        packed = np.concatenate([values[p.name] for p in model.parameters], axis=-1).astype(np.float32)
+        packed = np.pad(packed, ((0, 0), (0, 0), (0, 4 * self.count - packed.shape[-1])))
+        self.size = packed.shape[1], packed.shape[0]
+        self.current = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(self.count)]
+        self.resolved = [textures.empty(*self.size) for _ in range(self.count)]
+
+    def bindings(self, resolved: bool = False) -> dict[str, Any]:
+        """Return the textures by sampler name: the estimates that the stage holds to, or with its bests put in."""
+        chosen = self.resolved if resolved else self.current
+        return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
+
+    def accept(self) -> None:
+        """Make what has been resolved the current estimate."""
+        self.current, self.resolved = self.resolved, self.current
+
+    def values(self, resolved: bool = True) -> dict[str, np.ndarray]:
+        """Return the parameters as arrays (H, W, components)."""
+        packed = np.concatenate([textures.download(t) for t in (self.resolved if resolved else self.current)], axis=-1)
+        return {
+            p.name: packed[..., self.model.offset(p.name) : self.model.offset(p.name) + p.components]
+            for p in self.model.parameters
+        }
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """How the tiles of a swarm lie side by side: tiles across and down, of W×H texels each."""
+
+    across: int
+    down: int
+
+
+def plan_atlas(width: int, height: int, tiles: int, limit: int) -> Atlas:
+    """Return the squarest atlas of ``tiles`` that no side of takes more than ``limit`` texels. Raises InputError."""
+    most = limit // max(width, 1)
+    fitting = [Atlas(a, -(-tiles // a)) for a in range(1, min(most, tiles) + 1) if -(-tiles // a) * height <= limit]
+    if not fitting:
+        raise InputError(
+            f"resolution: {tiles} tiles of {width}×{height} texels exceed this GPU's textures of {limit}×{limit};"
+            " lower the resolution or the number of particles"
+        )
+    return min(fitting, key=lambda a: max(a.across * width, a.down * height))
+
+
+class SwarmTextures:
+    """All that the swarms of one stage remember: particles in atlases, candidates and global bests over W×H."""
+
+    def __init__(self, width: int, height: int, particles: int, codec: Codec):
+        self.atlas = plan_atlas(width, height, particles * codec.blocks, context.max_texture_size())
+        self.blocks = codec.blocks
+        large = width * self.atlas.across, height * self.atlas.down
+        small = width, height
+        self.position = textures.empty(*large, value=0.5)
+        self.velocity = textures.empty(*large, value=0.0)
+        self.best = textures.empty(*large, value=0.5)
+        self.fitness = textures.empty(*large, "R32F", value=UNFIT)
+        self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * codec.blocks)]
+        self.verdict = textures.empty(*small, value=-1.0)
+        self.global_best = [textures.empty(*small, value=0.5) for _ in range(codec.blocks)]
+        self.global_fitness = textures.empty(*small, "R32F", value=UNFIT)
+
+    @property
+    def remembered(self) -> dict[str, Any]:
+        """The textures that outlive an iteration, by name: what a checkpoint holds."""
+        bests = {f"global_best_{i}": t for i, t in enumerate(self.global_best)}
+        return {
+            "position": self.position,
+            "velocity": self.velocity,
+            "best": self.best,
+            "fitness": self.fitness,
+            "global_fitness": self.global_fitness,
+            **bests,
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take the contents that ``remembered`` had, from arrays of the same names."""
+        for name in ("position", "velocity", "best", "fitness", "global_fitness"):
+            setattr(self, name, textures.upload(arrays[name]))
+        self.global_best = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]
+
+    def read_bindings(self) -> dict[str, Any]:
+        """Return by sampler name what pass A reads."""
+        return {
+            "u_particle_position": self.position,
+            "u_particle_velocity": self.velocity,
+            "u_particle_best": self.best,
+            "u_particle_fitness": self.fitness,
+            "u_best_fitness": self.global_fitness,
+            **self.best_bindings(),
+        }
+
+    def best_bindings(self) -> dict[str, Any]:
+        """Return the global bests by sampler name."""
+        return {f"u_best_{i}": texture for i, texture in enumerate(self.global_best)}
+
+    def candidate_bindings(self) -> dict[str, Any]:
+        """Return the candidates by sampler name: what the commit passes read."""
+        names = [f"u_candidate_{kind}_{block}" for kind in ("position", "velocity") for block in range(self.blocks)]
+        return {**dict(zip(names, self.candidates, strict=True)), "u_verdict": self.verdict}

@@ -1,0 +1,61 @@
+// The geometry of a texel: where it is, and the orthonormal frame in which its material is described.
+// Reads u_position (xyz, state), u_normal (xyz, scale), u_tangent (xyz, sign).
+
+// States of a texel, in u_position.w.
+#define TEXEL_OUTSIDE 0
+#define TEXEL_SOLVED 1
+#define TEXEL_HALO 2
+
+struct Frame {
+    vec3 position;
+    vec3 tangent;
+    vec3 bitangent;
+    vec3 normal;
+};
+
+int state_at(ivec2 texel)
+{
+    return int(texelFetch(u_position, texel, 0).w);
+}
+
+// Returns the radiance by which a robust fitness divides a texel's errors.
+float scale_at(ivec2 texel)
+{
+    return texelFetch(u_normal, texel, 0).w;
+}
+
+Frame frame_at(ivec2 texel)
+{
+    Frame f;
+    f.position = texelFetch(u_position, texel, 0).xyz;
+#ifdef CARD
+    // On a card the world's frame, the camera's and the texel's are one.
+    f.tangent = vec3(1.0, 0.0, 0.0);
+    f.bitangent = vec3(0.0, 1.0, 0.0);
+    f.normal = vec3(0.0, 0.0, 1.0);
+#else
+    vec4 tangent = texelFetch(u_tangent, texel, 0);
+    f.normal = texelFetch(u_normal, texel, 0).xyz;
+    f.tangent = tangent.xyz;
+    f.bitangent = tangent.w * cross(f.normal, f.tangent);
+#endif
+    return f;
+}
+
+vec3 to_local(Frame f, vec3 d)
+{
+#ifdef CARD
+    return d;
+#else
+    return vec3(dot(d, f.tangent), dot(d, f.bitangent), dot(d, f.normal));
+#endif
+}
+
+vec3 to_world(Frame f, vec3 d)
+{
+#ifdef CARD
+    return d;
+#else
+    return d.x * f.tangent + d.y * f.bitangent + d.z * f.normal;
+#endif
+}

@@ -1,0 +1,11 @@
+// The probe's kernel: arithmetic like that of a fitness, with a value that numpy can check.
+
+bool kernel(ivec2 texel)
+{
+    float value = float(texel.x + 256 * texel.y) / 65536.0;
+    for (int i = 0; i < u_rounds; i++) {
+        value = 0.5 * exp(-value * value) + 0.25 * value;
+    }
+    o_value = vec4(value);
+    return true;
+}

@@ -1,0 +1,21 @@
+// Where a particle's numbers lie. A swarm texture is an atlas of tiles of W×H texels, one tile for four dimensions of
+// one particle: particles 0 … m−1 with dimensions 0–3, then the same with dimensions 4–7.
+// BLOCKS is 1 up to four dimensions and 2 up to eight; TILES_X tiles stand side by side.
+
+ivec2 atlas_texel(ivec2 texel, int block, int particle)
+{
+    int tile = block * PARTICLES + particle;
+    return texel + ivec2(tile % TILES_X, tile / TILES_X) * ivec2(u_width, u_height);
+}
+
+// Finds whose number an atlas texel is; returns false on tiles that belong to no particle.
+bool atlas_owner(ivec2 place, out ivec2 texel, out int block, out int particle)
+{
+    ivec2 size = ivec2(u_width, u_height);
+    ivec2 at = place / size;
+    int tile = at.y * TILES_X + at.x;
+    texel = place - at * size;
+    block = tile / PARTICLES;
+    particle = tile - block * PARTICLES;
+    return tile < BLOCKS * PARTICLES;
+}

@@ -1,0 +1,25 @@
+// Pass B, continued, over the swarm atlas, in place: takes the candidate as personal best where it is one.
+
+#include "swarm/atlas.glsl"
+
+bool kernel(ivec2 place)
+{
+    ivec2 texel;
+    int block;
+    int particle;
+    if (!atlas_owner(place, texel, block, particle)) {
+        return false;
+    }
+    vec4 verdict = texelFetch(u_verdict, texel, 0);
+    if (int(verdict.w) != particle || verdict.y == 0.0) {
+        return false;
+    }
+    o_best = texelFetch(u_candidate_position_0, texel, 0);
+#if BLOCKS > 1
+    if (block == 1) {
+        o_best = texelFetch(u_candidate_position_1, texel, 0);
+    }
+#endif
+    o_fitness = verdict.x;
+    return true;
+}

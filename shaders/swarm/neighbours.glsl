@@ -1,0 +1,71 @@
+// Eq. 4 of the paper: the mean of the global bests in an H×H window around a texel, in the coordinates of its search.
+// Reads u_best_0, u_best_1. Uncovered neighbours do not count. On a mesh a neighbour's normal is first turned from its
+// own tangent frame into this texel's.
+
+#include "common/frame.glsl"
+#include "swarm/encoding.glsl"
+
+void read_best(ivec2 texel, out float g[8])
+{
+    vec4 part = texelFetch(u_best_0, texel, 0);
+    for (int i = 0; i < 4; i++) {
+        g[i] = part[i];
+    }
+#if BLOCKS > 1
+    part = texelFetch(u_best_1, texel, 0);
+#endif
+    for (int i = 0; i < 4; i++) {
+        g[4 + i] = part[i];
+    }
+}
+
+void turn_normal(Frame from, Frame to, inout float g[8])
+{
+#if NORMAL_SIZE == 2
+    vec3 n = normal_from_hemisphere(vec2(g[NORMAL_AT], g[NORMAL_AT + 1]));
+    vec2 turned = hemisphere_from_normal(to_local(to, to_world(from, n)));
+    g[NORMAL_AT] = turned.x;
+    g[NORMAL_AT + 1] = turned.y;
+#elif NORMAL_SIZE == 3
+    // The three numbers keep their length: it is part of the particle's place.
+    vec3 n = 2.0 * vec3(g[NORMAL_AT], g[NORMAL_AT + 1], g[NORMAL_AT + 2]) - 1.0;
+    n.z = abs(n.z);
+    n = 0.5 * to_local(to, to_world(from, n)) + 0.5;
+    g[NORMAL_AT] = n.x;
+    g[NORMAL_AT + 1] = n.y;
+    g[NORMAL_AT + 2] = n.z;
+#endif
+}
+
+void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
+{
+    for (int i = 0; i < 8; i++) {
+        mean[i] = 0.0;
+    }
+    float count = 0.0;
+    ivec2 last = ivec2(u_width, u_height) - 1;
+    ivec2 start = max(texel - REACH, ivec2(0));
+    ivec2 stop = min(texel + REACH, last);
+    for (int y = start.y; y <= stop.y; y++) {
+        for (int x = start.x; x <= stop.x; x++) {
+            ivec2 other = ivec2(x, y);
+            if (state_at(other) == TEXEL_OUTSIDE) {
+                continue;
+            }
+            float g[8];
+            read_best(other, g);
+#if NORMAL_SIZE > 0 && !defined(CARD)
+            if (other != texel) {
+                turn_normal(frame_at(other), f, g);
+            }
+#endif
+            for (int i = 0; i < DIMENSIONS; i++) {
+                mean[i] += g[i];
+            }
+            count += 1.0;
+        }
+    }
+    for (int i = 0; i < DIMENSIONS; i++) {
+        mean[i] /= count;
+    }
+}

@@ -1,0 +1,26 @@
+// Over W×H texels: the material that the global bests stand for, packed as estimates.
+// Reads the estimates (for what is not searched) and the global bests.
+
+#include "common/estimate.glsl"
+#include "swarm/neighbours.glsl"
+#include "codec.glsl"
+
+bool kernel(ivec2 texel)
+{
+    Material s = estimate_at(texel);
+    if (state_at(texel) != TEXEL_OUTSIDE) {
+        float g[8];
+        read_best(texel, g);
+        decode(g, s);
+    }
+    float c[12];
+    material_to(s, c);
+    o_estimate_0 = vec4(c[0], c[1], c[2], c[3]);
+#if ESTIMATES > 1
+    o_estimate_1 = vec4(c[4], c[5], c[6], c[7]);
+#endif
+#if ESTIMATES > 2
+    o_estimate_2 = vec4(c[8], c[9], c[10], c[11]);
+#endif
+    return true;
+}
