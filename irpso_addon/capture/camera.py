@@ -1,4 +1,5 @@
 """Cameras: how a point of the world falls on a pixel, and from where it is seen."""
+
 from __future__ import annotations
 
 import math

@@ -49,7 +49,9 @@ def load_exr(path: Path) -> dict[str, ExrImage]:
         with contextlib.redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
             images = {h.name: _image(part) for h, part in zip(headers, file.parts, strict=True)}
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
-        raise CaptureError(f"{path}: cannot be decoded as OpenEXR ({error}); export it again", "image_truncated") from error
+        raise CaptureError(
+            f"{path}: cannot be decoded as OpenEXR ({error}); export it again", "image_truncated"
+        ) from error
     if any(set(h.channels) != set(images[h.name].channels) for h in headers):
         raise CaptureError(f"{path}: some of its channels cannot be decoded; export it again", "image_truncated")
     return images
@@ -62,7 +64,8 @@ def _image(part) -> ExrImage:
     # The overlap of both windows, in the coordinates of the file; its end is never before its start.
     a, b = max(x0, left), max(y0, top)
     c, d = max(min(x1, right) + 1, a), max(min(y1, bottom) + 1, b)
-    target, source = (slice(b - y0, d - y0), slice(a - x0, c - x0)), (slice(b - top, d - top), slice(a - left, c - left))
+    target = slice(b - y0, d - y0), slice(a - x0, c - x0)
+    source = slice(b - top, d - top), slice(a - left, c - left)
     inside[target] = True
     channels = {}
     for name, channel in part.channels.items():
@@ -116,8 +119,9 @@ def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None) -> Sample
 
 
 def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], half: bool = False) -> None:
-    """Write part name → channel name → (H, W), row 0 at the bottom, as one EXR file, ZIP compressed, whole or not at all.
+    """Write part name → channel name → (H, W), row 0 at the bottom, as one ZIP-compressed EXR file.
 
+    The file is written whole or not at all.
     Floats are written as half where ``half`` is set, else as float; uint32 stays. A single part may be called "".
     Raises InputError where the place cannot be written, ValueError where shapes differ (the format has one display
     window for all parts).

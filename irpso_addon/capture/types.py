@@ -1,4 +1,5 @@
 """What was photographed: observations, their lights, their cameras."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,0 +1,166 @@
+"""A capture as its files describe it, before any image is opened, and the checks that make it a Capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .camera import Camera
+from .images import ImageRef, ImageStore
+from .picture import Decoder
+from .problems import CaptureError, raise_all
+from .types import Capture, Light, Observation
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One observation as written. vector: as in the file, of any length. where: the file and place that says so."""
+
+    name: str
+    image: ImageRef
+    vector: tuple[float, ...]
+    where: str
+    intensity: tuple[float, ...] = (1.0, 1.0, 1.0)
+    distant: bool = True
+    camera: int = 0
+
+
+@dataclass(frozen=True)
+class ViewDraft:
+    """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
+
+    where: the file and place that says so.
+    """
+
+    name: str
+    make: Callable[[int, int], Camera]
+    where: str
+    size: tuple[int, int] | None = None
+    mask: ImageRef | None = None
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table"."""
+
+    name: str
+    kind: str
+    source: Path
+    shots: tuple[Shot, ...]
+    views: tuple[ViewDraft, ...]
+
+
+def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
+    """Return the Capture that a draft describes; masks are read now, images when they are asked for.
+
+    Every image's header is looked at. Raises CaptureError naming the first fault and carrying the others.
+    """
+    store = ImageStore(decoder)
+    faults: list[CaptureError] = []
+    lights = [_light(shot, faults) for shot in draft.shots]
+    sizes = [_size(shot.image, store, faults) for shot in draft.shots]
+    raise_all(faults)
+    cameras, masks = [], []
+    for index, view in enumerate(draft.views):
+        seen = [(s, size) for s, size in zip(draft.shots, sizes, strict=True) if s.camera == index]
+        width, height = _camera_size(view, seen, faults)
+        cameras.append(view.make(width, height))
+        masks.append(_mask(view, (width, height), store, faults))
+    raise_all(faults)
+    observations = tuple(
+        Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera]), light, shot.camera)
+        for shot, light in zip(draft.shots, lights, strict=True)
+    )
+    return Capture(draft.name, observations, tuple(cameras), tuple(masks), draft.source)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads one observation: what Observation.read is."""
+
+    image: ImageRef
+    store: ImageStore
+    camera: Camera
+
+    def __call__(self) -> np.ndarray:
+        return self.samples().rgba
+
+    def samples(self):
+        """Return the Samples of the image, checked against the camera's size."""
+        found = self.store.samples(self.image)
+        height, width = found.rgba.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise _size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
+        return found
+
+
+def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
+    vector, intensity = np.asarray(shot.vector, float), np.asarray(shot.intensity, float)
+    length = np.linalg.norm(vector)
+    if not np.isfinite(vector).all():
+        fault = f"{shot.where}: the light is not a number; write three finite numbers", "light_nan"
+    elif shot.distant and length == 0:
+        fault = f"{shot.where}: the light direction is zero; write the direction toward the light", "light_zero"
+    elif not np.isfinite(intensity).all():
+        fault = f"{shot.where}: the intensity is not a number; write one or three finite numbers", "intensity"
+    elif (intensity < 0).any() or not intensity.any():
+        what = "negative" if (intensity < 0).any() else "zero"
+        fault = f"{shot.where}: the intensity is {what}; write what the light gives, or take the image out", "intensity"
+    else:
+        direction = vector / length if shot.distant else vector
+        return Light(tuple(map(float, direction)), tuple(map(float, intensity)), shot.distant)
+    faults.append(CaptureError(*fault))
+    return None
+
+
+def _size(image: ImageRef, store: ImageStore, faults: list[CaptureError]) -> tuple[int, int] | None:
+    try:
+        return store.size(image)
+    except CaptureError as error:
+        faults.append(error)
+        return None
+
+
+def _camera_size(
+    view: ViewDraft, seen: list[tuple[Shot, tuple[int, int]]], faults: list[CaptureError]
+) -> tuple[int, int]:
+    if not seen and view.size is None:
+        faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
+        return 1, 1
+    sizes = [size for _, size in seen]
+    # The size that most images have: then the fault is told of the odd ones.
+    expected = view.size or max(set(sizes), key=sizes.count)
+    faults += [_size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
+    return expected
+
+
+def _size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]) -> CaptureError:
+    return CaptureError(
+        f"{image}: is {size[0]}×{size[1]} pixels where its camera has {expected[0]}×{expected[1]};"
+        " all images of a camera must be of one size, unscaled and uncropped",
+        "size",
+    )
+
+
+def _mask(view: ViewDraft, size: tuple[int, int], store: ImageStore, faults: list[CaptureError]) -> np.ndarray:
+    everything = np.ones(size[::-1], bool)
+    if view.mask is None:
+        return everything
+    try:
+        found = store.size(view.mask)
+        if found != size:
+            raise CaptureError(
+                f"{view.mask}: the mask is {found[0]}×{found[1]} pixels, the images {size[0]}×{size[1]};"
+                " save it at the images' size",
+                "mask_size",
+            )
+        mask = store.mask(view.mask)
+        if not mask.any():
+            raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
+        return mask
+    except CaptureError as error:
+        faults.append(error)
+        return everything

@@ -1,0 +1,123 @@
+"""One image of a capture, in any format: found, looked at, decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+
+from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
+from .exr_header import ExrPart, is_exr, read_exr_header
+from .headers import read_header
+from .picture import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
+from .problems import CaptureError
+
+
+@dataclass(frozen=True)
+class ImageRef:
+    """Where an image is: a file, the part of a multi-part EXR by name or number, the layer, how it is encoded."""
+
+    path: Path
+    part: str | int | None = None
+    layer: str | None = None
+    colour_space: str = "auto"
+
+    def __str__(self) -> str:
+        return str(self.path) if self.part is None else f"{self.path}: part {self.part!r}"
+
+
+@dataclass
+class ImageStore:
+    """Decodes images, and keeps the parts of a multi-part EXR that have not been asked for yet.
+
+    OpenEXR's Python reader has no way to read one part: without this, a capture of K parts would be read K times.
+    A part leaves the store when it is read, so that memory shrinks as a capture streams through.
+    """
+
+    decoder: Decoder | None = None
+    _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
+    _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
+
+    def size(self, image: ImageRef) -> tuple[int, int]:
+        """Return (width, height) from the file's header. Raises CaptureError where it cannot be read as asked."""
+        if is_exr(image.path):
+            part = self._part(image)
+            colour_channels(part, image.layer, str(image))
+            return part.width, part.height
+        header = read_header(image.path)
+        if image.part is not None or image.layer is not None:
+            raise CaptureError(f"{image.path}: only an EXR file has parts and layers; take part and layer out", "layer")
+        if self.decoder is None:
+            raise CaptureError(
+                f"{image.path}: is a {header.kind} file, and only EXR can be read without Blender; give read_capture"
+                " a decoder (irpso_addon.maps.blender_images.decode) or convert the image to EXR",
+                "no_decoder",
+            )
+        return header.width, header.height
+
+    def samples(self, image: ImageRef) -> Samples:
+        """Return an image's linear radiance and weight."""
+        if not is_exr(image.path):
+            return samples_of_picture(self._picture(image), image.colour_space)
+        part = self._part(image)
+        rgb, alpha = colour_channels(part, image.layer, str(image))
+        return samples_of_exr(self._pixels(image.path, part.name), rgb, alpha)
+
+    def mask(self, image: ImageRef) -> np.ndarray:
+        """Return an image as a mask, (H, W) bool."""
+        if not is_exr(image.path):
+            return mask_of_picture(self._picture(image))
+        part = self._part(image)
+        rgb, alpha = colour_channels(part, image.layer, str(image))
+        channels = self._pixels(image.path, part.name).channels
+        names = rgb if alpha is None else [*rgb, alpha]
+        return mask_of_picture(Picture(np.stack([channels[n].astype(np.float32) for n in names], axis=-1), 32))
+
+    def _picture(self, image: ImageRef) -> Picture:
+        if self.decoder is None:
+            self.size(image)  # raises, naming the remedy
+        return self.decoder(image.path)
+
+    def _part(self, image: ImageRef) -> ExrPart:
+        if image.path not in self._headers:
+            self._headers[image.path] = read_exr_header(image.path)
+        parts = self._headers[image.path]
+        wanted = image.part
+        if isinstance(wanted, int) and 0 <= wanted < len(parts):
+            return parts[wanted]
+        named = [part for part in parts if part.name == wanted]
+        if wanted is None and len(parts) == 1:
+            return parts[0]
+        if not named or wanted is None:
+            some = ", ".join(repr(part.name) for part in parts[:6]) + (", …" if len(parts) > 6 else "")
+            raise CaptureError(
+                f"{image.path}: has no part {wanted!r}; set part to one of {some}, or a number from 0", "part"
+            )
+        return named[0]
+
+    def _pixels(self, path: Path, part: str) -> ExrImage:
+        if len(self._headers[path]) == 1:
+            return load_exr(path)[part]
+        if part not in self._parts.get(path, {}):
+            self._parts[path] = load_exr(path)
+        return self._parts[path].pop(part)
+
+
+def find_image(folder: Path, name: str) -> Path:
+    """Return the path of an image that a list beside it names, the name being relative, absolute or long dead.
+
+    Looked for: as named; the last part of the name beside the list; the same whatever the case of its letters.
+    The path is returned though nothing is there: reading it reports that.
+    """
+    here = folder / name
+    if here.is_file():
+        return here
+    # A Windows path has backslashes, which POSIX takes for letters of a name, so both readings are tried.
+    for last in (PurePosixPath(name).name, PureWindowsPath(name).name):
+        if (folder / last).is_file():
+            return folder / last
+        same = [path for path in sorted(folder.iterdir()) if path.name.lower() == last.lower()]
+        if same:
+            return same[0]
+    return folder / PureWindowsPath(name).name

@@ -1,0 +1,59 @@
+"""The one door to captures: finds out what a path is and reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from . import diligent, rti, table
+from .draft import Draft, build_capture
+from .picture import COLOUR_SPACES, Decoder
+from .problems import CaptureError
+from .types import Capture
+
+_REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
+
+
+def read_capture(path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto") -> Capture:
+    """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded when they are asked for.
+
+    decoder: reads the formats that are no EXR (``irpso_addon.maps.blender_images.decode`` is one); without it such
+    images are refused. colour_space: "srgb", "linear", or "auto" (8-bit files sRGB, all others linear).
+    Raises InputError naming the file and the remedy.
+    """
+    return build_capture(read_draft(path, colour_space), decoder)
+
+
+def read_draft(path: Path | str, colour_space: str = "auto") -> Draft:
+    """Return what a capture's lists say, before any image is opened. Raises InputError as read_capture does."""
+    path = Path(path)
+    if colour_space not in COLOUR_SPACES:
+        raise CaptureError(
+            f"colour space '{colour_space}' is unknown; choose one of {', '.join(COLOUR_SPACES)}", "value"
+        )
+    try:
+        if path.is_dir():
+            return _draft_of_folder(path, colour_space)
+        if not path.exists():
+            raise CaptureError(f"{path}: is not there; give the path of a capture ({_REMEDY})", "missing")
+    except PermissionError as error:
+        raise CaptureError(f"{path}: cannot be opened; check its permissions", "missing") from error
+    if path.suffix.lower() == ".toml":
+        return table.draft_of_table(path, colour_space)
+    if path.suffix.lower() == ".lp":
+        return rti.draft_of_lp(path, colour_space)
+    if path.name in (diligent.FILENAMES, diligent.DIRECTIONS):
+        return diligent.draft_of_folder(path.parent, colour_space)
+    raise CaptureError(f"{path}: is no capture; {_REMEDY}", "kind")
+
+
+def _draft_of_folder(folder: Path, colour_space: str) -> Draft:
+    if (folder / table.TABLE).exists():
+        return table.draft_of_table(folder / table.TABLE, colour_space)
+    if diligent.is_diligent(folder):
+        return diligent.draft_of_folder(folder, colour_space)
+    lists = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".lp" and p.is_file())
+    if len(lists) == 1:
+        return rti.draft_of_lp(lists[0], colour_space)
+    if lists:
+        raise CaptureError(f"{folder}: holds {len(lists)} .lp files; give the path of the one to read", "kind")
+    raise CaptureError(f"{folder}: holds no capture; {_REMEDY}", "kind")

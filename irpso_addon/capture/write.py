@@ -1,0 +1,100 @@
+"""Writing a capture as a folder: capture.toml and EXR images."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..files import new_folder
+from .camera import Camera
+from .exr import write_exr
+from .problems import CaptureError
+from .table import FORMAT, TABLE
+from .types import Capture
+
+_IMAGES = "images.exr"
+
+
+def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False) -> None:
+    """Write a capture into a new or empty folder, whole or not at all; ``read_capture`` reads it back.
+
+    half: 16-bit floats instead of 32-bit ones (values from 65504 count as clipped when read). single_file: all images
+    and masks as parts of one EXR, which needs cameras of one size. A weight other than 1 is kept as alpha.
+    Raises InputError where the folder is not empty or cannot be written, or sizes differ.
+    """
+    folder = Path(folder)
+    if single_file and len({(camera.width, camera.height) for camera in capture.cameras}) > 1:
+        raise CaptureError(f"{folder}: cameras differ in size, which one EXR cannot hold; write single files", "size")
+    count = max(3, len(str(len(capture.observations))))
+    names = [f"{n:0{count}d}" for n in range(len(capture.observations))]
+    masked = [not mask.all() for mask in capture.masks]
+    with new_folder(folder) as partial:
+        images = zip(names, (_channels(observation.read()) for observation in capture.observations), strict=True)
+        masks = ((f"mask_{n}", {"Y": capture.masks[n].astype(np.float32)}) for n in np.flatnonzero(masked))
+        if single_file:
+            write_exr(partial / _IMAGES, dict(images) | dict(masks), half)
+        else:
+            for stem, channels in images:
+                write_exr(partial / f"{stem}.exr", {"": channels}, half)
+            for stem, channels in masks:
+                write_exr(partial / f"{stem}.exr", {"": channels}, half=True)
+        lines = "\n".join(_lines(capture, names, masked, single_file)) + "\n"
+        (partial / TABLE).write_text(lines, encoding="utf-8")
+
+
+def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:
+    channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
+    return channels if (rgba[..., 3] == 1).all() else {**channels, "A": rgba[..., 3]}
+
+
+def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: bool) -> Iterator[str]:
+    yield f"format = {FORMAT}"
+    yield f"name = {_quoted(capture.name)}"
+    yield 'colour_space = "linear"'
+    if single_file:
+        yield f'image = "{_IMAGES}"'
+    for n, camera in enumerate(capture.cameras):
+        yield from ["", "[[camera]]", f'name = "camera {n + 1}"', *_camera(camera)]
+        if masked[n] and single_file:
+            yield from [f'mask = "{_IMAGES}"', f'mask_part = "mask_{n}"']
+        elif masked[n]:
+            yield f'mask = "mask_{n}.exr"'
+    for stem, observation in zip(names, capture.observations, strict=True):
+        light = observation.light
+        yield from ["", "[[observation]]", f"name = {_quoted(observation.name)}"]
+        yield f'part = "{stem}"' if single_file else f'image = "{stem}.exr"'
+        yield f"light_{'direction' if light.distant else 'position'} = {_list(light.vector)}"
+        yield f"light_intensity = {_list(light.intensity)}"
+        yield f'camera = "camera {observation.camera + 1}"'
+
+
+def _camera(camera: Camera) -> Iterator[str]:
+    yield f"width = {camera.width}"
+    yield f"height = {camera.height}"
+    yield "matrix = ["
+    yield from (f"    {', '.join(_number(v) for v in row)}," for row in camera.matrix)
+    yield "]"
+    if camera.perspective:
+        yield f"focal_length_px = {_list(camera.scale)}"
+    else:
+        if camera.scale[0] != camera.scale[1]:
+            raise CaptureError("an orthographic camera with oblong pixels cannot be written; make its pixels square")
+        yield "orthographic = true"
+        yield f"world_width = {_number(camera.width / camera.scale[0])}"
+    yield f"principal_point = {_list(camera.centre)}"
+
+
+def _number(value: float) -> str:
+    return repr(float(value))  # the shortest text that reads back as the same number
+
+
+def _list(values) -> str:
+    return f"[{', '.join(map(_number, values))}]"
+
+
+def _quoted(value: str) -> str:
+    # A JSON string is a TOML basic string, but for the one control character that JSON lets through.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
