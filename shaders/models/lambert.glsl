@@ -1,10 +1,12 @@
 // Lambert: radiance is albedo times the cosine. See ../README.md for the contract of a model.
 
 #include "brdf/fd_lambert.glsl"
+#include "brdf/horizon.glsl"
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {
-    return vec3(Fd_Lambert(dot(s.normal, l)));
+    float NoL = dot(s.normal, l);
+    return vec3(above_horizon(NoL, dot(s.normal, v)) ? Fd_Lambert(NoL) : 0.0);
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)

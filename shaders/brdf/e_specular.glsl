@@ -1,0 +1,22 @@
+// Directional albedo of a dielectric GGX layer: what Blender's Principled BSDF takes from the base below it.
+
+#include "brdf/f_dielectric.glsl"
+
+// Returns A = F0 + (1 − F0) ∫ s(v·h) D_v(h) dh over the visible microfacet normals h that send light upward, with
+// s = (F − F0) / (1 − F0): the quantity that Cycles tabulates for its layering (measured against bpy 5.0.1; it is not
+// the albedo of the lobe itself, which loses light between facets). As the smooth surface has A = F(n·v), a rough one
+// has A = F(c) at a cosine c that is fitted here, to numeric integrals over roughness 0.02 to 1, n·v 0 to 1 and F0
+// 0.002 to 0.08 (specular_layer_albedo in tests/oracles.py): error at most 0.0035 where n·v >= 0.09, 0.014 below,
+// 0.001 in the mean.
+// roughness is perceptual (α = roughness²) and > 0, which keeps the divisor positive; F0 <= 0.08.
+float E_SpecularLayer(float NoV, float roughness, float F0)
+{
+    float r = roughness;
+    float m = NoV;
+    float above = m * (-0.4183 + m * (0.8193 - 8.231 * m)) + r * m * (5.514 + 3.45 * m)
+                + r * r * (1.336 - 4.016 * m - 0.8463 * r);
+    float below = r + m * (3.508 + 3.157 * m) + r * (0.3903 * m + 0.7437 * r);
+    float tint = (F0 + 0.004179) / (F0 + 0.007262);
+    float c = sqrt(clamp(m * m + r * r * tint * above / below, 0.0, 1.0));
+    return F_Dielectric(c, ior_from_F0(F0));
+}

@@ -1,0 +1,38 @@
+// The paper's model: Lambert plus two Cook–Torrance lobes of Beckmann slopes r1 and r2, of which the first has the
+// weight w. See ../README.md for the contract of a model.
+// Cook & Torrance 1982, A Reflectance Model for Computer Graphics, with Schlick's Fresnel term.
+
+#include "brdf/angles.glsl"
+#include "brdf/d_beckmann.glsl"
+#include "brdf/f_schlick.glsl"
+#include "brdf/fd_lambert.glsl"
+#include "brdf/g_v_cavity.glsl"
+
+// Skin: ((n − 1) / (n + 1))² at n = 1.402.
+const float F0_SKIN = 0.028;
+
+// Diffuse and specular reflection add up as in the paper: the base does not lose what the lobes reflect.
+vec3 basis_base_color(Material s, vec3 l, vec3 v)
+{
+    float NoL = dot(s.normal, l);
+    return vec3(above_horizon(NoL, dot(s.normal, v)) ? Fd_Lambert(NoL) : 0.0);
+}
+
+// π f_r n·l with f_r = D F G / (4 n·l n·v). Cook & Torrance's Eq. 1 has π where this has 4; their D lacks the 1/π that
+// this one has, so that ∫ D (n·h) dω = 1.
+vec3 basis_fixed(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    float D = mix(D_Beckmann(a.NoH, a.sin2_h, s.r2), D_Beckmann(a.NoH, a.sin2_h, s.r1), s.w);
+    float G = G_VCavity(a.NoL, a.NoV, a.NoH, a.VoH);
+    // n·l cancels. G is proportional to n·v near the view's horizon, so that G / n·v has a finite limit.
+    return vec3(0.25 * 3.14159265358979 * D * F_Schlick(a.VoH, F0_SKIN) * (G / a.NoV));
+}
+
+vec3 reflectance(Material s, vec3 l, vec3 v)
+{
+    return s.base_color * basis_base_color(s, l, v) + basis_fixed(s, l, v);
+}
