@@ -1,7 +1,8 @@
 """The grid on which maps are solved, and all that a solver needs to know of it."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -57,3 +58,38 @@ class Domain:
     def solvable(self) -> np.ndarray:
         """(H, W) bool: covered texels that at least one observation says something about."""
         return self.bake.coverage & (self.stack[..., 3] > 0).any(axis=0)
+
+
+def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
+    """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are."""
+    chosen = np.asarray(observations)
+    chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.intp)
+    return replace(
+        domain,
+        stack=domain.stack[chosen],
+        lights=domain.lights[chosen],
+        intensities=domain.intensities[chosen],
+        views=domain.views[chosen],
+    )
+
+
+def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 0) -> Domain:
+    """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
+
+    The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
+    of the halo's corner. The arrays are views, not copies. Raises ValueError where the tile leaves the domain.
+    """
+    rows, columns = domain.shape
+    if not (width > 0 and height > 0 and halo >= 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
+        raise ValueError(f"tile {width}×{height} at ({x0}, {y0}), halo {halo}, leaves the domain of {columns}×{rows}")
+    left, right = min(halo, x0), min(halo, columns - x0 - width)
+    bottom, top = min(halo, y0), min(halo, rows - y0 - height)
+    part = (slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right))
+    bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[part] for item in fields(GeometryBake)})
+    return replace(
+        domain,
+        bake=bake,
+        stack=domain.stack[:, *part],
+        origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),
+        halo=(left, right, bottom, top),
+    )

@@ -35,7 +35,7 @@ vec3 corner_weights()
     if (total == 0.0) {
         return vec3(1.0 / 3.0);
     }
-    weights = max(weights / total, 0.0);
+    weights = max(weights / total, -1.0);
     return weights / (weights.x + weights.y + weights.z);
 }
 

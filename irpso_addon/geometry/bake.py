@@ -1,0 +1,108 @@
+"""Geometry bakes: the surface that each texel of a UV square, or each pixel of a camera, shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..errors import InputError
+from ..gpu import raster
+from .domain import GeometryBake
+from .mesh import MeshData
+
+# What islands may share of the covered texels: neighbours packed to within rounding touch, they do not overlap.
+OVERLAP_LIMIT = 0.005
+_OVERLAP_SIZE = 1024  # texels along the square on which overlaps are looked for
+_NEAREST = 1e-4  # the near plane, as a part of the farthest depth
+
+
+@dataclass(frozen=True)
+class SurfaceBake(GeometryBake):
+    """A geometry bake of a mesh, with the triangles themselves.
+
+    face_normal: (H, W, 3) float32 unit normal of the flat triangle, on the side that the shading normal is on.
+    triangle: (H, W) int32 its number, −1 where there is none.
+    """
+
+    face_normal: np.ndarray
+    triangle: np.ndarray
+
+
+def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> SurfaceBake:
+    """Return the surface over each texel's centre of the UV square, at any resolution.
+
+    The tangent is made orthogonal to the normal in every texel, so (t, sign · n × t, n) is an orthonormal frame: the
+    solver's tangent space. Raises InputError, naming the mesh, where more than 0.5 % of the covered texels show
+    several triangles (unless allowed: then the last of them counts).
+    """
+    if not allow_overlap:
+        _refuse_overlap(mesh)
+    return _bake(mesh, _uv_places(mesh, width, height), width, height, nearest=False)
+
+
+def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
+    """Return the nearest surface that the centre of each of a camera's pixels sees; back faces are surface too.
+
+    A perspective camera sees what is farther than 1e-4 of the farthest depth; an orthographic one, which has no place,
+    sees all along its direction.
+    """
+    return _bake(mesh, _camera_places(mesh, camera), camera.width, camera.height, nearest=True)
+
+
+def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:
+    """Return which part of the covered texels of a size × size UV square lies under more than one triangle, 0…1."""
+    places = _uv_places(mesh, size, size)
+    first = raster.triangle_numbers(places, size, size, first=True)
+    last = raster.triangle_numbers(places, size, size, first=False)
+    return float((first != last).sum() / max((last > 0).sum(), 1))
+
+
+def _refuse_overlap(mesh: MeshData) -> None:
+    shared = overlap(mesh)
+    if shared > OVERLAP_LIMIT:
+        raise InputError(
+            f"UV map '{mesh.uv_map}' of '{mesh.name}' overlaps itself over {100 * shared:.3g} % of its texels;"
+            " unwrap the mesh so that every place has texels of its own"
+        )
+
+
+def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:
+    corners = {name: getattr(mesh, name) for name in ("positions", "normals", "tangents", "uvs")}
+    drawn = raster.rasterize(places, corners, width, height, nearest)
+    return SurfaceBake(
+        position=drawn["position"][..., :3].copy(),
+        normal=drawn["normal"][..., :3].copy(),
+        tangent=drawn["tangent"],
+        coverage=drawn["position"][..., 3] > 0.5,
+        uv=drawn["uv"][..., :2].copy(),
+        face_normal=drawn["face"][..., :3].copy(),
+        triangle=drawn["face"][..., 3].astype(np.int32) - 1,
+    )
+
+
+def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    places = np.zeros((*mesh.uvs.shape[:2], 4))
+    places[..., :2] = mesh.uvs * np.array([width, height], np.float64)
+    places[..., 3] = 1.0
+    return places
+
+
+def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
+    """Return (T, 3, 4) pixel coordinates, depth in −1…1 and w of a camera, all but w multiplied by w."""
+    inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
+    local = mesh.positions.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+    depth = -local[..., 2]
+    w = depth if camera.perspective else np.ones_like(depth)
+    plane = local[..., :2] * np.asarray(camera.scale) + w[..., None] * np.asarray(camera.centre)
+    span = max(float(np.ptp(depth)), 1e-6 * float(np.abs(depth).max()), 1e-30)
+    if camera.perspective:
+        far = max(float(depth.max()), 1e-30) + 1e-3 * span
+        near = max(float(depth.min()) - 1e-3 * span, _NEAREST * far)
+        clip = ((far + near) * depth - 2 * far * near) / (far - near)
+    else:
+        # A margin, so that rounding cuts nothing away.
+        near, far = float(depth.min()) - 1e-3 * span, float(depth.max()) + 1e-3 * span
+        clip = (2 * depth - far - near) / (far - near)
+    return np.concatenate([plane, clip[..., None], w[..., None]], axis=-1)

@@ -1,0 +1,141 @@
+"""From a capture to a domain: on a flat card, or on a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.types import Capture, Light, Observation
+from ..errors import InputError
+from .bake import bake_camera, bake_uv
+from .domain import Domain, GeometryBake
+from .mesh import MeshData
+from .project import GRAZING, Projector
+
+
+def domain_from_card(capture: Capture, depth: float = 1.0) -> Domain:
+    """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
+
+    Everything is in the camera's own frame, where the card's normal is (0, 0, 1): lights and view are turned into it.
+    depth: how far from a perspective camera the card lies, in world units; it matters for near lights and for how
+    the view changes over the image. Raises InputError for several cameras, images of another size or nothing to see.
+    """
+    if len(capture.cameras) != 1:
+        raise InputError(
+            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; name a mesh to project on"
+        )
+    camera, mask = capture.cameras[0], np.asarray(capture.masks[0], bool)
+    _check_masks(capture)
+    if not mask.any():
+        raise InputError(f"the mask of capture '{capture.name}' covers nothing; check mask.png")
+    local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective)
+    stack = np.zeros((len(capture.observations), *mask.shape, 4), np.float32)
+    for observation, out in zip(capture.observations, stack, strict=True):
+        out[mask] = _read(observation, capture)[mask]
+        out[~(out[..., 3] > 0)] = 0
+    _check_seen(capture, stack, "the card")
+    inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
+    views = np.broadcast_to(local.view, (len(stack), 4))
+    return _domain(capture.observations, _card_bake(local, mask, depth), stack, views, inverse, card=True)
+
+
+def domain_from_mesh(
+    capture: Capture,
+    mesh: MeshData,
+    width: int,
+    height: int,
+    grazing: float = GRAZING,
+    allow_overlap: bool = False,
+) -> Domain:
+    """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
+
+    grazing: the least cosine between face and view at which a texel counts as seen. Observations are read one at a
+    time. Raises InputError for overlapping UVs (unless allowed), images of another size than their camera, or when
+    no texel is seen by any camera.
+    """
+    _check_masks(capture)
+    bake = bake_uv(mesh, width, height, allow_overlap)
+    if not bake.coverage.any():
+        raise InputError(f"no texel of {width} × {height} lies on '{mesh.name}' in its UV map; raise the resolution")
+    used = {observation.camera for observation in capture.observations}
+    projectors = {
+        index: Projector(bake, bake_camera(mesh, capture.cameras[index]), capture.cameras[index], grazing)
+        for index in sorted(used)
+    }
+    stack = np.zeros((len(capture.observations), height, width, 4), np.float32)
+    for observation, out in zip(capture.observations, stack, strict=True):
+        image = _read(observation, capture)
+        weight = image[..., 3] * capture.masks[observation.camera]
+        out[:] = projectors[observation.camera].sample(np.concatenate([image[..., :3], weight[..., None]], axis=-1))
+    _check_seen(capture, stack, f"mesh '{mesh.name}'")
+    views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
+    plain = GeometryBake(bake.position, bake.normal, bake.tangent, bake.coverage, bake.uv)
+    return _domain(capture.observations, plain, stack, views, np.eye(4), card=False)
+
+
+def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
+    height, width = mask.shape
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return GeometryBake(
+        position=camera.points(depth).astype(np.float32),
+        normal=np.tile(np.float32([0, 0, 1]), (height, width, 1)),
+        tangent=np.tile(np.float32([1, 0, 0, 1]), (height, width, 1)),
+        coverage=mask.copy(),
+        uv=np.stack([u, v], axis=-1).astype(np.float32),
+    )
+
+
+def _domain(
+    observations: Sequence[Observation],
+    bake: GeometryBake,
+    stack: np.ndarray,
+    views: np.ndarray,
+    to_frame: np.ndarray,
+    card: bool,
+) -> Domain:
+    return Domain(
+        bake=bake,
+        stack=stack,
+        lights=np.array([_light(observation.light, to_frame) for observation in observations], np.float32),
+        intensities=np.array([observation.light.intensity for observation in observations], np.float32),
+        views=np.asarray(views, np.float32),
+        card=card,
+    )
+
+
+def _light(light: Light, to_frame: np.ndarray) -> np.ndarray:
+    """Return (4,) a light in another frame: unit direction and 0, or position and 1."""
+    vector = to_frame[:3, :3] @ np.asarray(light.vector, np.float64)
+    if light.distant:
+        return np.append(vector / np.linalg.norm(vector), 0.0)
+    return np.append(vector + to_frame[:3, 3], 1.0)
+
+
+def _read(observation: Observation, capture: Capture) -> np.ndarray:
+    camera = capture.cameras[observation.camera]
+    image = np.asarray(observation.read(), np.float32)
+    if image.shape != (camera.height, camera.width, 4):
+        height, width = image.shape[:2]
+        raise InputError(
+            f"image '{observation.name}' is {width} × {height}, its camera {camera.width} × {camera.height};"
+            " bring them to one size"
+        )
+    return image
+
+
+def _check_masks(capture: Capture) -> None:
+    if not capture.observations:
+        raise InputError(f"capture '{capture.name}' has no images")
+    for camera, mask in zip(capture.cameras, capture.masks, strict=True):
+        if mask.shape != (camera.height, camera.width):
+            raise InputError(
+                f"a mask of capture '{capture.name}' is {mask.shape[1]} × {mask.shape[0]},"
+                f" its camera {camera.width} × {camera.height}; bring them to one size"
+            )
+
+
+def _check_seen(capture: Capture, stack: np.ndarray, what: str) -> None:
+    if not any((layer[..., 3] > 0).any() for layer in stack):
+        raise InputError(f"no image of capture '{capture.name}' shows {what}; check its cameras, masks and exposure")

@@ -1,0 +1,94 @@
+"""Taking meshes and cameras out of Blender scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..errors import InputError
+
+
+def open_blend(path: str | Path) -> None:
+    """Open a .blend file in place of the current one. Raises InputError where there is none or Blender refuses it."""
+    import bpy
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no Blender file '{path}'; check the path given to --blend")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+    except RuntimeError as error:
+        raise InputError(f"Blender cannot open '{path}': {' '.join(str(error).split())}") from error
+
+
+def mesh_object(name: str | None = None) -> Any:
+    """Return the mesh object of that name, or the scene's only one. Raises InputError naming those that there are."""
+    import bpy
+
+    if name is not None:
+        found = bpy.context.scene.objects.get(name)
+        if found is None:
+            raise InputError(f"there is no object '{name}' in scene '{bpy.context.scene.name}'; {_choice()}")
+        if found.type != "MESH":
+            raise InputError(f"object '{name}' is a {found.type.lower()}, not a mesh; {_choice()}")
+        return found
+    meshes = _meshes()
+    if len(meshes) == 1:
+        return meshes[0]
+    if not meshes:
+        raise InputError(f"scene '{bpy.context.scene.name}' has no mesh objects; open a file that has one")
+    raise InputError(f"the scene has {len(meshes)} mesh objects; choose one with --object: {_names()}")
+
+
+def _meshes() -> list[Any]:
+    import bpy
+
+    return [obj for obj in bpy.context.scene.objects if obj.type == "MESH"]
+
+
+def _names() -> str:
+    return ", ".join(f"'{obj.name}'" for obj in _meshes())
+
+
+def _choice() -> str:
+    return f"its mesh objects are {_names()}" if _meshes() else "it has no mesh objects"
+
+
+def camera_from_object(
+    obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)
+) -> Camera:
+    """Return the camera of a Blender camera object at width × height pixels: lens, sensor fit, shift, and scale.
+
+    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over.
+    Raises InputError where the object is no camera or its projection is neither perspective nor orthographic.
+    """
+    import bpy
+
+    if obj.type != "CAMERA":
+        raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, not a camera; name a camera object")
+    data = obj.data
+    if data.type not in ("PERSP", "ORTHO"):
+        raise InputError(f"camera '{obj.name}' is {data.type.lower()}; make it perspective or orthographic")
+    fit = data.sensor_fit
+    if fit == "AUTO":
+        fit = "HORIZONTAL" if width * pixel_aspect[0] >= height * pixel_aspect[1] else "VERTICAL"
+    # Blender's view plane is counted in the width of a pixel; a pixel is `tall` of them high.
+    tall = pixel_aspect[1] / pixel_aspect[0]
+    side = width if fit == "HORIZONTAL" else height * tall
+    if data.type == "PERSP":
+        sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+        scale = data.lens / sensor * side
+    else:
+        scale = side / data.ortho_scale
+    matrix = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world.normalized()
+    return Camera(
+        width=width,
+        height=height,
+        scale=(scale, scale / tall),
+        centre=(width / 2 - data.shift_x * side, height / 2 - data.shift_y * side / tall),
+        matrix=np.array(matrix, np.float64),
+        perspective=data.type == "PERSP",
+    )
