@@ -71,7 +71,7 @@ def display_image(parameters: Sequence[Parameter], values: Sequence[np.ndarray])
 
 
 def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth", "Recovered", "Error")) -> np.ndarray:
-    """Return (H, W, 3) display values: reference | recovered | false-colour error of each row (Nagano et al. Fig. 6)."""
+    """Return (H, W, 3) display values: reference | recovered | error of each row (Nagano et al. Fig. 6)."""
     cells = [_fit(row.recovered.shape[:2]) for row in rows]
     width = max(_size(row.recovered.shape[:2], fit)[1] for row, fit in zip(rows, cells, strict=True))
     heights = [_size(row.recovered.shape[:2], fit)[0] for row, fit in zip(rows, cells, strict=True)]

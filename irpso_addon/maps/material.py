@@ -1,0 +1,193 @@
+"""The recovered maps as a Blender material."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InputError
+from ..files import replacing_file
+from ..reflectance.model import ReflectanceModel
+from . import two_lobe
+from .nodes import OwnNodes, set_input
+from .result import Maps
+from .tables import MapTable, map_tables
+from .textures import TAG as IMAGE_TAG
+from .textures import material_images
+
+TAG = "irpso_subject"
+
+# Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.
+_MATTE = {"Roughness": 1.0, "Specular IOR Level": 0.0}
+_CHANNELS = ("Red", "Green", "Blue")
+
+
+def build_material(maps: Maps, subject: str, images_folder: str | Path | None = None, uv_map: str = ""):
+    """Return the bpy material of a subject, made or brought up to date, with its maps as images.
+
+    images_folder: where pictures are kept; None packs them. uv_map: the mesh's UV map; "" takes the active one.
+    The model's table [material] chooses the ``shader``: "principled", "two_lobe", or anything else for image nodes
+    connected to the sockets of a Principled BSDF that the parameters name. Nodes the user added are left as they are.
+    Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
+    """
+    material = _own_material(subject)
+    tables = map_tables(maps.model)
+    images = material_images(maps, subject, None if images_folder is None else Path(images_folder).resolve())
+    material = material or _new_material(subject)
+    with OwnNodes(material.node_tree) as nodes:
+        sources = _map_nodes(nodes, tables, images, uv_map)
+        build = two_lobe.surface if maps.model.material.get("shader") == "two_lobe" else _principled
+        surface = build(nodes, maps.model, sources)
+        output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
+        nodes.link(surface, output.inputs["Surface"])
+    return material
+
+
+def apply_material(obj, material) -> None:
+    """Put the material into the object's active slot, or into a first one; faces keep the slots they have.
+
+    Raises InputError where the object or its data is linked from a library, or cannot have materials.
+    """
+    if obj.library is not None or (obj.data is not None and obj.data.library is not None):
+        library = (obj.library or obj.data.library).filepath
+        raise InputError(f"object '{obj.name}' is linked from {library}; make it local before giving it a material")
+    if not hasattr(obj.data, "materials"):
+        raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, which has no material; choose a mesh")
+    if material.name in obj.material_slots and obj.material_slots[material.name].material == material:
+        return
+    if obj.material_slots:
+        obj.material_slots[obj.active_material_index].material = material
+    else:
+        obj.data.materials.append(material)
+
+
+def card_object(subject: str, height: int, width: int):
+    """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
+
+    It is made once and found again by its tag; a new one is linked into the scene's collection.
+    """
+    import bpy
+
+    for obj in bpy.data.objects:
+        if obj.get(TAG) == subject and obj.library is None:
+            return obj
+    mesh = bpy.data.meshes.new(f"IRPSO {subject}")
+    x, y = 0.5, 0.5 * height / width
+    mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
+    layer = mesh.uv_layers.new(name="UVMap")
+    layer.data.foreach_set("uv", (0, 0, 1, 0, 1, 1, 0, 1))
+    obj = bpy.data.objects.new(f"IRPSO {subject}", mesh)
+    obj[TAG] = subject
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
+def save_blend(path: str | Path) -> Path:
+    """Save the open file as a copy to ``path``, whole or not at all; pictures in folders get relative paths there.
+
+    The session goes on under its own file name. Raises InputError where the place cannot be written.
+    """
+    import bpy
+
+    path = Path(path).resolve()
+    if path.is_dir() or not path.parent.is_dir():
+        what = "is a folder" if path.is_dir() else "its folder does not exist"
+        raise InputError(f"{path}: {what}; give the name of a .blend file")
+    images = [i for i in bpy.data.images if IMAGE_TAG in i and i.packed_file is None and i.library is None]
+    before = [image.filepath for image in images]
+    try:
+        with replacing_file(path) as partial:
+            for image in images:
+                image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
+            # The paths are right for the new place already, so Blender must not remap them.
+            bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=False)
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
+    finally:
+        for image, old in zip(images, before, strict=True):
+            image.filepath = old
+    return path
+
+
+def _own_material(subject: str):
+    """Return the material made for this subject before, or None; InputError where it is linked from a library."""
+    import bpy
+
+    found = [material for material in bpy.data.materials if material.get(TAG) == subject]
+    local = [material for material in found if material.library is None]
+    if found and not local:
+        raise InputError(
+            f"material '{found[0].name}' is linked from {found[0].library.filepath};"
+            " make it local or recover under another name"
+        )
+    return local[0] if local else None
+
+
+def _new_material(subject: str):
+    import bpy
+
+    material = bpy.data.materials.new(f"IRPSO {subject}")
+    if material.node_tree is None:  # since Blender 5.0 every material has one
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    # Cycles darkens normal-mapped surfaces toward the horizon of the geometry; the recovered normals were found
+    # without that term, and are rendered right without it.
+    if hasattr(material, "use_bump_map_correction"):
+        material.use_bump_map_correction = False
+    material[TAG] = subject
+    return material
+
+
+def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str) -> dict[str, object]:
+    """Make the image nodes; return parameter name → the socket that carries its value (or the shading normal)."""
+    sources = {}
+    uv = nodes.node("uv", "ShaderNodeUVMap", (-1080, 0), uv_map=uv_map) if uv_map else None
+    for row, table in enumerate(tables):
+        y = 300 - 320 * row
+        texture = nodes.node(f"map {table.name}", "ShaderNodeTexImage", (-860, y), table.name, image=images[table.name])
+        if uv is not None:
+            nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
+        color = texture.outputs["Color"]
+        if table.is_normal:
+            bump = nodes.node(f"normal {table.name}", "ShaderNodeNormalMap", (-540, y), space="TANGENT", uv_map=uv_map)
+            nodes.link(color, bump.inputs["Color"])
+            sources[table.parameters[0].name] = bump.outputs["Normal"]
+        elif len(table.parameters) == 1:
+            sources[table.parameters[0].name] = color
+        else:
+            sources |= _separated(nodes, table, texture, y)
+    return sources
+
+
+def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str, object]:
+    """Split a map that parameters share; a parameter of several components gets its channels joined again."""
+    split = nodes.node(f"split {table.name}", "ShaderNodeSeparateColor", (-540, y), mode="RGB")
+    nodes.link(texture.outputs["Color"], split.inputs["Color"])
+    channels = [*(split.outputs[name] for name in _CHANNELS), texture.outputs["Alpha"]]
+    sources, at = {}, 0
+    for parameter in table.parameters:
+        own = channels[at : at + parameter.components]
+        at += parameter.components
+        sources[parameter.name] = own[0]
+        if len(own) > 1:
+            join = nodes.node(f"join {parameter.name}", "ShaderNodeCombineColor", (-360, y - 40 * at), mode="RGB")
+            for channel, name in zip(own, _CHANNELS, strict=False):
+                nodes.link(channel, join.inputs[name])
+            sources[parameter.name] = join.outputs["Color"]
+    return sources
+
+
+def _principled(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, object]):
+    """Make the Principled BSDF and connect every parameter to the socket it names, where there is such a socket."""
+    table = dict(model.material.get("settings", {}))
+    node = nodes.node("surface", "ShaderNodeBsdfPrincipled", (280, 0), distribution=table.pop("distribution", "GGX"))
+    driven = {parameter.socket for parameter in model.parameters}
+    if model.material.get("shader") == "principled" and not table and "Roughness" not in driven:
+        table = _MATTE
+    for name, value in table.items():
+        if name not in node.inputs:
+            raise InputError(f"model {model.name}: [material.settings] names '{name}', no socket of Principled BSDF")
+        set_input(node, name, value)
+    for parameter in model.parameters:
+        if parameter.socket and parameter.socket in node.inputs:
+            nodes.link(sources[parameter.name], node.inputs[parameter.socket])
+    return node.outputs["BSDF"]

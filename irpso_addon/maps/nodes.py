@@ -1,0 +1,61 @@
+"""Shader nodes: our own are tagged, found again and brought up to date; everybody else's are left alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+TAG = "irpso_role"
+
+
+class OwnNodes:
+    """The nodes of a tree that IRPSO made, each known by its role.
+
+    Use it as a context: on leaving, own nodes whose role was not asked for are removed. A socket that the user has
+    connected to a node of their own keeps that connection.
+    """
+
+    def __init__(self, tree):
+        self._tree = tree
+        self._found = {node[TAG]: node for node in tree.nodes if TAG in node}
+        self._used: set[str] = set()
+
+    def __enter__(self) -> OwnNodes:
+        return self
+
+    def __exit__(self, *failure) -> None:
+        for role, node in list(self._found.items()):
+            if role not in self._used:
+                self._tree.nodes.remove(node)
+
+    def node(self, role: str, kind: str, place: tuple[float, float], label: str = "", **properties: Any):
+        """Return the node of this role, made at ``place`` if it is not there (a user may have moved it since)."""
+        node = self._found.get(role)
+        if node is not None and node.bl_idname != kind:
+            self._tree.nodes.remove(node)
+            node = None
+        if node is None:
+            node = self._tree.nodes.new(kind)
+            node.name = f"IRPSO {role}"
+            node.location = place
+            node.label = label
+            node[TAG] = role
+            self._found[role] = node
+        self._used.add(role)
+        for name, value in properties.items():
+            setattr(node, name, value)
+        return node
+
+    def link(self, source, target) -> None:
+        """Connect two sockets, unless the user has connected the target to a node of their own."""
+        for link in target.links:
+            if TAG not in link.from_node or link.from_socket == source:
+                return
+        self._tree.links.new(source, target)
+
+
+def set_input(node, name: str, value: Any) -> None:
+    """Set the value of a socket by name; numbers become opaque grey where it is a colour."""
+    socket = node.inputs[name]
+    if hasattr(socket.default_value, "__len__") and not hasattr(value, "__len__"):
+        value = (value, value, value, 1.0)[: len(socket.default_value)]
+    socket.default_value = value

@@ -1,0 +1,127 @@
+"""report.json: what was asked, with what, how long it took, how far off the result is."""
+
+from __future__ import annotations
+
+import platform
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from ..paths import ROOT
+from ..reflectance.model import Parameter
+from .result import Maps
+
+
+def build_report(
+    maps: Maps,
+    *,
+    settings: Mapping[str, Any],
+    seed: int,
+    gpu: str,
+    iterations: int,
+    evaluations: int,
+    seconds: Mapping[str, float],
+    ground_truth: Mapping[str, np.ndarray] | None = None,
+    evaluated: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Return the report as plain data, ready for JSON.
+
+    gpu: the renderer's own name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
+    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, the texels that errors are taken over, by default
+    all covered ones; the excluded fraction is stated.
+    """
+    texels = maps.covered if evaluated is None else maps.covered & evaluated
+    covered = int(maps.covered.sum())
+    report: dict[str, Any] = {
+        "model": maps.model.name,
+        "settings": plain(settings),
+        "seed": int(seed),
+        "versions": versions(),
+        "gpu": gpu,
+        "size": [int(n) for n in maps.covered.shape[::-1]],
+        "texels": covered,
+        "excluded_fraction": round(1 - int(texels.sum()) / covered, 6) if covered else 0.0,
+        "iterations": int(iterations),
+        "evaluations": int(evaluations),
+        "seconds": {phase: round(float(value), 3) for phase, value in seconds.items()},
+    }
+    if maps.residual is not None:
+        report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
+    if ground_truth is not None:
+        report["ground_truth"] = ground_truth_errors(maps, ground_truth, texels)
+    return report
+
+
+def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:
+    """Return for each known parameter the unit and quantiles of its error: degrees, or per cent of the range."""
+    result = {}
+    for parameter in maps.model.parameters:
+        if parameter.name not in truth or parameter.name not in maps.values:
+            continue
+        error = parameter_error(parameter, maps.values[parameter.name], truth[parameter.name])
+        result[parameter.name] = {"unit": error_unit(parameter), **quantiles(error[texels])}
+    return result
+
+
+def error_unit(parameter: Parameter) -> str:
+    """Return the unit of ``parameter_error``: "°" or "%"."""
+    return "°" if parameter.is_normal else "%"
+
+
+def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return (H, W) float64: the angle between normals in degrees, or the mean absolute difference in % of the range.
+
+    NaN where the truth says nothing: a normal that is not a vector of about unit length, or a number that is none.
+    """
+    values = np.asarray(values, np.float64)
+    truth = np.asarray(truth, np.float64).reshape(values.shape)
+    if not parameter.is_normal:
+        low, high = parameter.range
+        return np.abs(values - truth).mean(axis=-1) * (100 / (high - low))
+    length = np.linalg.norm(truth, axis=-1)
+    # atan2 of cross and dot keeps its precision at small angles, where arccos of a rounded dot has none.
+    cross = np.linalg.norm(np.cross(values, truth), axis=-1)
+    angle = np.degrees(np.arctan2(cross, (values * truth).sum(axis=-1)))
+    return np.where(np.abs(length - 1) < 0.1, angle, np.nan)
+
+
+def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
+    """Return mean, median, 90th and 99th percentile and maximum of the numbers that are finite, and how many."""
+    values = np.asarray(values, np.float64).ravel()
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"mean": None, "median": None, "p90": None, "p99": None, "max": None, "count": 0}
+    median, p90, p99 = np.percentile(finite, (50, 90, 99))
+    numbers = {"mean": finite.mean(), "median": median, "p90": p90, "p99": p99, "max": finite.max()}
+    return {**{key: float(value) for key, value in numbers.items()}, "count": int(finite.size)}
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of IRPSO and of what it stands on; Blender's is absent outside Blender."""
+    import OpenEXR
+
+    with open(ROOT / "blender_manifest.toml", "rb") as file:
+        own = tomllib.load(file)["version"]
+    found = {"irpso": own, "python": platform.python_version(), "numpy": np.__version__, "openexr": OpenEXR.__version__}
+    try:
+        import bpy
+    except ImportError:
+        return found
+    return found | {"blender": bpy.app.version_string}
+
+
+def plain(value: Any) -> Any:
+    """Return a value that JSON can hold: arrays become lists, what is not a finite number null, other objects text."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | type(None)) else str(value)

@@ -1,0 +1,145 @@
+"""Pictures: where things are drawn, and what colours errors have."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irpso_addon.maps import lettering
+from irpso_addon.maps.canvas import Canvas
+from irpso_addon.maps.false_color import UNCOVERED, false_color
+from irpso_addon.maps.pictures import MARK_COLORS, Curves, PreviewRow, convergence, display_image, preview, strip
+from irpso_addon.reflectance.model import Parameter
+
+
+def oklab_lightness(rgb):
+    """Ottosson 2020, from sRGB."""
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    to_lms = np.array([[0.41222, 0.53633, 0.05145], [0.21190, 0.68070, 0.10740], [0.08830, 0.28172, 0.62998]])
+    return np.cbrt(linear @ to_lms.T) @ (0.21045, 0.79362, -0.00407)
+
+
+def test_low_errors_are_blue_high_ones_red_and_what_is_not_covered_is_grey():
+    error = np.array([[0.0, 1.0, 7.0, np.nan, 0.5]])
+    colors = false_color(error, 1.0, np.array([[1, 1, 1, 1, 0]], bool))[0]
+    assert colors[0].argmax() == 2
+    assert colors[1].argmax() == 0
+    np.testing.assert_array_equal(colors[1], colors[2])
+    np.testing.assert_allclose(colors[3:], [UNCOVERED] * 2)
+
+
+def test_the_colour_scale_gets_lighter_up_to_two_thirds_and_has_no_flat_part():
+    ramp = false_color(np.linspace(0, 1, 256)[None], 1.0)[0].astype(np.float64)
+    lightness = oklab_lightness(ramp)
+    assert (np.diff(lightness[:165]) > 0).all()
+    steps = np.linalg.norm(np.diff(ramp, axis=0), axis=1)
+    assert steps.min() > 0.15 * steps.mean()
+
+
+def test_a_straight_line_lays_ink_over_its_own_area_only():
+    canvas = Canvas(40, 30, (0, 0, 0))
+    canvas.lines([[(10, 15), (30, 15)]], 3.0, (1, 1, 1))
+    ink = canvas.result()[..., 0]
+    # Length × width plus the two round ends.
+    assert ink.sum() == pytest.approx(20 * 3 + np.pi * 1.5**2, rel=0.03)
+    assert ink[15, 20] == 1
+    assert not ink[:12].any()
+
+
+def test_every_printable_letter_has_a_shape_of_its_own_within_its_width():
+    shapes = {}
+    for code in range(33, 127):
+        strokes, left, width = lettering.glyph(chr(code))
+        xs = [x for stroke in strokes for x, _ in stroke]
+        ys = [y for stroke in strokes for _, y in stroke]
+        assert left <= min(xs) and max(xs) <= left + width + 1e-9, chr(code)
+        assert min(ys) >= -2.5 and max(ys) <= 8, chr(code)
+        shapes[strokes] = chr(code)
+    assert len(shapes) == 94
+
+
+def test_text_ends_where_its_width_says():
+    canvas = Canvas(300, 30, (0, 0, 0))
+    canvas.text(10, 22, "Roughness lobes 0.15 %", 10, (1, 1, 1))
+    columns = np.nonzero(canvas.result()[..., 0].max(axis=0) > 0.3)[0]
+    assert columns.min() == pytest.approx(10, abs=1.5)
+    assert columns.max() + 1 == pytest.approx(10 + lettering.text_width("Roughness lobes 0.15 %", 10), abs=1.5)
+
+
+def test_a_display_image_encodes_each_kind_of_map():
+    half = np.full((2, 2, 1), 0.5, np.float32)
+    grey = display_image([Parameter("a", 1, (0.0, 2.0), map="a")], [half])
+    np.testing.assert_allclose(grey, 0.25)
+    shared = display_image([Parameter("a", map="x"), Parameter("b", map="x")], [half, half * 2])
+    np.testing.assert_allclose(shared[0, 0], (0.5, 1.0, 0.0))
+    color = display_image([Parameter("c", 3, map="c", color_space="sRGB")], [half.repeat(3, -1)])
+    np.testing.assert_allclose(color[0, 0], 0.735357, atol=1e-5)
+    normal = display_image([Parameter("n", 3, map="n", is_normal=True)], [np.broadcast_to([0, 0.6, 0.8], (2, 2, 3))])
+    np.testing.assert_allclose(normal[0, 0], (0.5, 0.8, 0.9), atol=1e-6)
+
+
+def test_a_preview_enlarges_tiny_maps_texel_by_texel_and_shows_reference_and_result_upright():
+    reference = np.zeros((30, 20, 3), np.float32)
+    reference[:15] = (1.0, 0, 1.0)  # the lower half
+    recovered = np.zeros((30, 20, 3), np.float32)
+    recovered[:, :10] = (0, 1.0, 1.0)
+    picture = preview([PreviewRow("Row", reference, recovered, np.ones((30, 20)), "°")])
+    magenta = np.argwhere((picture == (1, 0, 1)).all(-1))
+    cyan = np.argwhere((picture == (0, 1, 1)).all(-1))
+    assert len(magenta) == 15 * 20 * 12**2
+    assert len(cyan) == 30 * 10 * 12**2
+    assert magenta[:, 0].min() == cyan[:, 0].min()
+    assert magenta[:, 0].max() < cyan[:, 0].max()
+    assert magenta[:, 1].max() < cyan[:, 1].min()
+
+
+def test_large_maps_are_reduced_by_averaging():
+    image = np.zeros((1200, 700, 3), np.float32)
+    image[::3] = 1
+    picture = preview([PreviewRow("Row", image, image, np.zeros((1200, 700)))])
+    assert picture.shape[0] < 800
+    assert (np.abs(picture - 1 / 3).max(-1) < 1e-3).sum() > 100_000
+
+
+def test_convergence_marks_texels_counted_from_the_lower_left_and_draws_a_curve_for_each():
+    image = np.full((36, 24, 3), 0.5, np.float32)
+    iterations = np.arange(0, 101, 10)
+    errors = np.stack([np.full(11, 10.0 * (k + 1)) for k in range(4)], axis=1)
+    picture = convergence(image, [(2, 3), (21, 3), (2, 32), (21, 32)], [Curves("Normal", iterations, errors, "°")])
+    inside = np.zeros(picture.shape[:2], bool)
+    inside[:, : 28 + 24 * 10] = True
+    centres, heights = [], []
+    for color in MARK_COLORS:
+        close = np.abs(picture - np.asarray(color, np.float32)).max(-1) < 0.02
+        centres.append(np.argwhere(close & inside).mean(axis=0))
+        heights.append(np.argwhere(close & ~inside)[:, 0].mean())
+    low, left = 52, 28
+    for (row, column), (x, y) in zip(centres, [(2, 3), (21, 3), (2, 32), (21, 32)], strict=True):
+        assert (column, row) == pytest.approx((left + (x + 0.5) * 10, low + (y + 0.5) * 10), abs=1.5)
+    assert heights == sorted(heights)
+    assert np.diff(heights) == pytest.approx(np.diff(heights).mean(), abs=1.0)
+
+
+def test_a_logarithmic_axis_spaces_decades_evenly():
+    image = np.full((36, 24, 3), 0.5, np.float32)
+    errors = np.stack([np.full(3, v) for v in (50.0, 5.0, 0.5, 0.05)], axis=1)
+    picture = convergence(image, [(0, 0)] * 4, [Curves("N", np.array([0, 5, 10]), errors, log=True)])
+    heights = []
+    for color in MARK_COLORS[:3]:
+        close = np.abs(picture - np.asarray(color, np.float32)).max(-1) < 0.02
+        close[:, : 28 + 240] = False
+        heights.append(np.argwhere(close)[:, 0].mean())
+    assert heights[0] - heights[1] == pytest.approx(heights[1] - heights[2], abs=1.5)
+
+
+def test_a_strip_shares_one_scale_over_all_columns():
+    images = [np.full((30, 20, 3), v, np.float32) for v in (0.3, 0.6, 0.9)]
+    errors = [np.full((30, 20), v) for v in (8.0, 4.0, 1.0)]
+    picture = strip(images, errors, ["iteration 0", "iteration 100", "iteration 300"], maximum=4.0)
+    red, low = false_color(np.array([[4.0, 1.0]]), 4.0)[0]
+    assert (np.abs(picture - red).max(-1) < 1e-4).sum() >= 2 * 30 * 20 * 12**2
+    assert (np.abs(picture - low).max(-1) < 1e-4).sum() >= 30 * 20 * 12**2
+
+
+def test_pictures_carry_no_font_file(root: Path):
+    assert not [p for p in (root / "irpso_addon").rglob("*") if p.suffix in {".ttf", ".otf", ".woff"}]

@@ -1,0 +1,79 @@
+"""Error measures and the report against numbers worked out by hand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irpso_addon.maps.report import build_report, parameter_error, plain, quantiles
+from irpso_addon.maps.result import Maps
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel
+
+NORMAL = Parameter("normal", 3, (-1, 1), (0, 0, 1), map="normal", is_normal=True)
+GLOSS = Parameter("gloss", 2, (0.0, 4.0), (1, 1), map="gloss")
+MODEL = ReflectanceModel("mine", "Mine", Path("mine.glsl"), (NORMAL, GLOSS))
+
+
+def test_the_angle_between_normals_is_exact_where_they_nearly_agree():
+    angle = np.radians(1e-5)
+    values = np.array([[[0, 0, 1.0], [1, 0, 0]]])
+    truth = np.array([[[np.sin(angle), 0, np.cos(angle)], [0, 1, 0]]])
+    np.testing.assert_allclose(parameter_error(NORMAL, values, truth), [[1e-5, 90]], rtol=1e-6)
+
+
+def test_a_truth_without_a_normal_gives_no_error_number():
+    assert np.isnan(parameter_error(NORMAL, np.array([[[0, 0, 1.0]]]), np.zeros((1, 1, 3)))).all()
+
+
+def test_other_errors_are_a_mean_absolute_difference_in_percent_of_the_range():
+    error = parameter_error(GLOSS, np.array([[[1.0, 2.0]]]), np.array([[[1.2, 2.2]]]))
+    np.testing.assert_allclose(error, [[5.0]])
+
+
+def test_quantiles_leave_out_what_is_not_a_number():
+    numbers = quantiles(np.array([np.nan, *range(101)]))
+    assert numbers == {"mean": 50.0, "median": 50.0, "p90": 90.0, "p99": 99.0, "max": 100.0, "count": 101}
+    assert quantiles(np.array([np.nan]))["mean"] is None
+
+
+@pytest.fixture
+def report():
+    covered = np.ones((4, 5), bool)
+    covered[0] = False
+    evaluated = np.ones((4, 5), bool)
+    evaluated[:, 0] = False
+    normal = np.zeros((4, 5, 3), np.float32)
+    normal[..., 2] = 1
+    residual = np.where(evaluated, 0.25, 9.0)
+    maps = Maps(MODEL, {"normal": normal, "gloss": np.full((4, 5, 2), 1.0)}, covered, residual)
+    truth = {"gloss": np.full((4, 5, 2), 1.4), "unknown": np.zeros((4, 5, 1))}
+    return build_report(
+        maps, settings={"preset": "swarm", "lights": np.arange(3)}, seed=7, gpu="a GPU", iterations=10,
+        evaluations=1000, seconds={"solve": 1.23456}, ground_truth=truth, evaluated=evaluated,
+    )  # fmt: skip
+
+
+def test_errors_are_taken_over_evaluated_texels_and_the_excluded_fraction_is_stated(report):
+    assert report["residual"]["max"] == 0.25
+    assert report["residual"]["count"] == 12
+    assert report["excluded_fraction"] == pytest.approx(3 / 15)
+    assert report["ground_truth"]["gloss"]["unit"] == "%"
+    assert report["ground_truth"]["gloss"]["mean"] == pytest.approx(10)
+    assert set(report["ground_truth"]) == {"gloss"}
+
+
+def test_the_report_is_json_and_says_with_what_it_was_made(report):
+    again = json.loads(json.dumps(report, allow_nan=False))
+    assert again["settings"] == {"preset": "swarm", "lights": [0, 1, 2]}
+    assert (again["seed"], again["gpu"], again["size"], again["texels"]) == (7, "a GPU", [5, 4], 15)
+    assert {"irpso", "python", "numpy", "openexr"} <= set(again["versions"])
+    assert again["seconds"] == {"solve": 1.235}
+
+
+def test_plain_data_hold_no_nan_and_no_paths():
+    assert plain({"a": float("nan"), "b": Path("x"), "c": (np.float32(0.5), None)}) == {
+        "a": None,
+        "b": "x",
+        "c": [0.5, None],
+    }
