@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.domain import Domain
+from ..geometry.domain import Domain, GeometryBake
 from ..gpu import context, textures
 from ..reflectance.model import ReflectanceModel
 from .codec import Codec
@@ -21,30 +21,34 @@ class DomainTextures:
 
     def __init__(self, domain: Domain, stack: np.ndarray, scale: np.ndarray):
         self.domain = domain
-        bake = domain.bake
-        state = texel_states(domain)[..., None]
+        self.defines = observation_defines(domain.lights, domain.views, domain.card)
         self.textures = {
-            "u_position": textures.upload(np.concatenate([bake.position, state], axis=-1)),
-            "u_normal": textures.upload(np.concatenate([bake.normal, scale[..., None]], axis=-1)),
-            "u_tangent": textures.upload(bake.tangent),
-            "u_observation_table": textures.upload(observation_table(domain)),
+            **upload_geometry(domain.bake, texel_states(domain), scale),
+            "u_observation_table": upload_observations(domain.lights, domain.intensities, domain.views),
             "u_stack": textures.upload_layers(stack),
         }
 
-    @property
-    def defines(self) -> dict[str, int]:
-        """What lets a kernel do less: a card, lights that are all distant, one view for all observations."""
-        return domain_defines(self.domain)
+
+def upload_geometry(bake: GeometryBake, state: np.ndarray, scale: np.ndarray) -> dict[str, Any]:
+    """Return the textures of shaders/common/frame.glsl. state, scale: (H, W), carried in alpha."""
+    return {
+        "u_position": textures.upload(np.concatenate([bake.position, state[..., None]], axis=-1)),
+        "u_normal": textures.upload(np.concatenate([bake.normal, scale[..., None]], axis=-1)),
+        "u_tangent": textures.upload(bake.tangent),
+    }
 
 
-def domain_defines(domain: Domain) -> dict[str, int]:
-    """Return the defines that specialise kernels for a domain."""
-    defines = {}
-    if domain.card:
-        defines["CARD"] = 1
-    if not domain.lights[:, 3].any():
+def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Any:
+    """Return the table of shaders/common/observation.glsl: K columns of light, intensity and view."""
+    return textures.upload(np.stack([lights, np.pad(intensities, ((0, 0), (0, 1))), views]).astype(np.float32))
+
+
+def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, int]:
+    """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
+    defines = {"CARD": 1} if card else {}
+    if not lights[:, 3].any():
         defines["DISTANT_LIGHTS"] = 1
-    if (domain.views == domain.views[:1]).all():
+    if (views == views[:1]).all():
         defines["ONE_VIEW"] = 1
     return defines
 
@@ -58,12 +62,6 @@ def texel_states(domain: Domain) -> np.ndarray:
     inside[bottom : height - top, left : width - right] = True
     state[~inside & (state == _SOLVED)] = _HALO
     return state
-
-
-def observation_table(domain: Domain) -> np.ndarray:
-    """Return (3, K, 4) float32: lights, intensities, views; one column an observation."""
-    intensities = np.pad(domain.intensities, ((0, 0), (0, 1)))
-    return np.stack([domain.lights, intensities, domain.views]).astype(np.float32)
 
 
 class Estimates:

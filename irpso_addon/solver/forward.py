@@ -1,0 +1,84 @@
+"""The forward renderer, R(p̂) = ĉ of the paper: maps, geometry and lights to images."""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.types import Light
+from ..geometry.domain import GeometryBake
+from ..gpu import context, textures
+from ..reflectance.model import ReflectanceModel
+from .kernels import render_pass
+from .state import Estimates, observation_defines, upload_geometry, upload_observations
+
+
+class Renderer:
+    """Renders one material under many lights, without cast shadows or light between surfaces.
+
+    bake: what each pixel or texel shows. values: parameter name → (H, W, components) there. lights: (K, 4),
+    intensities: (K, 3) and views: (K, 4) as in Domain. The shaders are those that the solver inverts.
+    """
+
+    def __init__(
+        self,
+        bake: GeometryBake,
+        model: ReflectanceModel,
+        values: Mapping[str, np.ndarray],
+        lights: np.ndarray,
+        intensities: np.ndarray,
+        views: np.ndarray,
+        card: bool = False,
+    ):
+        context.ensure()
+        state = bake.coverage.astype(np.float32)
+        self._inputs = {
+            **upload_geometry(bake, state, np.ones_like(state)),
+            **Estimates(model, dict(values)).bindings(),
+            "u_observation_table": upload_observations(lights, intensities, views),
+        }
+        self._pass = render_pass(model, observation_defines(lights, views, card))
+        self._target = textures.empty(state.shape[1], state.shape[0])
+
+    def render(self, observation: int) -> np.ndarray:
+        """Return (H, W, 4) float32 linear radiance under one light; alpha is 1 where something is seen."""
+        self._pass.run([self._target], self._inputs, {"u_observation": observation})
+        return textures.download(self._target)
+
+    def close(self) -> None:
+        """Free shader and textures."""
+        self._pass.close()
+        self._inputs, self._target = {}, None
+
+
+def camera_renderer(
+    bake: GeometryBake, model: ReflectanceModel, values: Mapping[str, np.ndarray], camera: Camera, lights: Sequence[Light]
+) -> Renderer:
+    """Return the renderer of what a camera sees: ``bake`` and ``values`` per pixel of it."""
+    table = np.array([[*light.vector, 0.0 if light.distant else 1.0] for light in lights])
+    intensities = np.array([light.intensity for light in lights])
+    return Renderer(bake, model, values, table, intensities, np.tile(camera.view, (len(lights), 1)))
+
+
+def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:
+    """Return maps (h, w, components) read bilinearly at texture coordinates (H, W, 2); normals are unit again.
+
+    Texel centres lie at (i + ½) / w; beyond the outermost ones a map continues as it ends.
+    """
+    height, width = next(iter(values.values())).shape[:2]
+    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
+    y = np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
+    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    sampled = {}
+    for parameter in model.parameters:
+        grid = values[parameter.name]
+        lower = grid[y0, x0] * (1 - fx) + grid[y0, x1] * fx
+        upper = grid[y1, x0] * (1 - fx) + grid[y1, x1] * fx
+        result = (lower * (1 - fy) + upper * fy).astype(np.float32)
+        if parameter.is_normal:
+            result /= np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-8)
+        sampled[parameter.name] = result
+    return sampled
