@@ -2,11 +2,10 @@
 # interpreter, OUT=folder where results go.
 VENV ?= .venv
 OUT ?= out
-# The link of a virtual environment, not resolved: so it must be spelled through $(VENV).
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper test test-matrix lint format extension clean environment environment-test
+.PHONY: help demo paper doctor test test-matrix lint format extension clean environment environment-test
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST) | expand -t 22
@@ -22,6 +21,9 @@ demo: environment ## the paper's experiment in small, in under three minutes
 
 paper: environment ## the paper's experiment at full size
 	$(RUN) -m irpso_addon demo -o $(OUT)/paper
+
+doctor: environment ## what GPU there is, and what the program will use of it
+	$(RUN) -m irpso_addon doctor
 
 test: environment-test lint ## all checks: style, unit tests, tests in headless Blender
 	$(RUN) tests/run.py

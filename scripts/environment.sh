@@ -34,8 +34,8 @@ apt_install() {
     fi
     echo "installing $*" >&2
     # One failed source must not keep the others from serving; apt-get install then says what it could not find.
-    $root apt-get -qq update >&2 || echo "apt-get update had errors; going on" >&2
-    DEBIAN_FRONTEND=noninteractive $root apt-get -qq install -y --no-install-recommends "$@" >&2
+    $root apt-get -qq update >/dev/null || echo "apt-get update had errors; going on" >&2
+    $root env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends "$@" >/dev/null
 }
 
 python=$(find_python)
@@ -44,6 +44,7 @@ if [ -z "$python" ] && [ -z "${PYTHON:-}" ] && ! command -v python3 >/dev/null; 
     python=$(find_python)
 fi
 if [ -z "$python" ]; then
+    if [ -n "${PYTHON:-}" ]; then echo "PYTHON=$PYTHON does not serve." >&2; fi
     echo "No Python $(echo "$wanted" | sed 's/ / or /') was found, and Blender has no wheel for another." >&2
     echo "Install one and name it: make … PYTHON=/path/to/python3.11" >&2
     exit 2
