@@ -9,7 +9,7 @@
 #include "brdf/g_v_cavity.glsl"
 
 // Skin: ((n − 1) / (n + 1))² at n = 1.402.
-const float F0_SKIN = 0.028;
+#define F0_SKIN 0.028
 
 // Diffuse and specular reflection add up as in the paper: the base does not lose what the lobes reflect.
 vec3 basis_base_color(Material s, vec3 l, vec3 v)

@@ -10,7 +10,7 @@
 #include "brdf/v_smith_ggx.glsl"
 
 // Blender's Specular IOR Level doubles F0 at 1 and leaves it at 0.5: F0 = 2 level ((ior − 1) / (ior + 1))², ior = 1.5.
-const float F0_PER_LEVEL = 0.08;
+#define F0_PER_LEVEL 0.08
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {

@@ -9,7 +9,7 @@
 #include "brdf/v_smith_ggx.glsl"
 
 // Skin: ((n − 1) / (n + 1))² at n = 1.402.
-const float F0_SKIN = 0.028;
+#define F0_SKIN 0.028
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {

@@ -1,0 +1,189 @@
+"""Reflectance in float64 numpy, written from the papers and apart from the shaders: what tests compare with.
+
+Vectors are (…, 3) unit arrays that broadcast against each other. Models take a dict of parameter name → array with the
+shape (…,) or (…, components), and light and view directions; they return (…, 3) radiance under a light of intensity 1
+(irradiance π at normal incidence): π f_r max(n·l, 0).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+F0_SKIN = 0.028
+
+
+def dot(a, b):
+    """(…) inner product over the last axis."""
+    return np.sum(np.asarray(a, np.float64) * b, axis=-1)
+
+
+def unit(a):
+    """(…, 3) vectors of length 1."""
+    a = np.asarray(a, np.float64)
+    return a / np.linalg.norm(a, axis=-1, keepdims=True)
+
+
+def beckmann(theta, m):
+    """D of Beckmann & Spizzichino 1963 at the angle ``theta`` from the normal; ∫ D cos θ dω = 1."""
+    return np.exp(-((np.tan(theta) / m) ** 2)) / (np.pi * m**2 * np.cos(theta) ** 4)
+
+
+def ggx(theta, alpha):
+    """D of Walter et al. 2007 Eq. 33; ∫ D cos θ dω = 1."""
+    return 1 / (np.pi * np.cos(theta) ** 4 * (alpha + np.tan(theta) ** 2 / alpha) ** 2)
+
+
+def smith_ggx(cos_light, cos_view, alpha):
+    """Height-correlated G of Heitz 2014 Eq. 99 with Λ of Eq. 72."""
+    def spread(cosine):
+        return (np.sqrt(1 + alpha**2 * (1 - cosine**2) / cosine**2) - 1) / 2
+
+    return 1 / (1 + spread(cos_light) + spread(cos_view))
+
+
+def v_cavity(cos_light, cos_view, cos_half, cos_between):
+    """G of Cook & Torrance 1982 Eq. 9; ``cos_between`` is v·h."""
+    masking = 2 * cos_half * cos_view / cos_between
+    shadowing = 2 * cos_half * cos_light / cos_between
+    return np.minimum(1, np.minimum(masking, shadowing))
+
+
+def schlick(cosine, f0):
+    """F of Schlick 1994 Eq. 15."""
+    return f0 + (1 - f0) * (1 - cosine) ** 5
+
+
+def dielectric(cosine, ior):
+    """F of Fresnel 1823: the mean of both polarisations, by Snell's law."""
+    refracted = np.sqrt(1 - (1 - np.asarray(cosine) ** 2) / ior**2)
+    s = (cosine - ior * refracted) / (cosine + ior * refracted)
+    p = (ior * cosine - refracted) / (ior * cosine + refracted)
+    return (s**2 + p**2) / 2
+
+
+def ior_from_f0(f0):
+    """The index of refraction that reflects ``f0`` at normal incidence."""
+    return (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
+
+
+def specular_layer_albedo(cos_view, roughness, f0, steps=200):
+    """What Cycles' Principled takes from its base, of one view: A = F0 + (1 − F0) E[s], over visible normals.
+
+    s = (F(v·h) − F0) / (1 − F0) where the light that h reflects goes up, else 0. The visible normals are integrated
+    over uniform spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
+    """
+    alpha, ior = roughness**2, ior_from_f0(f0)
+    view = np.array([np.sqrt(1 - cos_view**2), 0, cos_view])
+    stretched = unit(view * [alpha, alpha, 1])
+    nodes, weights = np.polynomial.legendre.leggauss(steps)
+    z = (1 - (nodes + 1) / 2) * (1 + stretched[2]) - stretched[2]
+    phi = (np.arange(steps) + 0.5) / steps * 2 * np.pi
+    radius = np.sqrt(1 - z**2)[:, None]
+    cap = np.stack([radius * np.cos(phi), radius * np.sin(phi), np.broadcast_to(z[:, None], (steps, steps))], axis=-1)
+    half = unit((cap + stretched) * [alpha, alpha, 1])
+    cosine = np.clip(half @ view, 0, 1)
+    up = 2 * cosine * half[..., 2] > cos_view
+    s = (dielectric(cosine, ior) - f0) / (1 - f0) * up
+    return f0 + (1 - f0) * (s.mean(axis=1) @ (weights / 2))
+
+
+def specular_layer_fit(cos_view, roughness, f0):
+    """The shader's fit to ``specular_layer_albedo``: F at a cosine that a rational function of m, r and F0 gives."""
+    m, r = cos_view, roughness
+    above = -0.4183 * m + 0.8193 * m**2 - 8.231 * m**3 + 5.514 * r * m + 3.45 * r * m**2
+    above = above + 1.336 * r**2 - 4.016 * r**2 * m - 0.8463 * r**3
+    below = r + 3.508 * m + 3.157 * m**2 + 0.3903 * r * m + 0.7437 * r**2
+    squared = m**2 + r**2 * above / below * (f0 + 0.004179) / (f0 + 0.007262)
+    return dielectric(np.sqrt(np.clip(squared, 0, 1)), ior_from_f0(f0))
+
+
+class Configuration:
+    """The cosines of a normal, a light and a view, and ``seen``: both above the horizon (elsewhere cosines are 1)."""
+
+    def __init__(self, normal, light, view):
+        normal, light, view = (np.asarray(a, np.float64) for a in (normal, light, view))
+        self.light, self.view = dot(normal, light), dot(normal, view)
+        self.seen = (self.light > 0) & (self.view > 0)
+        total = light + view
+        length = np.where(self.seen, np.linalg.norm(total, axis=-1), 2)
+        self.half = np.where(self.seen, (self.light + self.view) / length, 1)
+        self.between = np.where(self.seen, length / 2, 1)
+        # atan2, because arccos loses half the digits of a small angle.
+        across = np.linalg.norm(np.cross(normal, total), axis=-1)
+        self.theta = np.where(self.seen, np.arctan2(across, self.light + self.view), 0)
+        self.light, self.view = np.where(self.seen, self.light, 1), np.where(self.seen, self.view, 1)
+
+
+def lambert(p, light, view):
+    """π f n·l of a Lambertian surface: base_color, normal."""
+    c = Configuration(p["normal"], light, view)
+    return p["base_color"] * np.where(c.seen, c.light, 0)[..., None]
+
+
+def principled(p, light, view, albedo=specular_layer_fit):
+    """Blender's Principled with distribution GGX: base_color, normal, roughness, specular.
+
+    albedo: ``specular_layer_fit``, as the shader has it, or any function like it.
+    """
+    c = Configuration(p["normal"], light, view)
+    f0, alpha = 0.08 * np.asarray(p["specular"]), np.asarray(p["roughness"]) ** 2
+    diffuse = p["base_color"] * (c.light * (1 - albedo(c.view, p["roughness"], f0)))[..., None]
+    g = smith_ggx(c.light, c.view, alpha)
+    specular = np.pi * ggx(c.theta, alpha) * g * dielectric(c.between, ior_from_f0(f0)) / (4 * c.view)
+    return np.where(c.seen[..., None], diffuse + specular[..., None], 0)
+
+
+def cook_torrance_two_lobe(p, light, view):
+    """The paper's model: base_color, normal, r1, r2 (Beckmann m), w (weight of r1)."""
+    c = Configuration(p["normal"], light, view)
+    d = p["w"] * beckmann(c.theta, p["r1"]) + (1 - p["w"]) * beckmann(c.theta, p["r2"])
+    g = v_cavity(c.light, c.view, c.half, c.between)
+    specular = np.pi * d * g * schlick(c.between, F0_SKIN) / (4 * c.view)
+    return np.where(c.seen[..., None], p["base_color"] * c.light[..., None] + specular[..., None], 0)
+
+
+def principled_two_lobe(p, light, view):
+    """Two GGX lobes over Lambert: base_color, normal, r1, r2 (perceptual, α = r²), w (weight of r1)."""
+    c = Configuration(p["normal"], light, view)
+
+    def lobe(roughness):
+        alpha = np.asarray(roughness) ** 2
+        return ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha)
+
+    lobes = p["w"] * lobe(p["r1"]) + (1 - p["w"]) * lobe(p["r2"])
+    specular = np.pi * lobes * schlick(c.between, F0_SKIN) / (4 * c.view)
+    return np.where(c.seen[..., None], p["base_color"] * c.light[..., None] + specular[..., None], 0)
+
+
+def ward(p, light, view):
+    """Isotropic Ward 1992 Eq. 4: base_color, normal, strength, slope."""
+    c = Configuration(p["normal"], light, view)
+    gloss = np.exp(-((np.tan(c.theta) / p["slope"]) ** 2)) / (4 * np.pi * p["slope"] ** 2 * np.sqrt(c.light * c.view))
+    specular = np.pi * p["strength"] * gloss * c.light
+    return np.where(c.seen[..., None], p["base_color"] * c.light[..., None] + specular[..., None], 0)
+
+
+def oren_nayar(p, light, view):
+    """Oren & Nayar 1994 Eq. 30, from angles: base_color, normal, sigma."""
+    c = Configuration(p["normal"], light, view)
+    normal = np.asarray(p["normal"], np.float64)
+    theta_l, theta_v = np.arccos(np.clip(c.light, 0, 1)), np.arccos(np.clip(c.view, 0, 1))
+    flat_l = light - dot(normal, light)[..., None] * normal
+    flat_v = view - dot(normal, view)[..., None] * normal
+    lengths = np.linalg.norm(flat_l, axis=-1) * np.linalg.norm(flat_v, axis=-1)
+    cos_phi = np.where(lengths > 0, dot(flat_l, flat_v) / np.where(lengths > 0, lengths, 1), 0)
+    s2 = np.asarray(p["sigma"]) ** 2
+    a, b = 1 - 0.5 * s2 / (s2 + 0.33), 0.45 * s2 / (s2 + 0.09)
+    steep, flat = np.maximum(theta_l, theta_v), np.minimum(theta_l, theta_v)
+    shade = a + b * np.maximum(0, cos_phi) * np.sin(steep) * np.tan(flat)
+    return p["base_color"] * np.where(c.seen, c.light * shade, 0)[..., None]
+
+
+MODELS = {
+    "lambert": lambert,
+    "principled": principled,
+    "cook_torrance_two_lobe": cook_torrance_two_lobe,
+    "principled_two_lobe": principled_two_lobe,
+    "ward": ward,
+    "oren_nayar": oren_nayar,
+}
