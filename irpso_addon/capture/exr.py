@@ -146,4 +146,5 @@ def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], h
 def _stored(array: np.ndarray, half: bool) -> np.ndarray:
     array = np.asarray(array)
     kind = np.uint32 if array.dtype.kind == "u" else np.float16 if half else np.float32
-    return np.ascontiguousarray(array[::-1], kind)
+    with np.errstate(over="ignore"):  # what half cannot hold becomes infinite, and reads as clipped
+        return np.ascontiguousarray(array[::-1], kind)

@@ -54,7 +54,7 @@ def read_exr_header(path: Path) -> tuple[ExrPart, ...]:
         headers, at = _headers(data, bool(flags & _MULTI_PART))
         _check_chunks(data, at, headers, flags)
         return tuple(_part(path, header) for header in headers)
-    except (struct.error, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+    except (struct.error, ValueError, KeyError, IndexError, OverflowError) as error:
         raise truncated(path) from error
 
 

@@ -1,0 +1,270 @@
+"""What is in a capture and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import checks
+from .camera import Camera
+from .draft import Draft, build_capture
+from .picture import Decoder, Samples
+from .problems import CaptureError
+from .read import read_draft
+from .types import Capture
+
+_THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
+_MEMORY = 256 << 20  # bytes for all crops together
+_FLAT = 0.05  # flatness: a noise of 1 % becomes one of about 20 % across the plane
+_FLAT_USELESS = 1e-3
+_IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
+_CLIPPED = 0.02  # of the masked pixels of all frames
+_MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness below which an axis counts as mirrored
+_ENOUGH = 500  # squares or border texels that make either a finding
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong: "error" where a recovery cannot use the capture, else "warning"; with the remedy in words."""
+
+    severity: str
+    code: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """What inspect found. facts: (what, how much) in reading order."""
+
+    path: Path
+    facts: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether no finding is an error."""
+        return all(finding.severity != "error" for finding in self.findings)
+
+    @property
+    def codes(self) -> set[str]:
+        """The codes of all findings."""
+        return {finding.code for finding in self.findings}
+
+    def lines(self) -> Iterator[str]:
+        """Yield the report as lines of text."""
+        yield str(self.path)
+        yield from (f"  {what:<12} {value}" for what, value in self.facts)
+        yield from (f"  {finding.severity}: {finding.message}" for finding in self.findings)
+        if not self.findings:
+            yield "  nothing suspicious"
+
+
+@dataclass
+class _Frames:
+    """What is kept of the frames of one camera: thumbnails and crops of grey radiance, and counts over its mask."""
+
+    mask: np.ndarray
+    factor: int
+    window: tuple[slice, slice]
+    names: list[str]
+    indices: list[int]
+    thumbnails: list[np.ndarray]
+    crops: list[np.ndarray]
+    clipped: list[float]
+
+
+def inspect_capture(path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto") -> Report:
+    """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
+
+    At most about 512 MB are held, whatever the number and size of the frames.
+    """
+    path = Path(path)
+    try:
+        draft = read_draft(path, colour_space)
+    except CaptureError as error:
+        return Report(path, (), _errors(error))
+    facts = [("kind", draft.kind), ("images", str(len(draft.shots)))]
+    findings = list(_light_findings(draft))
+    try:
+        capture = build_capture(draft, decoder)
+    except CaptureError as error:
+        return Report(path, tuple(facts), (*_errors(error), *findings))
+    facts += _facts(draft, capture)
+    groups = {camera: _frames_of(capture, camera) for camera in range(len(capture.cameras))}
+    for index, observation in enumerate(capture.observations):
+        try:
+            found = observation.read.samples()
+        except CaptureError as error:
+            findings += _errors(error)
+            continue
+        findings += _keep(groups[observation.camera], index, str(draft.shots[index].image), found)
+    for camera, frames in groups.items():
+        if frames.names:
+            facts.append(_brightness(frames))
+            findings += _frame_findings(frames)
+            findings += _geometry_findings(draft, capture, camera, frames)
+    return Report(path, tuple(facts), tuple(findings))
+
+
+def _errors(error: CaptureError) -> tuple[Finding, ...]:
+    return tuple(Finding("error", fault.code, fault.message) for fault in error.all)
+
+
+def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
+    formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in draft.shots)
+    distant = sum(observation.light.distant for observation in capture.observations)
+    facts = [
+        ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
+        ("lights", f"{distant} distant, {len(capture.observations) - distant} near"),
+    ]
+    for view, camera, mask in zip(draft.views, capture.cameras, capture.masks, strict=True):
+        kind = "perspective" if camera.perspective else "orthographic"
+        masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
+        facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
+    return facts
+
+
+def _light_findings(draft: Draft) -> Iterator[Finding]:
+    vectors = np.array([shot.vector for shot in draft.shots if shot.distant], float).reshape(-1, 3)
+    wheres = [shot.where for shot in draft.shots if shot.distant]
+    if len(draft.shots) < 3:
+        yield Finding(
+            "error", "lights_few", f"{draft.source}: has {len(draft.shots)} lights; a normal needs at least three"
+        )
+    if len(vectors) < 3 or not np.isfinite(vectors).all() or not vectors.any(axis=1).all():
+        return
+    odd = checks.not_unit(vectors)
+    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    if odd.any():
+        yield Finding(
+            "warning",
+            "lights_not_unit",
+            f"{wheres[odd.argmax()]}: {_count(odd.sum(), 'direction is', 'directions are')} not of unit length; they"
+            " are used as directions, so check that they are no positions",
+        )
+    flat = checks.flatness(directions)
+    if flat < _FLAT:
+        yield Finding(
+            "error" if flat < _FLAT_USELESS else "warning",
+            "lights_coplanar",
+            f"{draft.source}: all lights lie nearly in one plane through the subject ({flat:.3f}); across it normals"
+            " are uncertain: add lights off that plane",
+        )
+    for i, j in checks.same_lights(directions)[:3]:
+        yield Finding("warning", "lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
+
+
+def _frames_of(capture: Capture, index: int) -> _Frames:
+    camera, mask = capture.cameras[index], capture.masks[index]
+    count = max(1, sum(observation.camera == index for observation in capture.observations))
+    factor = -(-max(camera.width, camera.height) // _THUMBNAIL)
+    side = min(_CROP, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
+    rows, columns = np.nonzero(mask)
+    window = tuple(
+        slice(start := int(np.clip(np.median(at) - side // 2, 0, max(0, size - side))), min(size, start + side))
+        for at, size in ((rows, camera.height), (columns, camera.width))
+    )
+    return _Frames(mask, factor, window, [], [], [], [], [])
+
+
+def _keep(frames: _Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
+    """Keep what later checks need of one frame, and yield what is wrong with it by itself."""
+    grey = found.rgba[..., :3].mean(axis=-1)
+    kept = frames.mask
+    frames.names.append(name)
+    frames.indices.append(index)
+    frames.thumbnails.append(_shrunk(grey, frames.factor))
+    frames.crops.append(grey[frames.window].copy())
+    frames.clipped.append(float(found.clipped[kept].mean()))
+    bad, negative = int(found.not_finite[kept].sum()), int(found.negative[kept].sum())
+    if bad:
+        message = f"{name}: {_count(bad, 'pixel is', 'pixels are')} not a number; they get weight 0, render it again"
+        yield Finding("warning", "not_finite", message)
+    if negative:
+        message = f"{name}: {_count(negative, 'pixel is', 'pixels are')} negative; check how it was exported"
+        yield Finding("warning", "negative", message)
+    if not (grey[kept] > 0).any():
+        yield Finding("warning", "image_black", f"{name}: is all black; take it and its light out of the list")
+
+
+def _shrunk(image: np.ndarray, factor: int) -> np.ndarray:
+    """Return an image reduced by a whole factor by averaging; rows and columns that are left over are dropped."""
+    height, width = (side // factor * factor for side in image.shape)
+    return image[:height, :width].reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3))
+
+
+def _brightness(frames: _Frames) -> tuple[str, str]:
+    means = [float(thumbnail.mean()) for thumbnail in frames.thumbnails]
+    return "brightness", f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
+
+
+def _frame_findings(frames: _Frames) -> Iterator[Finding]:
+    names = frames.names
+    if np.mean(frames.clipped) > _CLIPPED:
+        worst = int(np.argmax(frames.clipped))
+        yield Finding(
+            "warning",
+            "clipped",
+            f"{names[worst]}: {np.mean(frames.clipped):.1%} of all pixels are clipped and get weight 0 (here"
+            f" {frames.clipped[worst]:.1%}); expose shorter",
+        )
+    thumbnails = np.stack(frames.thumbnails)
+    for i, j, difference in checks.similar_frames(thumbnails, _SIMILAR)[:5]:
+        code, word = ("image_same", "the same image") if difference <= _IDENTICAL else ("image_similar", "nearly")
+        message = f"{names[j]}: is {word} as {names[i]} (difference {difference:.2%}); check for a frame copied twice"
+        yield Finding("warning", code, message.replace("is nearly as", "is nearly the same image as"))
+    shifts = checks.frame_shifts(np.stack(frames.crops))
+    if frames.factor > 1:
+        coarse = checks.frame_shifts(thumbnails) * frames.factor
+        shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
+                          coarse, shifts)  # fmt: skip
+    moved = np.flatnonzero(shifts.any(axis=1))
+    for k in moved[:5]:
+        yield Finding(
+            "warning",
+            "shifted",
+            f"{names[k]}: is shifted by {shifts[k][0]:+d} px right, {shifts[k][1]:+d} px up against the others"
+            f" ({_count(len(moved), 'frame is', 'frames are')}); align the frames",
+        )
+
+
+def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Frames) -> Iterator[Finding]:
+    """Yield whether the lights' axes look mirrored against the images, seen from one camera."""
+    observations = [capture.observations[i] for i in frames.indices]
+    if len(observations) < 3 or not all(observation.light.distant for observation in observations):
+        return
+    camera: Camera = capture.cameras[index]
+    directions = np.array([o.light.vector for o in observations]) @ camera.matrix[:3, :3]
+    where = draft.shots[frames.indices[0]].where
+    if (directions[:, 2] < 0).mean() > 0.5:
+        message = (
+            f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
+        )
+        yield Finding("warning", "lights_reversed", message)
+        return
+    if checks.flatness(directions) < _FLAT_USELESS:
+        return
+    power = np.array([np.mean(o.light.intensity) for o in observations])[:, None, None]
+    mask = _shrunk(frames.mask.astype(float), frames.factor) > 0.999
+    normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power, directions)
+    agreement, count = checks.mirror_agreement(normals, mask)
+    out_x, out_y, border = checks.outwardness(normals, mask)
+    if count >= _ENOUGH and agreement < _MIRRORED:
+        axis = "x" if border >= _ENOUGH / 5 and out_x < out_y else "y"
+        yield Finding(
+            "warning",
+            "mirrored",
+            f"{where}: lights and images disagree as if {axis} were mirrored; negate {axis} of all lights, or flip the"
+            f" images {'left to right' if axis == 'x' else 'upside down'} (y is up)",
+        )
+    elif border >= _ENOUGH / 5 and out_x < _TURNED and out_y < _TURNED:
+        message = f"{where}: normals point inward all along the mask; negate x and y of all lights if it is no hollow"
+        yield Finding("warning", "turned", message)
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
