@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import irpso_addon
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 PACKAGE = ROOT / "irpso_addon"
 
@@ -28,8 +30,9 @@ ALLOWED = {
     "cluster": ENGINE,
     "ui": ENGINE,
     "demo": ENGINE,
-    "cli": ENGINE | {"demo", "cluster"},
-    "__main__": {"cli"},
+    "commands": ENGINE | {"demo", "cluster"},
+    "cli": ENGINE | {"commands", "demo", "cluster"},
+    "__main__": {"cli", "gpu"},
     "__init__": {"cli", "ui"},
 }
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "gpu_extras", "bl_ui", "bl_math", "aud", "blf", "idprop", "imbuf"}
@@ -231,3 +234,10 @@ def test_a_fresh_clone_is_under_two_megabytes():
     )  # fmt: skip
     history = sum(int(line) for line in sizes.stdout.split())
     assert files + history < 2_000_000
+
+
+@pytest.mark.parametrize("name", [name for name in irpso_addon.__all__ if name not in ("register", "unregister")])
+def test_every_public_name_can_be_imported_without_blender(name):
+    probe = f"import sys; from irpso_addon import {name}; print({name}.__name__, 'bpy' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True)
+    assert (result.stdout.strip(), result.stderr) == (f"{name} False", "")
