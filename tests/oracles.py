@@ -35,6 +35,7 @@ def ggx(theta, alpha):
 
 def smith_ggx(cos_light, cos_view, alpha):
     """Height-correlated G of Heitz 2014 Eq. 99 with Λ of Eq. 72."""
+
     def spread(cosine):
         return (np.sqrt(1 + alpha**2 * (1 - cosine**2) / cosine**2) - 1) / 2
 

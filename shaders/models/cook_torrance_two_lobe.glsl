@@ -26,7 +26,8 @@ vec3 basis_fixed(Material s, vec3 l, vec3 v)
         return vec3(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
-    float D = mix(D_Beckmann(a.NoH, a.sin2_h, s.r2), D_Beckmann(a.NoH, a.sin2_h, s.r1), s.w);
+    // Not mix(), which compilers turn into x + w (y − x): where w = 1 the tail of y would drown in the rounding of x.
+    float D = s.w * D_Beckmann(a.NoH, a.sin2_h, s.r1) + (1.0 - s.w) * D_Beckmann(a.NoH, a.sin2_h, s.r2);
     float G = G_VCavity(a.NoL, a.NoV, a.NoH, a.VoH);
     // n·l cancels. G is proportional to n·v near the view's horizon, so that G / n·v has a finite limit.
     return vec3(0.25 * 3.14159265358979 * D * F_Schlick(a.VoH, F0_SKIN) * (G / a.NoV));

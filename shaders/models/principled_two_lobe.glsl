@@ -29,7 +29,8 @@ vec3 basis_fixed(Material s, vec3 l, vec3 v)
         return vec3(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
-    float DV = mix(lobe_GGX(a, s.r2), lobe_GGX(a, s.r1), s.w);
+    // Not mix(), which compilers turn into x + w (y − x): where w = 1 the tail of y would drown in the rounding of x.
+    float DV = s.w * lobe_GGX(a, s.r1) + (1.0 - s.w) * lobe_GGX(a, s.r2);
     return vec3(3.14159265358979 * DV * F_Schlick(a.VoH, F0_SKIN) * a.NoL);
 }
 

@@ -117,7 +117,9 @@ def test_fd_lambert_is_the_cosine_and_zero_below(root):
 
 
 def test_the_specular_layer_takes_what_the_integral_says(root):
-    view, roughness, f0 = grid([1e-4, 0.03, 0.09, 0.25, 0.55, 0.8, 1.0], [0.02, 0.1, 0.3, 0.6, 1.0], [0.004, 0.04, 0.08])
+    view, roughness, f0 = grid(
+        [1e-4, 0.03, 0.09, 0.25, 0.55, 0.8, 1.0], [0.02, 0.1, 0.3, 0.6, 1.0], [0.004, 0.04, 0.08]
+    )
     got = evaluate(root, "E_SpecularLayer(x.x, x.y, x.z)", view, roughness, f0)
     integral = np.array([oracles.specular_layer_albedo(*row) for row in zip(view, roughness, f0, strict=True)])
     error = np.abs(got - integral)
