@@ -129,10 +129,10 @@ def _new_material(subject: str):
     if material.node_tree is None:  # since Blender 5.0 every material has one
         material.use_nodes = True
     material.node_tree.nodes.clear()
-    # Cycles darkens normal-mapped surfaces toward the horizon of the geometry; the recovered normals were found
-    # without that term, and are rendered right without it.
-    if hasattr(material, "use_bump_map_correction"):
-        material.use_bump_map_correction = False
+    # Cycles darkens what faces away from the geometry's normal (by 1 % where the light is at 50°, more beyond); the
+    # maps were found without that term and are rendered right without it.
+    if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
+        material.cycles.use_bump_map_correction = False
     material[TAG] = subject
     return material
 

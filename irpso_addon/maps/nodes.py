@@ -55,7 +55,8 @@ class OwnNodes:
 
 def set_input(node, name: str, value: Any) -> None:
     """Set the value of a socket by name; numbers become opaque grey where it is a colour."""
-    socket = node.inputs[name]
+    # By name alone Blender finds only sockets that the current settings enable.
+    socket = next(socket for socket in node.inputs if socket.name == name)
     if hasattr(socket.default_value, "__len__") and not hasattr(value, "__len__"):
         value = (value, value, value, 1.0)[: len(socket.default_value)]
     socket.default_value = value

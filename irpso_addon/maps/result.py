@@ -1,4 +1,5 @@
 """The result of a recovery, as arrays."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field

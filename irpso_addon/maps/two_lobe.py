@@ -24,6 +24,13 @@ class _Settings:
     roughness: str
 
 
+def has_metallic() -> bool:
+    """Whether Blender has the Metallic BSDF (since 4.3), whose Fresnel is that of the half vector."""
+    import bpy
+
+    return hasattr(bpy.types, "ShaderNodeBsdfMetallic")
+
+
 def surface(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, object]):
     """Make the group node and connect the model's parameters to it.
 
@@ -65,7 +72,8 @@ def _group(settings: _Settings):
     """Return the node group of these settings, found by its tag or made."""
     import bpy
 
-    key = f"two_lobe {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
+    kind = "metallic" if has_metallic() else "glossy"
+    key = f"two_lobe {kind} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
     for group in bpy.data.node_groups:
         if group.get(TAG) == key and group.library is None:
             return group
@@ -114,11 +122,9 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
     Measured against the terms of Cook and Torrance in Cycles 5.0: the Metallic BSDF has Fresnel to 0.03 % at every
     angle, while Glossy times the Fresnel node, which sees n·v instead of v·h, is up to 4.2 times too bright at 75°.
     """
-    import bpy
-
     place = (-120, 20 - 220 * lobe)
     ior = (1 + settings.f0**0.5) / (1 - settings.f0**0.5)
-    if hasattr(bpy.types, "ShaderNodeBsdfMetallic"):  # since Blender 4.3
+    if has_metallic():
         kind = "F82" if settings.fresnel == "schlick" else "PHYSICAL_CONDUCTOR"
         metal = nodes.node(
             f"lobe {lobe}", "ShaderNodeBsdfMetallic", place, distribution=settings.distribution, fresnel_type=kind
