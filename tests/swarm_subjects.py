@@ -1,0 +1,74 @@
+"""Domains made in numpy for the tests of the solver, and a stage set up to be compared with its oracle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from irpso_addon.geometry.domain import Domain, GeometryBake
+from tests.swarm_oracle import MODELS, direction_to, frames, turned
+
+
+def make_domain(
+    height: int,
+    width: int,
+    observations: int = 8,
+    card: bool = True,
+    near: bool = False,
+    perspective: bool = False,
+    colored: bool = False,
+    holes: bool = True,
+    rng_seed: int = 1,
+) -> Domain:
+    """Return a domain of random geometry, lights and radiances in [0, 1]; with holes, what has no weight is NaN."""
+    rng = np.random.default_rng(rng_seed)
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height)), axis=-1)
+    position = np.concatenate([grid, 0.2 * rng.normal(size=(height, width, 1))], axis=-1)
+    normal = np.broadcast_to((0.0, 0.0, 1.0), (height, width, 3))
+    tangent = np.broadcast_to((1.0, 0.0, 0.0), (height, width, 3))
+    sign = np.ones((height, width, 1))
+    if not card:
+        normal = unit(np.array([0, 0, 1.0]) + 0.6 * rng.normal(size=(height, width, 3)))
+        tangent = unit(np.cross(normal, rng.normal(size=(height, width, 3))))
+        sign = rng.choice([-1.0, 1.0], size=(height, width, 1))
+    lights = unit(rng.normal(size=(observations, 3)) * (1, 1, 0.5) + (0, 0, 1.5))
+    if near:
+        lights = lights * rng.uniform(1.5, 3, size=(observations, 1))
+    views = np.broadcast_to((0.0, 0.0, 1.0, 0.0), (observations, 4))
+    if perspective:
+        views = np.concatenate(
+            [rng.normal(size=(observations, 3)) * 0.5 + (0, 0, 4), np.ones((observations, 1))], axis=1
+        )
+    stack = rng.uniform(0, 1, size=(observations, height, width, 4))
+    stack[..., 3] = rng.choice([0.5, 1.0], size=stack.shape[:3])
+    coverage = np.ones((height, width), bool)
+    if holes:
+        stack[rng.random(stack.shape[:3]) < 0.15] = (np.nan, np.nan, np.nan, 0)
+        coverage = rng.random((height, width)) > 0.15
+        stack[:, rng.random((height, width)) < 0.05] = (np.nan, np.nan, np.nan, 0)
+    intensities = rng.uniform(0.5, 2, size=(observations, 3)) if colored else np.ones((observations, 3))
+    bake = GeometryBake(
+        position.astype(np.float32), normal.astype(np.float32),
+        np.concatenate([tangent, sign], axis=-1).astype(np.float32), coverage, np.zeros((height, width, 2), np.float32),
+    )  # fmt: skip
+    lights = np.concatenate([lights, np.full((observations, 1), float(near))], axis=1)
+    arrays = (stack, lights, intensities, views)
+    return Domain(bake, *(np.ascontiguousarray(a, np.float32) for a in arrays), card=card)
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    """Return vectors of length 1."""
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
+    """Return the domain with the radiance that a material has; weights stay, what weighs nothing is NaN."""
+    frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
+    stack = domain.stack.copy()
+    for k in range(domain.observations):
+        light, squared = direction_to(domain.lights[k], position)
+        view, _ = direction_to(domain.views[k], position)
+        render = MODELS[model](values, turned(frame, light), turned(frame, view)) * domain.intensities[k] / squared
+        stack[k, ..., :3] = np.where(stack[k, ..., 3:] > 0, render, np.nan)
+    return replace(domain, stack=stack)
