@@ -1,0 +1,287 @@
+"""The material in Blender's data: images, nodes, running again, libraries, saving."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.errors import InputError
+from irpso_addon.maps.material import apply_material, build_material, card_object, save_blend
+from irpso_addon.maps.result import Maps
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
+
+pytestmark = pytest.mark.bpy_only
+
+SHAPE = (5, 7)
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def random_maps(model, seed=0):
+    rng = np.random.default_rng(seed)
+    values = {}
+    for parameter in model.parameters:
+        low, high = parameter.range
+        value = low + (high - low) * rng.random((*SHAPE, parameter.components))
+        if parameter.is_normal:
+            value[..., 2] = 1.5
+            value /= np.linalg.norm(value, axis=-1, keepdims=True)
+        values[parameter.name] = value.astype(np.float32)
+    return Maps(model, values, np.ones(SHAPE, bool))
+
+
+def pixels(image):
+    values = np.empty((image.size[1], image.size[0], image.channels), np.float32)
+    image.pixels.foreach_get(values.reshape(-1))
+    return values[..., :3]
+
+
+def links(tree):
+    return {(x.from_node.name, x.from_socket.name, x.to_node.name, x.to_socket.name) for x in tree.links}
+
+
+def counts():
+    data = bpy.data
+    return [
+        len(collection) for collection in (data.materials, data.images, data.node_groups, data.objects, data.meshes)
+    ]
+
+
+def test_images_hold_the_maps_in_their_colour_space_packed_under_their_own_name():
+    maps = random_maps(load_model("principled"))
+    build_material(maps, "icon")
+    images = bpy.data.images
+    assert {i.name for i in images} == {f"IRPSO icon {m}" for m in ("base_color", "normal", "roughness", "specular")}
+    assert images["IRPSO icon base_color"].colorspace_settings.name == "sRGB"
+    assert {images[f"IRPSO icon {m}"].colorspace_settings.name for m in ("normal", "roughness")} == {"Non-Color"}
+    assert all(image.packed_file is not None and tuple(image.size) == SHAPE[::-1] for image in images)
+    # 16 bits; the sRGB curve is at its steepest 13 times steeper than its inverse's mean.
+    np.testing.assert_allclose(pixels(images["IRPSO icon base_color"]), maps.values["base_color"], atol=4e-5)
+    np.testing.assert_allclose(pixels(images["IRPSO icon normal"]), maps.values["normal"] * 0.5 + 0.5, atol=1e-5)
+    np.testing.assert_allclose(pixels(images["IRPSO icon roughness"])[..., :1], maps.values["roughness"], atol=1e-5)
+
+
+def test_the_principled_material_connects_every_map():
+    material = build_material(random_maps(load_model("principled")), "icon")
+    assert links(material.node_tree) == {
+        ("IRPSO map base_color", "Color", "IRPSO surface", "Base Color"),
+        ("IRPSO map roughness", "Color", "IRPSO surface", "Roughness"),
+        ("IRPSO map specular", "Color", "IRPSO surface", "Specular IOR Level"),
+        ("IRPSO map normal", "Color", "IRPSO normal normal", "Color"),
+        ("IRPSO normal normal", "Normal", "IRPSO surface", "Normal"),
+        ("IRPSO surface", "BSDF", "IRPSO output", "Surface"),
+    }
+    assert material.node_tree.nodes["IRPSO surface"].distribution == "GGX"
+
+
+def test_the_lambert_material_has_no_specular_layer():
+    inputs = build_material(random_maps(load_model("lambert")), "icon").node_tree.nodes["IRPSO surface"].inputs
+    assert (inputs["Specular IOR Level"].default_value, inputs["Roughness"].default_value) == (0, 1)
+
+
+def test_running_again_updates_the_same_images_material_and_group():
+    model = load_model("cook_torrance_two_lobe")
+    first = build_material(random_maps(model, 0), "icon")
+    before = counts()
+    again = random_maps(model, 1)
+    assert build_material(again, "icon") == first
+    assert counts() == before
+    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon base_color"]), again.values["base_color"], atol=4e-5)
+    build_material(random_maps(model, 2), "other")
+    assert len(bpy.data.materials) == 2
+    assert len(bpy.data.node_groups) == 1
+
+
+def test_a_renamed_image_and_material_are_still_found():
+    model = load_model("lambert")
+    material = build_material(random_maps(model), "icon")
+    material.name, bpy.data.images["IRPSO icon normal"].name = "gold", "bumps"
+    before = counts()
+    assert build_material(random_maps(model, 1), "icon").name == "gold"
+    assert counts() == before
+
+
+def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_model():
+    material = build_material(random_maps(load_model("principled")), "icon")
+    tree = material.node_tree
+    curve = tree.nodes.new("ShaderNodeRGBCurve")
+    tree.links.new(tree.nodes["IRPSO map base_color"].outputs["Color"], curve.inputs["Color"])
+    tree.links.new(curve.outputs["Color"], tree.nodes["IRPSO surface"].inputs["Base Color"])
+    own_image = tree.nodes.new("ShaderNodeTexImage")
+    own_image.name, own_image.location = "mine", (11, 22)
+    tree.nodes["IRPSO map normal"].location = (-1000, -1000)
+    kept = links(tree)
+    build_material(random_maps(load_model("principled"), 1), "icon")
+    assert links(tree) == kept
+    assert tuple(tree.nodes["IRPSO map normal"].location) == (-1000, -1000)
+    build_material(random_maps(load_model("cook_torrance_two_lobe")), "icon")
+    assert tree.nodes[curve.name].inputs["Color"].links[0].from_node.name == "IRPSO map base_color"
+    assert tuple(tree.nodes["mine"].location) == (11, 22)
+    assert "IRPSO map roughness" not in tree.nodes
+    assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
+
+
+def test_a_material_and_an_image_of_the_same_name_that_are_the_users_are_not_touched():
+    mine = bpy.data.materials.new("IRPSO icon")
+    image = bpy.data.images.new("IRPSO icon normal", 3, 3)
+    material = build_material(random_maps(load_model("lambert")), "icon")
+    assert material != mine
+    assert tuple(image.size) == (3, 3)
+    assert image.packed_file is None
+
+
+def test_a_users_model_gets_image_nodes_and_whatever_sockets_it_names():
+    model = ReflectanceModel(
+        "velvet", "Velvet", Path("velvet.glsl"),
+        (
+            Parameter("n", 3, (-1.0, 1.0), (0, 0, 1), map="bumps", is_normal=True, socket="Normal"),
+            Parameter("fuzz", 1, (0.0, 8.0), map="fuzz", socket="Sheen Weight"),
+            Parameter("a", map="pair", socket="Roughness"),
+            Parameter("tint", 3, map="pair", socket="Sheen Tint"),
+            Parameter("odd", map="odd", socket="No Such Socket"),
+        ),
+        material={"shader": "velvet"},
+    )  # fmt: skip
+    maps = random_maps(model)
+    tree = build_material(maps, "cloth").node_tree
+    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO cloth fuzz"])[..., :1], maps.values["fuzz"], rtol=1e-6)
+    found = links(tree)
+    assert ("IRPSO map fuzz", "Color", "IRPSO surface", "Sheen Weight") in found
+    assert ("IRPSO split pair", "Red", "IRPSO surface", "Roughness") in found
+    assert ("IRPSO map pair", "Alpha", "IRPSO join tint", "Blue") in found
+    assert ("IRPSO join tint", "Color", "IRPSO surface", "Sheen Tint") in found
+    assert tree.nodes["IRPSO map odd"].image is not None
+    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO cloth pair"])[..., 0], maps.values["a"][..., 0], atol=1e-5)
+
+
+def test_settings_of_the_model_reach_the_principled_node_and_unknown_ones_are_named():
+    model = replace(
+        load_model("principled"), material={"shader": "principled", "settings": {"IOR": 1.4, "Metallic": 0.25}}
+    )
+    inputs = build_material(random_maps(model), "icon").node_tree.nodes["IRPSO surface"].inputs
+    assert inputs["IOR"].default_value == pytest.approx(1.4)
+    assert inputs["Metallic"].default_value == 0.25
+    model = replace(model, material={"shader": "principled", "settings": {"Gloss": 1.0}})
+    with pytest.raises(InputError, match="Gloss"):
+        build_material(random_maps(model), "icon")
+
+
+def test_a_uv_map_can_be_named():
+    tree = build_material(random_maps(load_model("lambert")), "icon", uv_map="Second").node_tree
+    assert tree.nodes["IRPSO normal normal"].uv_map == tree.nodes["IRPSO uv"].uv_map == "Second"
+    assert ("IRPSO uv", "UV", "IRPSO map normal", "Vector") in links(tree)
+
+
+def test_a_material_goes_into_the_active_slot_and_only_once():
+    material = build_material(random_maps(load_model("lambert")), "icon")
+    card = card_object("icon", *SHAPE)
+    assert card_object("icon", *SHAPE) == card
+    apply_material(card, material)
+    apply_material(card, material)
+    assert [slot.material for slot in card.material_slots] == [material]
+    other = bpy.data.materials.new("other")
+    card.data.materials.append(other)
+    apply_material(card, material)
+    assert [slot.material for slot in card.material_slots] == [material, other]
+    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
+    for thing in (lamp, bpy.data.objects.new("empty", None)):
+        with pytest.raises(InputError, match="has no material"):
+            apply_material(thing, material)
+
+
+def test_a_card_is_one_unit_wide_and_its_uv_square_is_the_image():
+    card = card_object("icon", *SHAPE)
+    corners = np.array([v.co[:] for v in card.data.vertices])
+    np.testing.assert_allclose(np.ptp(corners, axis=0), (1, SHAPE[0] / SHAPE[1], 0), rtol=1e-6)
+    for loop, uv in zip(card.data.loops, card.data.uv_layers[0].data, strict=True):
+        np.testing.assert_allclose(
+            uv.uv[:], corners[loop.vertex_index, :2] / np.ptp(corners, axis=0)[:2] + 0.5, atol=1e-6
+        )
+    assert card.data.polygons[0].normal[2] == 1
+
+
+@pytest.fixture
+def library(tmp_path):
+    """A .blend with the material "icon" on a card, linked into an empty file."""
+    apply_material(card_object("icon", *SHAPE), build_material(random_maps(load_model("lambert")), "icon"))
+    path = save_blend(tmp_path / "library.blend")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(path), link=True) as (source, target):
+        target.objects = list(source.objects)
+    return path
+
+
+def test_linked_materials_and_objects_are_refused_by_name(library):
+    before = counts()
+    with pytest.raises(InputError, match="IRPSO icon.*library.blend"):
+        build_material(random_maps(load_model("lambert"), 1), "icon")
+    assert counts() == before
+    with pytest.raises(InputError, match="IRPSO icon.*library.blend"):
+        apply_material(bpy.data.objects[0], bpy.data.materials.new("mine"))
+
+
+def test_a_saved_file_holds_packed_images_and_the_session_keeps_its_name(tmp_path):
+    maps = random_maps(load_model("cook_torrance_two_lobe"))
+    apply_material(card_object("icon", *SHAPE), build_material(maps, "icon"))
+    path = save_blend(tmp_path / "icon.blend")
+    assert bpy.data.filepath == ""
+    assert os.listdir(tmp_path) == ["icon.blend"]
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    lobes = np.concatenate([maps.values[name] for name in ("r1", "r2", "w")], axis=-1)
+    np.testing.assert_allclose(pixels(bpy.data.images["IRPSO icon roughness_lobes"]), lobes, atol=1e-5)
+    build_material(maps, "icon")
+    assert len(bpy.data.materials) == 1
+
+
+def test_pictures_in_a_folder_beside_the_file_have_relative_paths_and_move_with_it(tmp_path):
+    maps = random_maps(load_model("lambert"))
+    apply_material(card_object("icon", *SHAPE), build_material(maps, "icon", tmp_path / "a" / "textures"))
+    save_blend(tmp_path / "a" / "icon.blend")
+    assert Path(bpy.data.images["IRPSO icon normal"].filepath).is_absolute()
+    (tmp_path / "a").rename(tmp_path / "b")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "icon.blend"))
+    image = bpy.data.images["IRPSO icon base_color"]
+    assert image.filepath.replace("\\", "/") == "//textures/IRPSO_icon_base_color.png"
+    assert image.packed_file is None
+    np.testing.assert_allclose(pixels(image), maps.values["base_color"], atol=4e-5)
+
+
+def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
+    model = load_model("lambert")
+    build_material(random_maps(model, 0), "icon")
+    second, third = random_maps(model, 1), random_maps(model, 2)
+    build_material(second, "icon", tmp_path)
+    image = bpy.data.images["IRPSO icon base_color"]
+    assert image.packed_file is None
+    np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
+    build_material(third, "icon")
+    assert image.packed_file is not None
+    np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
+
+
+def test_a_file_that_cannot_be_saved_is_refused_and_nothing_is_left(tmp_path):
+    with pytest.raises(InputError, match="its folder does not exist"):
+        save_blend(tmp_path / "none" / "x.blend")
+    with pytest.raises(InputError, match="is a folder"):
+        save_blend(tmp_path)
+    assert not os.listdir(tmp_path)
+
+
+def test_an_old_file_survives_when_saving_fails(tmp_path, monkeypatch):
+    target = tmp_path / "x.blend"
+    target.write_bytes(b"old")
+
+    def no_space(source, destination):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", no_space)
+    with pytest.raises(InputError, match="No space left"):
+        save_blend(target)
+    assert target.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["x.blend"]
