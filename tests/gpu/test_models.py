@@ -261,6 +261,33 @@ def test_compute_and_fragment_entries_agree(model, root):
     assert np.allclose(fragment, compute, rtol=4 * EPS, atol=1e-30)
 
 
+def test_the_example_of_the_readme_keeps_the_contract(root, tmp_path):
+    page = (root / "shaders/README.md").read_text(encoding="utf-8")
+    page = page[page.index("## A model of your own") :]
+    for kind in ("glsl", "toml"):
+        text = page.split(f"```{kind}\n")[1].split("```")[0]
+        (tmp_path / f"blinn_phong.{kind}").write_text(text, encoding="utf-8")
+    model, rng = load_model(tmp_path / "blinn_phong.toml"), np.random.default_rng(19)
+    values = random_materials(model, 3000, rng)
+    light, view = random_directions(values["normal"], 3000, rng)
+
+    def oracle(p, light, view):
+        c = oracles.Configuration(p["normal"], light, view)
+        power = 2 / p["slope"] ** 2 - 2
+        gloss = p["strength"] * (power + 8) / 8 * np.cos(c.theta) ** power * c.light
+        return np.where(c.seen[:, None], p["base_color"] * c.light[:, None] + gloss[:, None], 0)
+
+    expected, moved = forgiven(oracle, values, light, view, rng)
+    got = evaluate(root, model, values, light, view)
+    cosines = np.minimum(oracles.dot(values["normal"], light), oracles.dot(values["normal"], view))
+    # pow() may be off by 2e-6 of its exponent's worth, and the exponent goes up to 798.
+    close = np.abs(got - expected) <= 2e-3 * expected + 4 * moved + 1e-30
+    assert np.isfinite(got).all() and close[np.abs(cosines) > 4e-7].all()
+    names = ("base_color", "strength")
+    diffuse, gloss = (evaluate(root, model, values, light, view, f"basis_{name}(s, l, v)") for name in names)
+    assert np.allclose(got, values["base_color"] * diffuse + values["strength"][:, None] * gloss, rtol=1e-6)
+
+
 # --- Cycles ---------------------------------------------------------------------------------------------------------
 
 SIDE = 32
