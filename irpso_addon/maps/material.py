@@ -29,16 +29,24 @@ def build_material(maps: Maps, subject: str, images_folder: str | Path | None = 
     connected to the sockets of a Principled BSDF that the parameters name. Nodes the user added are left as they are.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
     """
-    material = _own_material(subject)
+    import bpy
+
     tables = map_tables(maps.model)
-    images = material_images(maps, subject, None if images_folder is None else Path(images_folder).resolve())
-    material = material or _new_material(subject)
-    with OwnNodes(material.node_tree) as nodes:
-        sources = _map_nodes(nodes, tables, images, uv_map)
-        build = two_lobe.surface if maps.model.material.get("shader") == "two_lobe" else _principled
-        surface = build(nodes, maps.model, sources)
-        output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
-        nodes.link(surface, output.inputs["Surface"])
+    former = _own_material(subject)
+    material = former or _new_material(subject)
+    build = two_lobe.surface if maps.model.material.get("shader") == "two_lobe" else _principled
+    try:
+        with OwnNodes(material.node_tree) as nodes:
+            surface, sockets = build(nodes, maps.model)
+            images = material_images(maps, subject, None if images_folder is None else Path(images_folder).resolve())
+            sources = _map_nodes(nodes, tables, images, uv_map)
+            for name, socket in sockets.items():
+                nodes.link(sources[name], socket)
+            nodes.link(surface, nodes.node("output", "ShaderNodeOutputMaterial", (620, 0)).inputs["Surface"])
+    except InputError:
+        if former is None:
+            bpy.data.materials.remove(material)
+        raise
     return material
 
 
@@ -176,8 +184,8 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
     return sources
 
 
-def _principled(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, object]):
-    """Make the Principled BSDF and connect every parameter to the socket it names, where there is such a socket."""
+def _principled(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
+    """Make the Principled BSDF; return its output and parameter name → the socket it names, if there is one."""
     table = dict(model.material.get("settings", {}))
     node = nodes.node("surface", "ShaderNodeBsdfPrincipled", (280, 0), distribution=table.pop("distribution", "GGX"))
     driven = {parameter.socket for parameter in model.parameters}
@@ -187,7 +195,5 @@ def _principled(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, obj
         if name not in node.inputs:
             raise InputError(f"model {model.name}: [material.settings] names '{name}', no socket of Principled BSDF")
         set_input(node, name, value)
-    for parameter in model.parameters:
-        if parameter.socket and parameter.socket in node.inputs:
-            nodes.link(sources[parameter.name], node.inputs[parameter.socket])
-    return node.outputs["BSDF"]
+    sockets = {p.name: node.inputs[p.socket] for p in model.parameters if p.socket and p.socket in node.inputs}
+    return node.outputs["BSDF"], sockets

@@ -22,7 +22,9 @@ class OwnNodes:
     def __enter__(self) -> OwnNodes:
         return self
 
-    def __exit__(self, *failure) -> None:
+    def __exit__(self, failure, *details) -> None:
+        if failure is not None:
+            return
         for role, node in list(self._found.items()):
             if role not in self._used:
                 self._tree.nodes.remove(node)

@@ -31,8 +31,8 @@ def has_metallic() -> bool:
     return hasattr(bpy.types, "ShaderNodeBsdfMetallic")
 
 
-def surface(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, object]):
-    """Make the group node and connect the model's parameters to it.
+def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
+    """Make the group node; return its output and parameter name → the socket that it drives.
 
     [material] may hold ``distribution`` ("BECKMANN" or "GGX"), ``f0``, ``fresnel`` ("schlick" or "dielectric"), and
     ``roughness``: "alpha" where r1 and r2 are the distribution's own width (m), "perceptual" where they are its square
@@ -42,12 +42,13 @@ def surface(nodes: OwnNodes, model: ReflectanceModel, sources: dict[str, object]
     settings = _settings(model)
     node = nodes.node("surface", "ShaderNodeGroup", (280, 0), "Two lobes", width=220)
     node.node_tree = _group(settings)
+    sockets = {}
     for socket, name in _ROLES.items():
-        found = [p.name for p in model.parameters if p.socket == socket] or [name]
-        if found[0] not in sources:
+        driving = [p.name for p in model.parameters if p.socket == socket or (not p.socket and p.name == name)]
+        if not driving:
             raise InputError(f'model {model.name}: shader two_lobe needs a parameter with socket = "{socket}"')
-        nodes.link(sources[found[0]], node.inputs[socket])
-    return node.outputs["BSDF"]
+        sockets[driving[0]] = node.inputs[socket]
+    return node.outputs["BSDF"], sockets
 
 
 def _settings(model: ReflectanceModel) -> _Settings:

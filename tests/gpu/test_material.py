@@ -168,8 +168,20 @@ def test_settings_of_the_model_reach_the_principled_node_and_unknown_ones_are_na
     assert inputs["IOR"].default_value == pytest.approx(1.4)
     assert inputs["Metallic"].default_value == 0.25
     model = replace(model, material={"shader": "principled", "settings": {"Gloss": 1.0}})
+    before = counts()
     with pytest.raises(InputError, match="Gloss"):
-        build_material(random_maps(model), "icon")
+        build_material(random_maps(model), "another")
+    assert counts() == before
+
+
+def test_a_two_lobe_model_without_a_weight_or_with_unknown_words_is_refused():
+    model = load_model("cook_torrance_two_lobe")
+    with pytest.raises(InputError, match="Weight"):
+        build_material(random_maps(replace(model, parameters=model.parameters[:-1])), "icon")
+    odd = replace(model, material=model.material | {"fresnel": "none"})
+    with pytest.raises(InputError, match="fresnel must be one of schlick, dielectric"):
+        build_material(random_maps(odd), "icon")
+    assert not bpy.data.materials
 
 
 def test_a_uv_map_can_be_named():
