@@ -1,16 +1,13 @@
-"""Every model on the GPU against float64, the contract of shaders/README.md, and Cycles."""
+"""Every model on the GPU against float64 and the contract of shaders/README.md."""
 
 import itertools
-import math
 
 import numpy as np
 import pytest
 
-from irpso_addon.gpu import textures
-from irpso_addon.gpu.passes import Kernel, Output, Pass
-from irpso_addon.reflectance.glsl import material_declaration
 from irpso_addon.reflectance.model import load_model, shipped_models
 from tests import oracles
+from tests.model_probe import evaluate, single
 
 EPS = 2.0**-23
 UNSEEN = ("ward", "oren_nayar")  # written as a user would, known to nothing but these tests
@@ -25,36 +22,6 @@ def model(request, root):
 
 
 every_model = pytest.mark.parametrize("model", ALL, indirect=True)
-
-
-def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", entry="fragment"):
-    """The GLSL expression ``value`` at N materials, lights and views: (N, 3)."""
-    count = len(light)
-    components = np.concatenate(
-        [np.reshape(values[p.name], (count, p.components)) for p in model.parameters]
-        + [np.zeros((count, 12 - model.components))],
-        axis=1,
-    )
-    inputs = {f"u_components_{i}": components[None, :, 4 * i : 4 * i + 4] for i in range(3)}
-    inputs |= {"u_light_in": light[None], "u_view_in": view[None]}
-    kernel = Kernel(
-        str(root / "tests/gpu/kernels/model_probe.glsl"), (Output("o_value"),), {n: "FLOAT_2D" for n in inputs}, {},
-        {"VALUE": value}, {"material.glsl": material_declaration(model), "model.glsl": model.shader},
-    )  # fmt: skip
-    one = Pass(kernel, entry)
-    target = textures.empty(count, 1, "RGBA32F")
-    one.run([target], {n: textures.upload(np.ascontiguousarray(a, np.float32)) for n, a in inputs.items()})
-    if entry == "compute":
-        copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
-        copied = textures.empty(count, 1, "RGBA32F")
-        copy.run([copied], {"u_source": target})
-        target = copied
-    return textures.download(target)[0, :, :3].astype(np.float64)
-
-
-def single(a):
-    """Rounded to float32, held as float64."""
-    return np.asarray(a, np.float32).astype(np.float64)
 
 
 def random_materials(model, count, rng):
@@ -286,150 +253,6 @@ def test_the_example_of_the_readme_keeps_the_contract(root, tmp_path):
     names = ("base_color", "strength")
     diffuse, gloss = (evaluate(root, model, values, light, view, f"basis_{name}(s, l, v)") for name in names)
     assert np.allclose(got, values["base_color"] * diffuse + values["strength"][:, None] * gloss, rtol=1e-6)
-
-
-# --- Cycles ---------------------------------------------------------------------------------------------------------
-
-SIDE = 32
-
-
-@pytest.fixture(scope="module")
-def facets():
-    """A scene with one small facet at the centre of every pixel; returns render(light) and the facets' normals.
-
-    Facets rather than a sphere: their normals are known exactly, where a sphere's are interpolated. A tenth of a
-    degree at the edge of a highlight of roughness 0.05 would be an error of several per cent.
-    """
-    import bpy
-
-    rng = np.random.default_rng(5)
-    normals = oracles.unit(rng.normal(size=(SIDE, SIDE, 3)))
-    normals[..., 2] = np.abs(normals[..., 2])
-    light = oracles.unit([0.6, 0.3, 0.74])
-    half = oracles.unit(light + [0, 0, 1])
-    spread = 0.005 * 2.0 ** np.arange(SIDE // 2)[None, :, None].clip(0, 7)
-    normals[:, : SIDE // 2] = oracles.unit(half + spread * rng.normal(size=(SIDE, SIDE // 2, 3)))
-    # No facet edge-on: the camera would miss it.
-    normals[..., 2] = np.maximum(np.abs(normals[..., 2]), 0.06)
-    normals = oracles.unit(normals)
-    scene = bpy.data.scenes.new("facets")
-    material = bpy.data.materials.new("facets")
-    material.use_nodes = True
-    normals = make_facets(scene, material, normals)
-    lamp, camera = prepare(scene)
-    return scene, material, lamp, normals, light
-
-
-def make_facets(scene, material, normals):
-    """Add the mesh; return the normals as its float32 vertices give them."""
-    import bpy
-
-    axis = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
-    centres = np.stack([*np.meshgrid(axis, axis), np.zeros((SIDE, SIDE))], axis=-1).reshape(-1, 3)
-    flat = normals.reshape(-1, 3)
-    across = np.where(np.abs(flat[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    tangent = oracles.unit(np.cross(flat, across))
-    bitangent = np.cross(flat, tangent)
-    corners = [tangent * math.cos(a) + bitangent * math.sin(a) for a in (0, 2 * math.pi / 3, 4 * math.pi / 3)]
-    vertices = np.stack([centres + 0.9 / SIDE * corner for corner in corners], axis=1)
-    mesh = bpy.data.meshes.new("facets")
-    mesh.from_pydata(vertices.reshape(-1, 3).tolist(), [], np.arange(3 * SIDE**2).reshape(-1, 3).tolist())
-    mesh.materials.append(material)
-    scene.collection.objects.link(bpy.data.objects.new("facets", mesh))
-    stored = single(vertices)
-    exact = oracles.unit(np.cross(stored[:, 1] - stored[:, 0], stored[:, 2] - stored[:, 0]))
-    return exact.reshape(SIDE, SIDE, 3)
-
-
-def prepare(scene):
-    """Camera, sun and settings: every sample at the pixel's centre, direct light only, no shadows, no world."""
-    import bpy
-
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 2.0, (0, 0, 5)
-    lamp = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
-    lamp.data.angle, lamp.data.energy, lamp.data.use_shadow = 0.0, math.pi, False
-    lamp.rotation_mode = "QUATERNION"
-    for thing in (camera, lamp):
-        scene.collection.objects.link(thing)
-    scene.camera = camera
-    scene.render.engine = "CYCLES"
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = "CPU", 4, False, False
-    cycles.max_bounces, cycles.pixel_filter_type, cycles.filter_width = 0, "BLACKMAN_HARRIS", 0.01
-    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
-    scene.render.resolution_x = scene.render.resolution_y = SIDE
-    scene.render.resolution_percentage = 100
-    scene.render.film_transparent = True
-    scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.image_settings.color_mode, scene.render.image_settings.color_depth = "RGBA", "32"
-    return lamp, camera
-
-
-def render(facets, folder):
-    """What Cycles makes of the scene: (SIDE, SIDE, 4), row 0 at the bottom; alpha is 1 where every sample hit."""
-    import bpy
-    import OpenEXR
-    from mathutils import Vector
-
-    scene, _, lamp, _, light = facets
-    lamp.rotation_quaternion = Vector(light).to_track_quat("Z", "Y")
-    scene.render.filepath = str(folder / "facets.exr")
-    bpy.ops.render.render(write_still=True, scene=scene.name)
-    return OpenEXR.File(scene.render.filepath).channels()["RGBA"].pixels[::-1].astype(np.float64)
-
-
-def principled_node(facets, **inputs):
-    """The scene's Principled BSDF, with ``inputs`` set, underscores for spaces."""
-    node = next(n for n in facets[1].node_tree.nodes if n.type == "BSDF_PRINCIPLED")
-    node.distribution = "GGX"
-    for name, value in inputs.items():
-        node.inputs[name.replace("_", " ")].default_value = value
-    return node
-
-
-def compare(facets, folder, root, model, settings):
-    """Relative difference of our radiance to Cycles', over facets where both cosines exceed 0.05."""
-    _, _, _, normals, light = facets
-    theirs = render(facets, folder).reshape(-1, 4)
-    theirs, hit = theirs[:, :3], theirs[:, 3] > 0.999
-    flat, count = normals.reshape(-1, 3), SIDE**2
-    values = {p.name: np.tile(settings.get(p.name, p.default), (count, 1)) for p in model.parameters}
-    values["normal"] = flat
-    view = np.tile([0.0, 0.0, 1.0], (count, 1))
-    ours = evaluate(root, model, values, np.tile(light, (count, 1)), view)
-    keep = hit & (oracles.dot(flat, light) > 0.05) & (flat[:, 2] > 0.05) & (theirs > 1e-6).all(axis=1)
-    assert keep.mean() > 0.6
-    return np.abs(ours[keep] / theirs[keep] - 1)
-
-
-def test_lambert_is_what_cycles_renders(facets, tmp_path, root):
-    principled_node(facets, Base_Color=(0.8, 0.4, 0.1, 1), Specular_IOR_Level=0.0, Roughness=1.0)
-    error = compare(facets, tmp_path, root, load_model("lambert"), {"base_color": (0.8, 0.4, 0.1)})
-    assert error.max() < 1e-5
-
-
-@pytest.mark.parametrize("roughness", [0.3, 0.5, 0.8, 1.0])
-@pytest.mark.parametrize("specular", [0.25, 0.5, 1.0])
-def test_the_lobe_of_principled_is_what_cycles_renders(facets, tmp_path, root, roughness, specular):
-    principled_node(facets, Base_Color=(0, 0, 0, 1), Specular_IOR_Level=specular, Roughness=roughness)
-    settings = {"base_color": (0, 0, 0), "roughness": roughness, "specular": specular}
-    error = compare(facets, tmp_path, root, load_model("principled"), settings)
-    assert np.median(error) < 3e-6
-    # What is left at the peak of a narrow lobe is Cycles' own 1 − cos², in float32.
-    assert error.max() < (2e-4 if roughness < 0.5 else 2e-5)
-
-
-@pytest.mark.parametrize(("roughness", "worst"), [(0.05, 0.06), (0.3, 0.01), (0.6, 0.003), (1.0, 0.003)])
-@pytest.mark.parametrize("specular", [0.5, 1.0])
-def test_a_white_principled_surface_is_what_cycles_renders(facets, tmp_path, root, roughness, worst, specular):
-    principled_node(facets, Base_Color=(1, 1, 1, 1), Specular_IOR_Level=specular, Roughness=roughness)
-    settings = {"base_color": (1, 1, 1), "roughness": roughness, "specular": specular}
-    error = compare(facets, tmp_path, root, load_model("principled"), settings)
-    # Cycles reads the layer's albedo from 16 values a dimension; at 0.05 its lobe's peak is off by some per cent.
-    assert error.max() < worst
-    assert error.mean() < 0.0025
 
 
 def test_the_specular_level_is_not_a_linear_weight():

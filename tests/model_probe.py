@@ -1,0 +1,37 @@
+"""Evaluates reflectance models on the GPU, one material, light and view a texel."""
+
+import numpy as np
+
+from irpso_addon.gpu import textures
+from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.reflectance.glsl import material_declaration
+
+
+def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", entry="fragment"):
+    """The GLSL expression ``value`` at N materials, lights and views: (N, 3)."""
+    count = len(light)
+    components = np.concatenate(
+        [np.reshape(values[p.name], (count, p.components)) for p in model.parameters]
+        + [np.zeros((count, 12 - model.components))],
+        axis=1,
+    )
+    inputs = {f"u_components_{i}": components[None, :, 4 * i : 4 * i + 4] for i in range(3)}
+    inputs |= {"u_light_in": light[None], "u_view_in": view[None]}
+    kernel = Kernel(
+        str(root / "tests/gpu/kernels/model_probe.glsl"), (Output("o_value"),), {n: "FLOAT_2D" for n in inputs}, {},
+        {"VALUE": value}, {"material.glsl": material_declaration(model), "model.glsl": model.shader},
+    )  # fmt: skip
+    one = Pass(kernel, entry)
+    target = textures.empty(count, 1, "RGBA32F")
+    one.run([target], {n: textures.upload(np.ascontiguousarray(a, np.float32)) for n, a in inputs.items()})
+    if entry == "compute":
+        copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
+        copied = textures.empty(count, 1, "RGBA32F")
+        copy.run([copied], {"u_source": target})
+        target = copied
+    return textures.download(target)[0, :, :3].astype(np.float64)
+
+
+def single(a):
+    """Rounded to float32, held as float64."""
+    return np.asarray(a, np.float32).astype(np.float64)
