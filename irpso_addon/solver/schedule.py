@@ -1,8 +1,10 @@
 """Schedules: which parameters are searched together, in which order, and with what constants. Read from presets/."""
+
 from __future__ import annotations
 
 import dataclasses
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -19,6 +21,11 @@ MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # what no stage of the schedule names
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
+_TOP_KEYS = ("name", "title", "cycles", "threshold")
+_CHOICES = {"walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch)}
+_WHOLE = ("particles", "neighbourhood", "cycles")
+_POSITIVE = ("v_max", "delta", "percentile")
+_MOST = {"seeded": 1, "c3_until": 1, "percentile": 100}
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,8 @@ class Schedule:
         result = self
         if (search := changes.pop("search", None)) is not None:
             most = max(stage.iterations for stage in self.stages)
-            result = dataclasses.replace(result, stages=(Stage(tuple(search), most),))
+            names = tuple(search) if isinstance(search, Iterable) and not isinstance(search, str) else search
+            result = dataclasses.replace(result, stages=(Stage(names, most),))
         if (iterations := changes.pop("iterations", None)) is not None:
             stages = tuple(dataclasses.replace(stage, iterations=iterations) for stage in result.stages)
             result = dataclasses.replace(result, stages=stages)
@@ -130,58 +138,65 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a preset's .toml") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML: {error}") from error
-    try:
-        stages = tuple(_build(Stage, row, f"{path}: [[stage]]") for row in table.pop("stage", []))
-        swarm = _build(Swarm, table.pop("swarm", {}), f"{path}: [swarm]")
-        fitness = _build(Fitness, table.pop("fitness", {}), f"{path}: [fitness]")
-        table = {"name": path.stem, "title": path.stem, **table}
-        schedule = _build(Schedule, {**table, "swarm": swarm, "fitness": fitness, "stages": stages}, str(path))
-    except AttributeError as error:
-        raise InputError(f"{path}: [swarm], [fitness] and [[stage]] must be tables") from error
+    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage"], str(path))
+    rows = table.get("stage", [])
+    if not isinstance(rows, list):
+        raise InputError(f"{path}: stages are written [[stage]], with two brackets")
+    schedule = Schedule(
+        **{"name": path.stem, "title": path.stem, **{key: table[key] for key in _TOP_KEYS if key in table}},
+        swarm=_build(Swarm, table.get("swarm"), f"{path}: [swarm]"),
+        fitness=_build(Fitness, table.get("fitness"), f"{path}: [fitness]"),
+        stages=tuple(_build(Stage, row, f"{path}: [[stage]]") for row in rows),
+    )
     _check(schedule, str(path))
     return schedule
 
 
-def _build(kind: type, table: dict[str, Any], where: str) -> Any:
+def _build(kind: type, table: Any, where: str) -> Any:
+    if not isinstance(table, dict):
+        raise InputError(f"{where} is not there, or no table; a preset sets every constant")
     fields = {f.name: f for f in dataclasses.fields(kind)}
-    if unknown := sorted(set(table) - set(fields)):
-        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(fields)}")
-    missing = [n for n, f in fields.items() if n not in table and f.default is dataclasses.MISSING]
-    if missing:
+    _refuse_unknown(table, fields, where)
+    if missing := [name for name in fields if name not in table]:
         raise InputError(f"{where}: '{missing[0]}' is not set; a preset sets every constant")
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
 
 
+def _refuse_unknown(table: dict[str, Any], known: Iterable[str], where: str) -> None:
+    if unknown := sorted(set(table) - set(known)):
+        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(known)}")
+
+
 def _check(schedule: Schedule, where: str = "") -> None:
-    swarm, fitness = schedule.swarm, schedule.fitness
-    for value, choices, name in (
-        (swarm.walls, get_args(Walls), "walls"),
-        (swarm.seed, get_args(Seed), "seed"),
-        (swarm.normal, get_args(NormalSearch), "normal"),
-        (fitness.loss, get_args(Loss), "loss"),
-    ):
-        if value not in choices:
-            raise InputError(f"{where or schedule.name}: {name} must be one of {', '.join(choices)}, not '{value}'")
-    whole = {
-        "particles": swarm.particles,
-        "neighbourhood": swarm.neighbourhood,
-        "cycles": schedule.cycles,
-        "iterations": min((s.iterations for s in schedule.stages), default=0),
-    }
-    for name, value in whole.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise InputError(f"{where or schedule.name}: {name} must be a whole number from 1, not {value}")
-    if swarm.neighbourhood % 2 == 0:
-        raise InputError(f"{where or schedule.name}: neighbourhood must be odd (1, 3, 5, …), not {swarm.neighbourhood}")
-    numbers = {f.name: getattr(g, f.name) for g in (swarm, fitness) for f in dataclasses.fields(g)}
-    for name, value in {**numbers, "threshold": schedule.threshold}.items():
-        if not isinstance(value, str) and not (isinstance(value, int | float) and 0 <= value < float("inf")):
-            raise InputError(f"{where or schedule.name}: {name} must be a number from 0, not {value!r}")
-    for name, value in (("v_max", swarm.v_max), ("delta", fitness.delta), ("percentile", fitness.percentile)):
-        if value == 0:
-            raise InputError(f"{where or schedule.name}: {name} must be above 0")
-    if swarm.seeded > 1 or swarm.c3_until > 1 or fitness.percentile > 100:
-        raise InputError(f"{where or schedule.name}: seeded and c3_until are fractions, percentile at most 100")
+    where = where or f"preset {schedule.name}"
+    if not schedule.stages:
+        raise InputError(f"{where}: it has no [[stage]]; add one with search and iterations")
+    for stage in schedule.stages:
+        _check_whole("iterations", stage.iterations, where)
+        names = stage.search
+        if not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names):
+            raise InputError(f'{where}: search must be a list of names, as in search = ["normal"], not {names!r}')
+    groups = (schedule.swarm, schedule.fitness)
+    settings = {f.name: getattr(group, f.name) for group in groups for f in dataclasses.fields(group)}
+    for name, value in {**settings, "cycles": schedule.cycles, "threshold": schedule.threshold}.items():
+        if name in _CHOICES:
+            if value not in _CHOICES[name]:
+                raise InputError(f"{where}: {name} must be one of {', '.join(_CHOICES[name])}, not {value!r}")
+        elif name in _WHOLE:
+            _check_whole(name, value, where)
+        elif not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
+            raise InputError(f"{where}: {name} must be a number from 0, not {value!r}")
+        elif name in _POSITIVE and value == 0:
+            raise InputError(f"{where}: {name} must be above 0")
+        elif value > _MOST.get(name, value):
+            raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
+    if schedule.swarm.neighbourhood % 2 == 0:
+        raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
+
+
+def _check_whole(name: str, value: Any, where: str) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise InputError(f"{where}: {name} must be a whole number from 1, not {value!r}")
 
 
 @dataclass(frozen=True)

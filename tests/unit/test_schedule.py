@@ -1,0 +1,199 @@
+"""Schedules: presets read and checked, settings replaced, and stages resolved for a model."""
+
+import re
+
+import pytest
+
+from irpso_addon.errors import InputError
+from irpso_addon.paths import PRESETS
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
+from irpso_addon.solver.schedule import Stage, load_schedule, resolve, shipped_presets
+from irpso_addon.solver.stage import neighbour_constant, particle_count
+
+SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
+
+
+def titles(schedule, model="cook_torrance_two_lobe", known=()):
+    """Return what every stage searches."""
+    return [stage.title for stage in resolve(schedule, load_model(model), set(known))]
+
+
+@pytest.mark.parametrize("name", ["paper", "swarm", "constriction"])
+def test_a_shipped_preset_loads_under_its_own_name(name):
+    assert name in shipped_presets()
+    schedule = load_schedule(name)
+    assert schedule.name == name and schedule.stages and schedule.title
+
+
+def test_the_constants_of_the_paper_are_what_the_paper_prints():
+    paper = load_schedule("paper")
+    swarm = paper.swarm
+    assert (swarm.inertia, swarm.constriction, swarm.seed, swarm.normal) == (1.0, 1.0, "random", "cartesian")
+    assert paper.fitness.loss == "l1" and swarm.c3_until == 0
+    assert titles(paper) == ["base_color", "normal", "r1 + r2 + w"]
+
+
+def test_constriction_multiplies_to_1496():
+    swarm = load_schedule("constriction").swarm
+    assert swarm.constriction * swarm.c1 == pytest.approx(1.496, abs=1e-3)
+    phi = swarm.c1 + swarm.c2  # Clerc & Kennedy 2002, Eq. 4.15 with κ = 1
+    assert swarm.constriction == pytest.approx(2 / abs(2 - phi - (phi**2 - 4 * phi) ** 0.5), abs=1e-4)
+
+
+BAD_SETTINGS = {
+    "particles": [0, -3, 2.5, "16", True, None],
+    "neighbourhood": [0, 2, -1, 3.0, "3"],
+    "iterations": [0, -1, 10.5, "100"],
+    "cycles": [0, 1.5, "2"],
+    "inertia": [-0.1, float("nan"), float("inf"), "fast", None, [0.6]],
+    "c1": ["1.2", -1],
+    "c3": [-0.05, "a"],
+    "c3_until": [1.5, -0.1, "x"],
+    "v_max": [0, -1, "x", float("nan")],
+    "particles_per_dimension": [-1, "3"],
+    "start_speed": [-0.1, "x"],
+    "seeded": [1.1, -0.1, "half"],
+    "seed_spread": [-0.1, "x"],
+    "walls": ["bounce", 3, None, ["clamp"]],
+    "seed": ["", 1],
+    "normal": ["spherical", 2],
+    "loss": ["l3", 1],
+    "delta": [0, -1, "x", float("nan")],
+    "percentile": [0, 101, "x"],
+    "shadow": [-0.1, "x"],
+    "threshold": [-1, float("nan"), "x"],
+    "search": [[], "normal", [3], [["normal"]], 5],
+    "particels": [16],
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in BAD_SETTINGS.items() for v in values])
+def test_a_bad_setting_is_refused_in_one_line_that_names_it(name, value):
+    with pytest.raises(InputError) as caught:
+        load_schedule("swarm").replaced(**{name: value})
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+    assert len(str(caught.value)) > len(name) + 15
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("inertia = 0.6", 'inertia = "fast"', "inertia"),
+        ("inertia = 0.6", "inertia = true", "inertia"),
+        ("inertia = 0.6", "inertia = nan", "inertia"),
+        ("inertia = 0.6", "", "inertia"),
+        ("inertia = 0.6", "inertia = 0.6\nmass = 2", "mass"),
+        ("particles = 16\n", "particles = 16.0\n", "particles"),
+        ("neighbourhood = 3", "neighbourhood = 4", "neighbourhood"),
+        ('walls = "stop"', 'walls = "bounce"', "walls"),
+        ('walls = "stop"', "walls = 1", "walls"),
+        ('loss = "robust"', 'loss = "huber"', "loss"),
+        ("iterations = 1500", 'iterations = "many"', "iterations"),
+        ("iterations = 1500", "", "iterations"),
+        ('search = ["all"]', 'search = "all"', "search"),
+        ('search = ["all"]', "search = []", "search"),
+        ('search = ["all"]', "search = [1]", "search"),
+        ('[[stage]]\nsearch = ["all"]\niterations = 1500', "", "stage"),
+        ("[[stage]]", "[stage]", "stage"),
+        ("[swarm]", "[swarms]", "swarms"),
+        ("[fitness]", "[[fitness]]", "fitness"),
+        ("cycles = 1", "cycles = 1\nfitness.loss = 3", "TOML"),
+        ("cycles = 1", "cycles = 0", "cycles"),
+        ("cycles = 1", 'cycles = 1\ntitle2 = "x"', "title2"),
+        ("cycles = 1", "cycles = ", "TOML"),
+    ],
+)
+def test_a_bad_preset_file_is_refused_in_one_line_with_its_path(tmp_path, old, new, word):
+    path = tmp_path / "mine.toml"
+    assert old in SWARM
+    path.write_text(SWARM.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_schedule(path)
+    assert str(caught.value).startswith(str(path)) and word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_tables_in_place_of_values_are_refused(tmp_path):
+    path = tmp_path / "mine.toml"
+    for text in ("stage = 3", "stage = [3]", "swarm = 3", "swarm = []", "fitness = 'l1'", SWARM + "[swarm.more]"):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=r"mine\.toml"):
+            load_schedule(path)
+
+
+def test_a_missing_or_binary_preset_is_refused(tmp_path):
+    with pytest.raises(InputError, match="choose one of constriction, paper, "):
+        load_schedule("fastest")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_schedule(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_schedule(tmp_path / "binary.toml")
+
+
+def test_replacing_changes_a_copy_and_only_what_is_named():
+    before = load_schedule("paper")
+    after = before.replaced(particles=24, loss="l2", threshold=0.5, iterations=7)
+    assert (after.swarm.particles, after.fitness.loss, after.threshold) == (24, "l2", 0.5)
+    assert [s.iterations for s in after.stages] == [7, 7, 7]
+    assert before == load_schedule("paper")
+    assert after.replaced(particles=16, loss="l1", threshold=0.0, iterations=1000) == before
+
+
+def test_a_free_search_is_one_stage_as_long_as_the_longest():
+    schedule = load_schedule("paper").replaced(search=["normal", "r1"])
+    assert schedule.stages == (Stage(("normal", "r1"), 1000),)
+    assert titles(schedule) == ["normal + r1"]
+    assert titles(load_schedule("paper").replaced(search=["specular", "diffuse"])) == ["base_color + r1 + r2 + w"]
+
+
+def test_known_parameters_are_not_searched_and_empty_stages_fall_away():
+    paper = load_schedule("paper")
+    assert titles(paper, known=["normal", "base_color"]) == ["r1 + r2 + w"]
+    assert titles(paper, known=["r1"]) == ["base_color", "normal", "r2 + w"]
+    assert titles(paper, model="lambert") == ["base_color", "normal"]
+
+
+def test_the_rest_is_what_no_stage_names():
+    parameters = (Parameter("normal", 3, is_normal=True, stage="normal"), Parameter("sheen", stage="cloth"))
+    model = ReflectanceModel("mine", "mine", PRESETS / "none.glsl", parameters)
+    assert [s.title for s in resolve(load_schedule("paper"), model, set())] == ["normal", "sheen"]
+
+
+def test_cycles_repeat_the_stages_in_order():
+    schedule = load_schedule("paper").replaced(cycles=2, iterations=5)
+    stages = resolve(schedule, load_model("lambert"), set())
+    assert [(s.title, s.cycle) for s in stages] == [("base_color", 0), ("normal", 0), ("base_color", 1), ("normal", 1)]
+
+
+def test_more_than_eight_dimensions_are_refused_and_eight_are_not():
+    swarm = load_schedule("swarm")
+    model = load_model("cook_torrance_two_lobe")
+    assert resolve(swarm, model, set())[0].dimensions("hemisphere") == 8
+    with pytest.raises(InputError, match="9 dimensions together, at most 8"):
+        resolve(swarm.replaced(normal="cartesian"), model, set())
+
+
+def test_an_unknown_name_is_refused_with_the_names_there_are():
+    with pytest.raises(InputError, match=re.escape("'metallic'; it has: base_color, normal")):
+        resolve(load_schedule("swarm").replaced(search=["metallic"]), load_model("lambert"), set())
+
+
+def test_nothing_left_to_search_is_refused():
+    with pytest.raises(InputError, match="nothing is left to find"):
+        resolve(load_schedule("swarm"), load_model("lambert"), {"base_color", "normal"})
+    with pytest.raises(InputError, match="nothing is left to find"):
+        resolve(load_schedule("swarm").replaced(search=["specular"]), load_model("lambert"), set())
+
+
+def test_swarms_grow_with_the_dimensions():
+    schedule = load_schedule("swarm")
+    assert [particle_count(schedule, n) for n in (2, 5, 6, 8)] == [16, 16, 18, 24]
+    assert particle_count(schedule.replaced(particles=5, particles_per_dimension=0.0), 8) == 5
+
+
+def test_the_neighbour_term_fades_to_nothing_or_stays():
+    fading = load_schedule("swarm").replaced(c3=0.1, c3_until=0.5)
+    assert [neighbour_constant(fading, t, 100) for t in (-3, 0, 25, 50, 99)] == pytest.approx([0.1, 0.1, 0.05, 0, 0])
+    constant = fading.replaced(c3_until=0.0)
+    assert [neighbour_constant(constant, t, 100) for t in (0, 99)] == [0.1, 0.1]
