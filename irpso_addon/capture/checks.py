@@ -74,7 +74,7 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
         window = field[row - reach : row + reach + 1, column - reach : column + reach + 1]
         up, right = (int(v) - reach for v in np.unravel_index(window.argmax(), window.shape))
         peak, stay = window.max(), field[row, column]
-        if peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= _SHIFT_PEAK * window.std():
+        if peak > 0 and peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= _SHIFT_PEAK * window.std():
             shifts[k] = right, up
     return shifts
 

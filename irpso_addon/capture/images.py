@@ -62,7 +62,7 @@ class ImageStore:
             return samples_of_picture(self._picture(image), image.colour_space)
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        return samples_of_exr(self._pixels(image.path, part.name), rgb, alpha)
+        return samples_of_exr(self._pixels(image.path, part), rgb, alpha)
 
     def mask(self, image: ImageRef) -> np.ndarray:
         """Return an image as a mask, (H, W) bool."""
@@ -70,7 +70,7 @@ class ImageStore:
             return mask_of_picture(self._picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        channels = self._pixels(image.path, part.name).channels
+        channels = self._pixels(image.path, part).channels
         names = rgb if alpha is None else [*rgb, alpha]
         return mask_of_picture(Picture(np.stack([channels[n].astype(np.float32) for n in names], axis=-1), 32))
 
@@ -96,12 +96,17 @@ class ImageStore:
             )
         return named[0]
 
-    def _pixels(self, path: Path, part: str) -> ExrImage:
-        if len(self._headers[path]) == 1:
-            return load_exr(path)[part]
-        if part not in self._parts.get(path, {}):
-            self._parts[path] = load_exr(path)
-        return self._parts[path].pop(part)
+    def _pixels(self, path: Path, part: ExrPart) -> ExrImage:
+        several = len(self._headers[path]) > 1
+        parts = self._parts.get(path, {})
+        if part.name not in parts:
+            parts = load_exr(path)
+        image = parts.pop(part.name, None)
+        if image is None or set(image.channels) != set(part.channels):
+            raise CaptureError(f"{path}: has changed since it was opened; start again once it is complete", "changed")
+        if several:
+            self._parts[path] = parts
+        return image
 
 
 def find_image(folder: Path, name: str) -> Path:

@@ -134,7 +134,7 @@ def test_no_beginning_of_a_multi_part_file_passes_for_the_whole(tmp_path):
     path = tmp_path / "a.exr"
     write_exr(path, {"a": {"R": GREY}, "b": {"R": GREY}})
     whole = path.read_bytes()
-    for length in range(len(whole)):
+    for length in [*range(0, len(whole), 5), len(whole) - 1]:
         path.write_bytes(whole[:length])
         with pytest.raises(CaptureError):
             read_exr(path)

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
-from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture, write_exr
+from irpso_addon.capture import (
+    Camera,
+    Capture,
+    CaptureError,
+    Light,
+    Observation,
+    read_capture,
+    write_capture,
+    write_exr,
+)
 from irpso_addon.errors import InputError
 
 FRAMES = np.random.default_rng(5).random((5, 6, 8)).astype(np.float32)

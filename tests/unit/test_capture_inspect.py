@@ -1,0 +1,200 @@
+"""What inspect says of sound and of suspicious captures."""
+
+import numpy as np
+import pytest
+from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
+
+from irpso_addon.capture import checks, read_capture, write_exr
+from irpso_addon.capture.inspect import inspect_capture
+
+NORMALS, MASK = sphere(64)
+RNG = np.random.default_rng(11)
+TEXTURE = RNG.random((64, 64))
+# Twelve lights on two rings.
+_AROUND = np.arange(12) * np.pi / 6
+_TILT = np.where(np.arange(12) % 2, 0.4, 0.8)
+RINGS = np.stack([_TILT * np.cos(_AROUND), _TILT * np.sin(_AROUND), np.sqrt(1 - _TILT**2)], axis=-1)
+FRAMES = shade(NORMALS, RINGS) * (0.4 + 0.6 * TEXTURE)
+
+
+def report(folder, frames=FRAMES, lights=RINGS, mask=MASK, **more):
+    return inspect_capture(write_diligent(folder, frames, lights, mask, **more))
+
+
+def finding(found, code):
+    return next(f.message for f in found.findings if f.code == code)
+
+
+def test_a_sound_capture_has_facts_and_no_findings(tmp_path):
+    found = report(tmp_path)
+    assert found.findings == () and found.usable
+    facts = dict(found.facts)
+    assert facts["images"] == "12" and facts["lights"] == "12 distant, 0 near" and facts["formats"] == "12 exr"
+    assert facts["camera"] == f"64×64 orthographic, mask keeps {MASK.sum()} ({MASK.mean():.1%})"
+    text = "\n".join(found.lines())
+    assert str(tmp_path) in text and text.endswith("nothing suspicious")
+
+
+def test_lights_that_are_not_unit_are_told_with_their_line(tmp_path):
+    found = report(tmp_path, lights=RINGS * np.where(np.arange(12) == 3, 1.01, 1)[:, None])
+    assert found.codes == {"lights_not_unit"} and "line 4: 1 direction is not" in finding(found, "lights_not_unit")
+    assert checks.not_unit(np.array([[0, 0, 1], [0, 0, 1.0009], [0, 0, 1.0011]])).tolist() == [False, False, True]
+
+
+def test_lights_in_one_plane_are_told(tmp_path):
+    angle = np.linspace(-1, 1, 12)
+    fan = np.stack([np.sin(angle), np.zeros(12), np.cos(angle)], axis=-1)
+    found = report(tmp_path / "flat", shade(NORMALS, fan), fan)
+    assert "lights_coplanar" in found.codes and not found.usable
+    tilted = fan + [0, 0.03, 0] * np.where(np.arange(12) % 2, 1, -1)[:, None]
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    found = report(tmp_path / "nearly", shade(NORMALS, tilted), tilted)
+    assert "lights_coplanar" in found.codes and found.usable
+    # Of three orthogonal lights the singular values are all 1.
+    assert checks.flatness(np.eye(3)) == pytest.approx(1) and checks.flatness(np.eye(3)[:2]) == 0
+
+
+def test_two_lights_are_too_few(tmp_path):
+    found = report(tmp_path, FRAMES[:2], RINGS[:2])
+    assert found.codes == {"lights_few"} and not found.usable
+
+
+def test_one_light_given_twice_is_told(tmp_path):
+    lights = RINGS.copy()
+    lights[7] = lights[2]
+    found = report(tmp_path, lights=lights)
+    assert "line 8: the same light as" in finding(found, "lights_same")
+
+
+def test_a_table_on_its_side_is_told(tmp_path):
+    write_diligent(tmp_path, FRAMES, RINGS, MASK)
+    np.savetxt(tmp_path / "light_directions.txt", RINGS.T)
+    found = inspect_capture(tmp_path)
+    assert found.codes == {"lights_transposed"} and not found.usable
+
+
+def test_a_frame_copied_twice_is_told_and_one_with_a_little_noise_too(tmp_path):
+    frames = FRAMES.copy()
+    frames[5] = frames[2]
+    frames[9] = frames[4] * (1 + 0.001 * RNG.standard_normal((64, 64)))
+    found = report(tmp_path, frames)
+    assert {"image_same", "image_similar"} <= found.codes
+    assert "005.exr: is the same image as" in finding(found, "image_same")
+    assert "002.exr" in finding(found, "image_same") and "009.exr" in finding(found, "image_similar")
+
+
+def test_similarity_is_the_relative_distance():
+    frame = RNG.random((8, 8)) + 1
+    frames = np.stack([frame, frame * 1.001, frame * 2, np.zeros((8, 8)), np.zeros((8, 8))])
+    ((i, j, difference),) = checks.similar_frames(frames, 0.002)
+    assert (i, j) == (0, 1) and difference == pytest.approx(0.001, rel=1e-6)
+
+
+@pytest.mark.parametrize("move", [(3, 0), (0, -2), (-5, 4)])
+def test_a_shifted_frame_is_told_by_how_much(tmp_path, move):
+    frames = FRAMES.copy()
+    frames[4] = np.roll(frames[4], (move[1], move[0]), axis=(0, 1))
+    found = report(tmp_path, frames)
+    message = finding(found, "shifted")
+    assert "004.exr" in message and f"{move[0]:+d} px right, {move[1]:+d} px up" in message
+    shifts = checks.frame_shifts(frames)
+    assert shifts[4].tolist() == list(move) and not np.delete(shifts, 4, axis=0).any()
+
+
+def test_frames_larger_than_what_is_kept_are_looked_over_reduced(tmp_path):
+    normals, mask = sphere(600)
+    frames = shade(normals, RINGS) * (0.4 + 0.6 * np.kron(RNG.random((100, 100)), np.ones((6, 6))))
+    frames[3] = np.roll(frames[3], 30, axis=1)
+    found = report(tmp_path, frames.astype(np.float32), mask=mask, half=True)
+    assert found.codes == {"shifted"} and "+30 px right, +0 px up" in finding(found, "shifted")
+
+
+def test_what_is_not_a_number_or_negative_or_black_is_told(tmp_path):
+    frames = FRAMES.astype(np.float32)
+    frames[1, 30, 30:33] = np.nan
+    frames[2, 31, 31] = -0.5
+    frames[3] = 0
+    found = report(tmp_path, frames)
+    assert found.codes == {"not_finite", "negative", "image_black"} and found.usable
+    assert "001.exr: 3 pixels are not a number" in finding(found, "not_finite")
+    assert "002.exr: 1 pixel is negative" in finding(found, "negative")
+    assert "003.exr: is all black" in finding(found, "image_black")
+
+
+def test_clipped_pixels_are_counted(tmp_path):
+    codes = np.minimum(FRAMES[:, ::-1, :, None] * 400, 255).round().repeat(3, axis=-1)
+    for k, code in enumerate(codes):
+        write_png(tmp_path / f"{k}.png", code)
+    (tmp_path / "filenames.txt").write_text("".join(f"{k}.png\n" for k in range(12)))
+    np.savetxt(tmp_path / "light_directions.txt", RINGS)
+    found = inspect_capture(tmp_path, decode_png)
+    assert found.codes == {"clipped"} and f"{(codes == 255).all(axis=-1).mean():.1%}" in finding(found, "clipped")
+
+
+@pytest.mark.parametrize(
+    ("signs", "code", "word"),
+    [
+        ((1, -1, 1), "mirrored", "negate y"),
+        ((-1, 1, 1), "mirrored", "negate x"),
+        ((-1, -1, 1), "turned", "negate x and y"),
+        ((1, 1, -1), "lights_reversed", "toward the light"),
+    ],
+)
+def test_axes_that_are_mirrored_are_told_apart(tmp_path, signs, code, word):
+    wavy, mask = waves()
+    found = report(tmp_path, shade(wavy, RINGS), RINGS * signs, mask)
+    assert found.codes == {code} and word in finding(found, code)
+
+
+def test_images_upside_down_are_told(tmp_path):
+    wavy, mask = waves()
+    found = report(tmp_path, shade(wavy, RINGS)[:, ::-1], RINGS, mask[::-1])
+    assert found.codes == {"mirrored"} and "upside down" in finding(found, "mirrored")
+
+
+def waves():
+    """A ball with waves along its diagonals, whose p and q therefore depend on both x and y."""
+    size = 96
+    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2.2 - 1.1
+    mask = x**2 + y**2 < 0.9
+    height = np.sqrt(np.maximum(1.05 - x**2 - y**2, 0.1)) + 0.06 * np.sin(7 * (x + y)) + 0.04 * np.sin(5 * (x - 2 * y))
+    q, p = np.gradient(height, 2.2 / size)
+    normals = np.stack([-p, -q, np.ones_like(p)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True) * mask[..., None], mask
+
+
+def test_the_mirror_test_follows_the_mixed_derivative():
+    # z = xy has p = y, q = x: both cross derivatives are 1. Mirrored in y the normals have p = y, q = −x.
+    y, x = np.mgrid[:9, :9] / 9.0
+    for sign in (1, -1):
+        normals = np.stack([-y, -sign * x, np.ones_like(x)], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        assert checks.mirror_agreement(normals, np.ones((9, 9), bool)) == (sign, 64)
+
+
+def test_normals_of_a_ball_point_out_of_its_mask():
+    x, y, count = checks.outwardness(NORMALS, MASK)
+    assert count > 100 and 0.2 < x < 0.6 and y == pytest.approx(x, rel=0.05)
+    assert checks.outwardness(NORMALS * [-1, 1, 1], MASK)[0] == pytest.approx(-x)
+
+
+def test_cameras_are_looked_at_in_their_own_axes(tmp_path):
+    # The camera looks along −x: what is right for it is −z… of the world; the lights are turned with it.
+    turn = np.array([[0, 0, 1, 4], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    wavy, mask = waves()
+    frames = shade(wavy, RINGS)
+    write_exr(tmp_path / "all.exr", {f"{k}": {"Y": f} for k, f in enumerate(frames)} | {"mask": {"Y": mask * 1.0}})
+    for sign in (1, -1):
+        world = (RINGS * [1, sign, 1]) @ turn[:3, :3].T
+        rows = "".join(
+            f'[[observation]]\npart = "{k}"\nlight_direction = {light.tolist()}\n' for k, light in enumerate(world)
+        )
+        (tmp_path / "capture.toml").write_text(
+            f'image = "all.exr"\n[[camera]]\nmask = "all.exr"\nmask_part = "mask"\nmatrix = {turn.tolist()}\n{rows}'
+        )
+        assert len(read_capture(tmp_path).observations) == 12
+        assert inspect_capture(tmp_path).codes == (set() if sign == 1 else {"mirrored"})
+
+
+def test_five_lights_about_the_axis_are_not_suspicious():
+    assert checks.flatness(LIGHTS) > 0.2 and not checks.same_lights(LIGHTS)
