@@ -24,7 +24,7 @@ def domain_from_card(capture: Capture, depth: float = 1.0) -> Domain:
     """
     if len(capture.cameras) != 1:
         raise InputError(
-            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; name a mesh to project on"
+            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; give the mesh"
         )
     camera, mask = capture.cameras[0], np.asarray(capture.masks[0], bool)
     _check_masks(capture)

@@ -1,4 +1,5 @@
 """The grid on which maps are solved, and all that a solver needs to know of it."""
+
 from __future__ import annotations
 
 from collections.abc import Sequence

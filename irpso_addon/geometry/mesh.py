@@ -21,7 +21,7 @@ class MeshData:
 
     positions: (T, 3, 3). normals: (T, 3, 3) unit, as Blender shades (custom and sharp ones included). tangents:
     (T, 3, 4) unit MikkTSpace tangent and the bitangent's sign. uvs: (T, 3, 2) in 0…1. materials: (T,) int32 slot.
-    uv_map: the name of the UV map the texture coordinates and tangents are of.
+    uv_map: the name of the UV map the texture coordinates and tangents are of. matrix: (4, 4) float64 object to world.
     """
 
     name: str
@@ -31,6 +31,7 @@ class MeshData:
     uvs: np.ndarray
     materials: np.ndarray
     uv_map: str
+    matrix: np.ndarray
 
 
 def extract_mesh(obj: Any) -> MeshData:
@@ -43,7 +44,7 @@ def extract_mesh(obj: Any) -> MeshData:
     import bpy
 
     if obj.type != "MESH":
-        raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, not a mesh; name a mesh object")
+        raise InputError(f"object '{obj.name}' is of type {obj.type}, not a mesh; name a mesh object")
     depsgraph = bpy.context.evaluated_depsgraph_get()
     evaluated = obj.evaluated_get(depsgraph)
     if not evaluated.is_evaluated:
@@ -137,6 +138,7 @@ def _to_world(name: str, corners: dict[str, Any], matrix: np.ndarray) -> MeshDat
         uvs=corners["uvs"],
         materials=corners["materials"],
         uv_map=corners["uv_map"],
+        matrix=matrix,
     )
 
 
@@ -163,7 +165,7 @@ def check_uvs(name: str, uv_map: str, positions: np.ndarray, uvs: np.ndarray) ->
     area = np.abs(flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0])
     if not surface.sum() > 0:
         raise InputError(f"the faces of '{name}' have no area; choose a mesh that has a surface")
-    # A triangle of a millionth of a texel at the largest bake (16384²) is not drawn by any.
+    # A millionth of a texel of the largest bake (16384²): no bake draws it.
     lost = surface[area < 1e-14].sum() / surface.sum()
     if lost > _DEGENERATE_LIMIT:
         raise InputError(

@@ -8,8 +8,8 @@ from ..capture.camera import Camera
 from .bake import SurfaceBake
 
 GRAZING = 0.1  # cosine between the face's normal and the view below which a texel counts as not seen
-# Surface that lies within this many pixels (in the world's units, at the texel) of the texel's own is the same
-# surface; divided by the cosine of the view, since an oblique pixel spans more of it.
+# Surface that lies within this many pixels (in the world's units, at the texel) of the texel's own plane is the same
+# surface. Measured across the plane, so along the view it already grows with the slope.
 _SAME_SURFACE = 0.5
 # Surfaces that meet at more than 60° are two, however near: their radiances do not mix.
 _SAME_FACING = 0.5
@@ -99,8 +99,7 @@ class Projector:
         cosine = np.einsum("ij,ij->i", faces, _toward(camera, points))
         visible = inside & (cosine > 0) & (cosine >= grazing)
         pixel = (depth if camera.perspective else np.ones_like(depth)) / min(camera.scale)
-        tolerance = _SAME_SURFACE * pixel / np.maximum(cosine, max(grazing, 1e-3))
-        tolerance += _ROUNDING * np.abs(seen.position).max()
+        tolerance = _SAME_SURFACE * pixel + _ROUNDING * np.abs(seen.position).max()
         numbers = bake.triangle.ravel()[texels]
         for tap, weight in self._taps(block):
             visible &= (weight <= 0) | _same_surface(seen, tap, numbers, points, faces, tolerance)

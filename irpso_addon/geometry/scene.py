@@ -33,7 +33,7 @@ def mesh_object(name: str | None = None) -> Any:
         if found is None:
             raise InputError(f"there is no object '{name}' in scene '{bpy.context.scene.name}'; {_choice()}")
         if found.type != "MESH":
-            raise InputError(f"object '{name}' is a {found.type.lower()}, not a mesh; {_choice()}")
+            raise InputError(f"object '{name}' is of type {found.type}, not a mesh; {_choice()}")
         return found
     meshes = _meshes()
     if len(meshes) == 1:
@@ -57,9 +57,7 @@ def _choice() -> str:
     return f"its mesh objects are {_names()}" if _meshes() else "it has no mesh objects"
 
 
-def camera_from_object(
-    obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)
-) -> Camera:
+def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)) -> Camera:
     """Return the camera of a Blender camera object at width × height pixels: lens, sensor fit, shift, and scale.
 
     pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over.
@@ -68,10 +66,10 @@ def camera_from_object(
     import bpy
 
     if obj.type != "CAMERA":
-        raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, not a camera; name a camera object")
+        raise InputError(f"object '{obj.name}' is of type {obj.type}, not a camera; name a camera object")
     data = obj.data
     if data.type not in ("PERSP", "ORTHO"):
-        raise InputError(f"camera '{obj.name}' is {data.type.lower()}; make it perspective or orthographic")
+        raise InputError(f"camera '{obj.name}' is panoramic; make it perspective or orthographic")
     fit = data.sensor_fit
     if fit == "AUTO":
         fit = "HORIZONTAL" if width * pixel_aspect[0] >= height * pixel_aspect[1] else "VERTICAL"

@@ -128,5 +128,6 @@ def _draw(shader: Any, batch: Any, targets: list[Any], nearest: bool, bound: dic
             batch.draw(shader)
     finally:
         gpu.shader.unbind()
-        for restore, value in zip((gpu.state.depth_test_set, gpu.state.depth_mask_set, gpu.state.blend_set), state):
-            restore(value)
+        gpu.state.depth_test_set(state[0])
+        gpu.state.depth_mask_set(state[1])
+        gpu.state.blend_set(state[2])

@@ -26,7 +26,8 @@ float cross2(vec2 a, vec2 b)
 }
 
 // Olano, Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates: right for perspective, and for
-// corners behind the camera. A centre that only the hardware's rounding put inside is moved onto the edge.
+// corners behind the camera. Where the hardware's rounding put a centre inside, it may lie outside by 1/256 pixel: the
+// triangle's plane goes on there, except for slivers, where it would lead far away.
 vec3 corner_weights()
 {
     vec2 a = offset_from_pixel(0), b = offset_from_pixel(1), c = offset_from_pixel(2);
@@ -53,7 +54,12 @@ void main()
     vec4 normal = mat3x4(corner(u_normal, 0), corner(u_normal, 1), corner(u_normal, 2)) * weights;
     vec4 tangent = mat3x4(corner(u_tangent, 0), corner(u_tangent, 1), corner(u_tangent, 2)) * weights;
 
-    vec3 across = cross(b.xyz - a.xyz, c.xyz - a.xyz);
+    vec3 e1 = b.xyz - a.xyz, e2 = c.xyz - a.xyz;
+    vec3 across = cross(e1, e2);
+    // Edges within 1e-5 of parallel: in 32 bits their cross product's direction is rounding.
+    if (dot(across, across) <= 1e-10 * dot(e1, e1) * dot(e2, e2)) {
+        across = vec3(0.0);
+    }
     vec3 n = unit_or(normal.xyz, unit_or(across, vec3(0.0, 0.0, 1.0)));
     // Winding does not tell the outside: a mirrored object's is reversed. The normals do.
     vec3 face = unit_or(dot(across, n) < 0.0 ? -across : across, n);

