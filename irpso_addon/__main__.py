@@ -4,4 +4,10 @@ import sys
 
 from .cli import main
 
-sys.exit(main(sys.argv[1:]))
+if __name__ == "__main__":
+    code = main()
+    if "bpy" in sys.modules:  # a process with Blender in it does not always survive its own exit
+        from .gpu.context import exit_process
+
+        exit_process(code)
+    sys.exit(code)

@@ -18,7 +18,8 @@ from .read import read_draft
 from .types import Capture
 
 _THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
-_MEMORY = 256 << 20  # bytes for all crops together
+_COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
+_MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _FLAT = 0.05  # flatness: a noise of 1 % becomes one of about 20 % across the plane
 _FLAT_USELESS = 1e-3
 _IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
@@ -161,8 +162,9 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
 def _frames_of(capture: Capture, index: int) -> _Frames:
     camera, mask = capture.cameras[index], capture.masks[index]
     count = max(1, sum(observation.camera == index for observation in capture.observations))
-    factor = -(-max(camera.width, camera.height) // _THUMBNAIL)
-    side = min(_CROP, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
+    affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
+    factor = -(-max(camera.width, camera.height) // min(_THUMBNAIL, affordable))
+    side = min(_CROP, affordable)
     rows, columns = np.nonzero(mask)
     window = tuple(
         slice(start := int(np.clip(np.median(at) - side // 2, 0, max(0, size - side))), min(size, start + side))
@@ -213,7 +215,8 @@ def _frame_findings(frames: _Frames) -> Iterator[Finding]:
             f" {frames.clipped[worst]:.1%}); expose shorter",
         )
     thumbnails = np.stack(frames.thumbnails)
-    for i, j, difference in checks.similar_frames(thumbnails, _SIMILAR)[:5]:
+    small = [_shrunk(thumbnail, -(-max(thumbnail.shape) // _COMPARED)) for thumbnail in thumbnails]
+    for i, j, difference in checks.similar_frames(np.stack(small), _SIMILAR)[:5]:
         code, word = ("image_same", "the same image") if difference <= _IDENTICAL else ("image_similar", "nearly")
         message = f"{names[j]}: is {word} as {names[i]} (difference {difference:.2%}); check for a frame copied twice"
         yield Finding("warning", code, message.replace("is nearly as", "is nearly the same image as"))

@@ -37,9 +37,9 @@ def ensure() -> None:
 
 def describe() -> dict[str, str | int]:
     """Return the renderer, vendor, version, backend and limits of the context."""
+    ensure()
     import gpu
 
-    ensure()
     return {
         "renderer": gpu.platform.renderer_get(),
         "vendor": gpu.platform.vendor_get(),

@@ -6,8 +6,10 @@ import hashlib
 import json
 import os
 import zipfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,20 +32,37 @@ class Checkpoint:
     arrays: dict[str, np.ndarray]
 
 
-def identity(domain: Domain, model: ReflectanceModel, schedule: Schedule, seed: int, entry: str) -> dict[str, Any]:
+def identity(
+    domain: Domain,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    seed: int,
+    entry: str,
+    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Return what must be equal for a checkpoint to be gone on from, as plain data."""
-    digest = hashlib.sha256()
-    for array in (domain.stack, domain.lights, domain.intensities, domain.views, domain.bake.position):
-        digest.update(np.ascontiguousarray(array))
-    digest.update(model.shader.read_bytes())
+    bake = domain.bake
+    observed = (domain.stack, domain.lights, domain.intensities, domain.views)
+    shape = (bake.position, bake.normal, bake.tangent, bake.coverage)
     return {
         "model": model.name,
         "preset": dataclasses.asdict(schedule),
         "seed": seed,
         "entry": entry,
-        "domain": [*domain.shape, *domain.origin],
-        "content": digest.hexdigest(),
+        "parameters": [dataclasses.asdict(p) for p in model.parameters],
+        "shader": hashlib.sha256(model.shader.read_bytes()).hexdigest(),
+        "domain": [*domain.shape, *domain.origin, *domain.halo],
+        "observations": _digest(observed),
+        "geometry": _digest(shape),
+        "known": {name: _digest([known[name]]) for name in sorted(known)},
     }
+
+
+def _digest(arrays: Iterable[np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
 
 
 def write(
@@ -64,7 +83,7 @@ def write(
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
-    """Read a checkpoint. Raises InputError where it is missing, damaged, or of another recovery (naming what differs)."""
+    """Read a checkpoint. Raises InputError where it is missing, damaged, or another recovery's (what differs is named)."""
     try:
         with np.load(path) as file:
             arrays = {name: file[name] for name in file.files}

@@ -1,4 +1,5 @@
 """Before the search: each texel's scale, the weights of its samples, and a Lambertian first guess."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -11,7 +12,7 @@ _CHUNK = 65536  # texels at a time: bounds the memory of the normal equations
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
-    """Return (H, W) float32: the percentile of each texel's weighted samples, radiance over light intensity; 1 if none."""
+    """Return (H, W) float32: the percentile of each texel's weighted samples, over the light's intensity; 1 if none."""
     scale = np.ones(domain.shape, np.float32)
     for texels in _chunks(domain):
         values = _grey(domain, texels)
@@ -47,7 +48,7 @@ def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for T texels, unit vectors to the light in each texel's own frame (K, T, 3), and irradiance/π (K, T, 3)."""
+    """Return, for T texels, (K, T, 3) unit vectors to the light in each texel's own frame, and its irradiance/π."""
     bake = domain.bake
     position, normal, tangent = bake.position[texels], bake.normal[texels], bake.tangent[texels]
     frame = np.stack(
@@ -64,9 +65,10 @@ def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tupl
 def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     vectors, irradiance = light_vectors(domain, texels)
     samples = domain.stack[:, texels[0], texels[1]]
-    shades = samples[..., :3] / irradiance
+    # What weighs nothing may be anything, and 0 · NaN is NaN.
+    shades = np.where(samples[..., 3:] > 0, samples[..., :3] / irradiance, 0)
     grey = shades.mean(axis=-1)
-    lit = (samples[..., 3] > 0) & (grey > 0)
+    lit = grey > 0
     values = np.where(lit, grey, np.nan)
     with np.errstate(all="ignore"):
         low, high = (_nan_percentile(values, q) for q in _LIT_PERCENTILES)
@@ -92,7 +94,7 @@ def _grey(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def _nan_percentile(values: np.ndarray, percentile: float) -> np.ndarray:
-    """Percentile over axis 0 of what is not NaN, linear between ranks; NaN for empty columns. Sorts once: np's own loops."""
+    """Percentile over axis 0 of what is not NaN, linear between ranks; NaN for empty columns (np's own loops)."""
     ordered = np.sort(values, axis=0)  # NaN last
     count = (~np.isnan(values)).sum(axis=0)
     rank = np.maximum(count - 1, 0) * percentile / 100

@@ -73,6 +73,7 @@ class Recovery:
         self._textures = DomainTextures(domain, prepare.robust_stack(domain, scale, schedule.fitness), scale)
         self._solved = int((domain.solvable).sum())
         self._estimates = Estimates(model, {**self._first_guess(known), **known})
+        self._known = known
         self._residual = residual_pass(model, self._textures.defines)
         self._bands = Bands()
         self._work: Iterator[None] | None = None
@@ -238,7 +239,7 @@ class Recovery:
         return guess
 
     def _identity(self) -> dict[str, Any]:
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry)
+        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
 
 
 def _full(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -1,0 +1,121 @@
+"""The command line, one parser for both doors: ``blender --command irpso …`` and ``python -m irpso_addon …``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from .errors import IrpsoError
+
+INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
+_EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; bad options end in code 2 like any other bad input."""
+    parser = build_parser()
+    try:
+        options = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has said what is wrong; Blender must not be ended from here
+        return int(stop.code or 0)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    command = import_module(f".commands.{options.command}", __package__)
+    try:
+        result = command.run(options)
+    except IrpsoError as error:
+        sys.stderr.write(f"irpso: {error}\n")
+        if options.json:
+            _print_json({"error": str(error), "exit_code": error.exit_code})
+        return error.exit_code
+    except KeyboardInterrupt as stop:
+        sys.stderr.write(f"\nirpso: interrupted{f'; {stop}' if str(stop) else ''}\n")
+        return INTERRUPTED
+    if options.json:
+        _print_json(result)
+    return int(result.get("exit_code", 0))
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all commands."""
+    parser = argparse.ArgumentParser("irpso", description="Recovers materials from photographs.", epilog=_EPILOG)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_recover(commands)
+    _add_render(commands)
+    _add_inspect(commands)
+    _add_demo(commands)
+    add = commands.add_parser("doctor", help="what GPU there is, its limits, and what will be used")
+    _add_common(add)
+    return parser
+
+
+def _add_recover(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("recover", help="capture to maps and material", epilog=_EPILOG)
+    add.add_argument("capture", help="folder, .lp file or capture.toml")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result")
+    add.add_argument("--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card")
+    add.add_argument("--object", metavar="NAME", help="the mesh object in it")
+    add.add_argument("--resolution", default="512", metavar="N", help="texels of the UV square, N or WxH (default 512)")
+    add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
+                     help="a parameter that is given: an EXR file, or numbers as in base_color=0.5,0.5,0.5")  # fmt: skip
+    add.add_argument("--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr")
+    add.add_argument("--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--resume", action="store_true", help="go on from the checkpoint that an interrupted run left in OUT")
+    _add_solver(add)
+    _add_common(add)
+
+
+def _add_solver(add: argparse.ArgumentParser) -> None:
+    add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
+    add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or a .toml of your own")
+    add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
+                     help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
+    add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
+    add.add_argument("--iterations", type=int, metavar="N", help="of every stage")
+    add.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default 0)")
+    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
+
+
+def _add_render(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("render", help="make a capture from maps, a mesh and lights", epilog=_EPILOG)
+    add.add_argument("maps", help="folder of a result, or an EXR with maps")
+    add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="folder for the capture")
+    add.add_argument("--blend", required=True, metavar="FILE", help="Blender file with mesh and cameras")
+    add.add_argument("--object", metavar="NAME", help="the mesh object")
+    add.add_argument("--camera", action="append", default=[], metavar="NAME", help="camera object; several may be given")
+    add.add_argument("--size", default="512x512", metavar="WxH", help="of the images, in pixels (default 512x512)")
+    add.add_argument("--dome", default="10x20", metavar="LATxLON",
+                     help="distant lights, evenly over the sphere (default 10x20, as in the paper)")  # fmt: skip
+    add.add_argument("--lights", metavar="FILE", help="light directions, one x y z a line, instead of a dome")
+    add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
+    _add_common(add)
+
+
+def _add_inspect(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("inspect", help="what is in a capture, and what is wrong with it", epilog=_EPILOG)
+    add.add_argument("capture", help="folder, .lp file or capture.toml")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    _add_common(add)
+
+
+def _add_demo(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("demo", help="the paper's experiment, from rendering to material", epilog=_EPILOG)
+    add.add_argument("-o", "--output", default="out/demo", metavar="OUT", help="folder for the result")
+    add.add_argument("--quick", action="store_true", help="in small: under three minutes on two CPU cores")
+    add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or a .toml of your own")
+    add.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default 0)")
+    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
+    _add_common(add)
+
+
+def _add_common(add: argparse.ArgumentParser) -> None:
+    add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
+    add.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _print_json(value: dict) -> None:
+    sys.stdout.write(json.dumps(value) + "\n")

@@ -1,0 +1,83 @@
+"""Pictures of a recovery: the maps against the truth, renders against references."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..capture.types import Capture
+from ..geometry.domain import Domain
+from ..maps.encode import srgb_from_linear
+from ..maps.pictures import PreviewRow, display_image, preview
+from ..maps.report import error_unit, parameter_error
+from ..maps.result import Maps
+from ..maps.tables import map_tables
+from ..solver.forward import Renderer
+
+_SHOWN = 3  # observations in a preview, the median one among them
+_WHITE = 99.5  # percentile of the reference that is shown as white
+
+
+def error_preview(domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None) -> np.ndarray:
+    """Return (H, W, 3) display values: reference | recovered | error of the maps that are known, then of some images."""
+    rows = map_rows(maps, truth, maps.covered) if truth else []
+    brightness = [layer[..., :3][layer[..., 3] > 0].mean() if (layer[..., 3] > 0).any() else 0 for layer in domain.stack]
+    order = np.argsort(brightness)[::-1]
+    # The brightest fifth and the middle: frames that show something, under unlike lights.
+    chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
+    if rows:
+        chosen = chosen[:1]
+    rows += image_rows(domain, maps, chosen, [f"Image {k}" for k in chosen])
+    return preview(rows, ("Reference", "Recovered", "Error"))
+
+
+def relit_preview(
+    domain: Domain, maps: Maps, held_out: Sequence[int], capture: Capture
+) -> tuple[dict[str, np.ndarray], dict]:
+    """Return the picture "relit" of observations that were left out of the fit, and their PSNR for the report."""
+    if not held_out:
+        return {}, {}
+    names = [capture.observations[k].name for k in held_out]
+    rows = image_rows(domain, maps, held_out, names)
+    psnr = {name: round(image_psnr(row), 3) for name, row in zip(names, rows, strict=True)}
+    return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, {"relighting_psnr_db": psnr}
+
+
+def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -> list[PreviewRow]:
+    """Return a row for each map that the truth holds."""
+    rows = []
+    for table in map_tables(maps.model):
+        if not all(p.name in truth for p in table.parameters):
+            continue
+        names = [p.name for p in table.parameters]
+        reference = display_image(table.parameters, [truth[name] for name in names])
+        recovered = display_image(table.parameters, [maps.values[name] for name in names])
+        errors = [parameter_error(p, maps.values[p.name], truth[p.name]) for p in table.parameters]
+        label = table.name.replace("_", " ").capitalize()
+        unit = error_unit(table.parameters[0])
+        rows.append(PreviewRow(label, reference, recovered, np.mean(errors, axis=0), unit, covered))
+    return rows
+
+
+def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
+    """Return a row for each observation: as it was seen, as the maps render it, and the difference in % of white."""
+    renderer = Renderer(
+        domain.bake, maps.model, maps.values, domain.lights, domain.intensities, domain.views, domain.card
+    )
+    rows = []
+    for k, label in zip(observations, labels, strict=True):
+        seen, weight = domain.stack[k, ..., :3], domain.stack[k, ..., 3] > 0
+        rendered = renderer.render(k)[..., :3]
+        white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0
+        images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
+        error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
+        rows.append(PreviewRow(label, *images, error, "%", domain.bake.coverage & weight))
+    renderer.close()
+    return rows
+
+
+def image_psnr(row: PreviewRow) -> float:
+    """Return the peak signal-to-noise ratio in dB over what is covered, of sRGB-encoded values with white as the peak."""
+    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.covered]
+    return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -1,0 +1,164 @@
+"""``recover CAPTURE``: a capture to maps, material and report."""
+
+from __future__ import annotations
+
+import sys
+import time
+from argparse import Namespace
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..capture.read import read_capture
+from ..capture.types import Capture
+from ..errors import InputError
+from ..geometry.build import domain_from_card, domain_from_mesh
+from ..geometry.domain import Domain, subset
+from ..geometry.mesh import extract_mesh
+from ..geometry.scene import mesh_object, open_blend
+from ..gpu import context, probe
+from ..maps import material
+from ..maps.blender_images import decode
+from ..maps.read import read_maps
+from ..maps.report import build_report
+from ..maps.result import Maps
+from ..maps.write import check_output_folder, write_maps
+from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.recovery import Recovery
+from ..solver.schedule import Schedule
+from .options import index_list, known_from_options, schedule_from_options, size_option
+from .pictures import error_preview, relit_preview
+from .progress import ProgressBar
+
+CHECKPOINT = "checkpoint.npz"
+BLEND = "material.blend"
+_SLICE = 25  # iterations between looks at the clock, the progress bar and Ctrl-C
+
+
+@dataclass
+class _Job:
+    """What the options come down to, all checked before anything slow is begun."""
+
+    capture: Capture
+    model: ReflectanceModel
+    schedule: Schedule
+    known: dict[str, np.ndarray]
+    truth: dict[str, np.ndarray] | None
+    held_out: list[int]
+    folder: Path
+    resolution: tuple[int, int]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def run(options: Namespace) -> dict:
+    """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder."""
+    started = time.perf_counter()
+    job = _check(options)
+    probe.probe()
+    context.ensure()
+    domain, subject = _domain(options, job)
+    job.seconds["read"] = time.perf_counter() - started
+    kept = [k for k in range(domain.observations) if k not in job.held_out]
+    with Recovery(subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry) as recovery:
+        maps = _solve(recovery, job, options)
+        progress = recovery.progress
+        entry = recovery.entry
+    started = time.perf_counter()
+    relit, relighting = relit_preview(domain, maps, job.held_out, job.capture)
+    report = build_report(
+        maps, settings={**_settings(options), "preset": asdict(job.schedule), "entry": entry}, seed=options.seed,
+        gpu=context.describe()["renderer"], iterations=progress.iterations * progress.stages,
+        evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
+    )  # fmt: skip
+    report |= relighting
+    pictures = {"preview": error_preview(domain, maps, job.truth)} | relit
+    write_maps(maps, job.folder, report, pictures)
+    _write_material(maps, job, subject)
+    (job.folder / CHECKPOINT).unlink(missing_ok=True)
+    if not options.quiet and not options.json:
+        sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
+    return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
+
+
+def _check(options: Namespace) -> _Job:
+    folder = check_output_folder(options.output)
+    resolution = size_option("--resolution", options.resolution)
+    model = load_model(options.model)
+    schedule = schedule_from_options(options)
+    if options.object and not options.blend:
+        raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
+    if options.resume and not (folder / CHECKPOINT).is_file():
+        raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
+    known = known_from_options(options.known, model)
+    truth = read_maps(options.ground_truth, model) if options.ground_truth else None
+    capture = read_capture(options.capture, decode, options.colour_space)
+    held_out = index_list("--hold-out", options.hold_out, len(capture.observations))
+    if len(capture.observations) - len(held_out) < 3:
+        raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
+    return _Job(capture, model, schedule, known, truth, held_out, folder, resolution)
+
+
+def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None]:
+    if not options.blend:
+        domain, subject = domain_from_card(job.capture), None
+    else:
+        open_blend(options.blend)
+        subject = mesh_object(options.object)
+        domain = domain_from_mesh(job.capture, extract_mesh(subject), *job.resolution)
+    for name, value in (job.truth or {}).items():
+        if value.shape[:2] != domain.shape:
+            height, width = domain.shape
+            raise InputError(
+                f"--ground-truth {options.ground_truth}: {name} is {value.shape[1]} × {value.shape[0]},"
+                f" the domain {width} × {height}; resample it"
+            )
+    return domain, subject
+
+
+def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
+    checkpoint = job.folder / CHECKPOINT
+    if options.resume:
+        recovery.load(checkpoint)
+    bar = ProgressBar("recover", options.quiet or options.json)
+    try:
+        progress = recovery.progress
+        while not progress.done:
+            progress = recovery.step(_SLICE)
+            rate = progress.evaluations / max(bar.seconds, 1e-9) / 1e6
+            bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
+    except KeyboardInterrupt as stop:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        recovery.save(checkpoint)
+        raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume") from stop
+    finally:
+        bar.close()
+    job.seconds["solve"] = bar.seconds
+    return recovery.maps()
+
+
+def _write_material(maps: Maps, job: _Job, subject: object | None) -> None:
+    name = subject.name if subject is not None else job.capture.name
+    made = material.build_material(maps, name)
+    if subject is None:
+        subject = material.card_object(name, *maps.covered.shape)
+    material.apply_material(subject, made)
+    material.save_blend(job.folder / BLEND)
+
+
+def _settings(options: Namespace) -> dict:
+    return {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
+
+
+def _summary(report: dict, folder: Path, seconds: float) -> str:
+    lines = [f"{report['texels']} texels, {report['seconds']['solve']:.1f} s, written to {folder} in {seconds:.1f} s"]
+    if residual := report.get("residual"):
+        lines.append(f"residual: mean {residual['mean']:.5f}, 99th percentile {residual['p99']:.5f}")
+    for name, error in report.get("ground_truth", {}).items():
+        lines.append(
+            f"{name} against ground truth: mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f},"
+            f" 99th percentile {error['p99']:.3f}"
+        )
+    for name, psnr in report.get("relighting_psnr_db", {}).items():
+        lines.append(f"relit {name}: {psnr:.2f} dB")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,112 @@
+"""``render MAPS``: a capture from maps, a mesh, cameras and lights, with the shaders that the solver inverts."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.lists import read_numbers
+from ..capture.types import Capture, Light, Observation
+from ..capture.write import write_capture
+from ..errors import InputError
+from ..geometry.bake import bake_camera
+from ..geometry.mesh import extract_mesh
+from ..geometry.scene import camera_from_object, mesh_object, open_blend
+from ..gpu import context, probe
+from ..maps.read import read_maps
+from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.forward import Renderer, camera_renderer, sample_maps
+from .options import size_option
+from .progress import ProgressBar
+
+
+def run(options: Namespace) -> dict:
+    """Render every camera under every light and write the capture. Raises InputError."""
+    model = load_model(options.model)
+    values = complete_maps(read_maps(options.maps, model), model)
+    size = size_option("--size", options.size)
+    lights = _lights(options)
+    if Path(options.output).exists() and (not Path(options.output).is_dir() or any(Path(options.output).iterdir())):
+        raise InputError(f"{options.output}: is there already and not empty; choose a new folder for the capture")
+    probe.probe()
+    context.ensure()
+    open_blend(options.blend)
+    mesh = extract_mesh(mesh_object(options.object))
+    cameras = _cameras(options.camera, size)
+    bar = ProgressBar("render", options.quiet or options.json)
+    bakes = [bake_camera(mesh, camera) for camera in cameras]
+    renderers = [
+        camera_renderer(bake, model, sample_maps(model, values, bake.uv), camera, lights)
+        for bake, camera in zip(bakes, cameras, strict=True)
+    ]
+    count = len(cameras) * len(lights)
+    observations = [
+        rendered_observation(renderers[c], c, k, light, lambda done=c * len(lights) + k + 1: bar.show(done / count))
+        for c in range(len(cameras))
+        for k, light in enumerate(lights)
+    ]
+    masks = tuple(bake.coverage for bake in bakes)
+    name = Path(options.output).name
+    write_capture(Capture(name, tuple(observations), tuple(cameras), masks), options.output)
+    bar.close()
+    for renderer in renderers:
+        renderer.close()
+    return {"output": options.output, "images": count}
+
+
+def rendered_observation(renderer: Renderer, camera: int, index: int, light: Light, seen=lambda: None) -> Observation:
+    """Return the observation of one light whose image is rendered when it is read; ``seen`` is called then."""
+
+    def read() -> np.ndarray:
+        image = renderer.render(index)
+        image[..., 3] = 1
+        seen()
+        return image
+
+    return Observation(f"camera {camera + 1} light {index + 1}", read, light, camera)
+
+
+def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dict[str, np.ndarray]:
+    """Return the maps with the model's defaults for those that are missing. Raises InputError where sizes differ."""
+    sizes = {value.shape[:2] for value in values.values()}
+    if len(sizes) > 1:
+        raise InputError(f"the maps differ in size: {', '.join(f'{w} × {h}' for h, w in sorted(sizes))}; resample them")
+    height, width = sizes.pop()
+    defaults = {p.name: np.broadcast_to(np.float32(p.default), (height, width, p.components)) for p in model.parameters}
+    return defaults | values
+
+
+def dome(latitudes: int, longitudes: int) -> np.ndarray:
+    """Return (latitudes · longitudes, 3) unit directions: rings halfway between equal steps of latitude, pole +Z."""
+    polar = (np.arange(latitudes) + 0.5) * np.pi / latitudes
+    around = np.arange(longitudes) * 2 * np.pi / longitudes
+    polar, around = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))
+    return np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
+
+
+def _lights(options: Namespace) -> list[Light]:
+    if options.lights:
+        rows = read_numbers(Path(options.lights), "give a file with the direction to one light a line: x y z")
+        for line, row in rows:
+            if len(row) != 3 or not np.isfinite(row).all() or not np.any(row):
+                raise InputError(f"{options.lights}: line {line}: wants the three numbers of a direction, not all zero")
+        directions = np.array([np.divide(row, np.linalg.norm(row)) for _, row in rows])
+    else:
+        directions = dome(*size_option("--dome", options.dome))
+    return [Light(tuple(float(v) for v in direction)) for direction in directions]
+
+
+def _cameras(names: list[str], size: tuple[int, int]) -> list[Camera]:
+    import bpy
+
+    scene = bpy.context.scene
+    if not names:
+        if scene.camera is None:
+            raise InputError(f"scene '{scene.name}' has no active camera; name one with --camera")
+        return [camera_from_object(scene.camera, *size)]
+    if missing := [name for name in names if name not in scene.objects]:
+        raise InputError(f"--camera {missing[0]}: there is no such object in scene '{scene.name}'")
+    return [camera_from_object(scene.objects[name], *size) for name in names]

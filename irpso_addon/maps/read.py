@@ -1,0 +1,69 @@
+"""Reading maps back: our own maps.exr, or pictures of other origin, as the parameters of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..capture.exr import read_exr
+from ..errors import InputError
+from ..reflectance.model import Parameter, ReflectanceModel
+from .tables import MapTable, map_tables
+
+_COLOUR_NAMES = ("R", "G", "B", "A")
+_VECTOR_NAMES = ("X", "Y", "Z")
+
+
+def read_maps(path: str | Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
+    """Return parameter name → (H, W, components) of all the model's maps in an EXR, or in a result's folder.
+
+    A file of several parts holds a map in each part, by name (our maps.exr); one of a single part holds the map that
+    its name begins with, as in ``normal_gt.exr``. Raises InputError where the file holds none of the model's maps.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "maps.exr"
+    parts = read_exr(path)
+    tables = map_tables(model)
+    values: dict[str, np.ndarray] = {}
+    for table in tables:
+        channels = parts.get(table.name)
+        if channels is None and len(parts) == 1 and path.stem.startswith(table.name):
+            channels = next(iter(parts.values()))
+        if channels is not None:
+            values |= _split(table, _stacked(table, channels, path))
+    if not values:
+        names = ", ".join(table.name for table in tables)
+        raise InputError(
+            f"{path}: holds no map of model {model.name}; name the file or its parts after one of: {names}"
+        )
+    return values
+
+
+def read_parameter(path: str | Path, parameter: Parameter) -> np.ndarray:
+    """Return (H, W, components) of one parameter from an EXR of a single part. Raises InputError."""
+    parts = read_exr(Path(path))
+    if len(parts) != 1:
+        raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {parameter.name} alone")
+    return _stacked(MapTable(parameter.name, (parameter,)), next(iter(parts.values())), Path(path))
+
+
+def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
+    wanted = table.components
+    for names in (_COLOUR_NAMES[:wanted], _VECTOR_NAMES[:wanted], ("Y",) * wanted if wanted == 1 else ()):
+        if names and all(name in channels for name in names):
+            return np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    if len(channels) == 1 and wanted == 1:
+        return next(iter(channels.values()))[..., None].astype(np.float32)
+    found = ", ".join(channels)
+    raise InputError(f"{path}: the map {table.name} has {wanted} channels, the file has {found}; save it as R, G, B")
+
+
+def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:
+    result, at = {}, 0
+    for parameter in table.parameters:
+        result[parameter.name] = values[..., at : at + parameter.components]
+        at += parameter.components
+    return result
