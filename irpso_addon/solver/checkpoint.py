@@ -1,4 +1,5 @@
 """Checkpoints: the state of a recovery in one file, written whole or not at all."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..files import replacing_file
 from ..geometry.domain import Domain
 from ..reflectance.model import ReflectanceModel
 from .schedule import Schedule
@@ -69,32 +71,48 @@ def write(
     path: Path, who: dict[str, Any], stage: int, iteration: int, evaluations: int, arrays: dict[str, np.ndarray]
 ) -> None:
     """Write a checkpoint to ``path`` through a temporary name beside it."""
-    about = {"version": _VERSION, "identity": who, "stage": stage, "iteration": iteration, "evaluations": evaluations}
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: the checkpoint cannot be written ({error.strerror})") from error
+    about = {
+        "version": _VERSION,
+        "identity": who,
+        "stage": stage,
+        "iteration": iteration,
+        "evaluations": evaluations,
+        "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
+    }
+    with replacing_file(path) as part, part.open("wb") as file:
+        np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
-    """Read a checkpoint. Raises InputError where it is missing, damaged, or another recovery's (what differs is named)."""
+    """Read a checkpoint. Raises InputError where it is missing, damaged, or another recovery's, naming what differs."""
     try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
-        about = json.loads(bytes(arrays.pop("about")))
+        saved = _unpacked(path)
     except OSError as error:
         raise InputError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+    except _DAMAGED as error:
         raise InputError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
-    if about.get("version") != _VERSION:
+    if saved is None:
         raise InputError(f"{path}: is a checkpoint of another version; start without --resume")
+    found, checkpoint = saved
     ours = json.loads(json.dumps(who))
-    if differing := [name for name in ours if about["identity"].get(name) != ours[name]]:
+    if differing := [name for name in ours if found.get(name) != ours[name]]:
         raise InputError(f"{path}: is of another recovery: {', '.join(differing)} differ; start without --resume")
-    return Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays)
+    return checkpoint
+
+
+# What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
+_DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
+
+
+def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:
+    """Return whose checkpoint it is, and what it holds; None where it is of another version."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    about = json.loads(bytes(arrays.pop("about")))
+    if about["version"] != _VERSION:
+        return None
+    if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
+        raise ValueError("the arrays are not those that were written")
+    return about["identity"], Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays)
