@@ -41,7 +41,8 @@ def monkey(levels=0, **placing):
 def looking(position, target=(0, 0, 0)):
     """Return the matrix of a camera at a position that looks at a target."""
     direction = Vector(position) - Vector(target)
-    return np.array(Matrix.Translation(position) @ direction.to_track_quat("Z", "Y").to_matrix().to_4x4())
+    placed = Matrix.Translation(position) @ direction.to_track_quat("Z", "Y").to_matrix().to_4x4()
+    return np.array(placed, np.float64)
 
 
 def cameras():
@@ -63,7 +64,7 @@ def assert_same_bake(drawn, expected, clear):
     both = drawn.coverage & expected.coverage & clear
     assert both.sum() > 0.1 * both.size
     for name, tolerance in (
-        ("position", 1e-4),
+        ("position", 2e-5),
         ("normal", 2e-5),
         ("tangent", 2e-4),
         ("uv", 2e-5),
@@ -168,13 +169,11 @@ def test_radiance_photographed_from_two_sides_comes_back_to_the_texels_it_came_f
     surface = bake.bake_uv(mesh, 150, 225)
     pixel = 5.0 / pair[0].scale[0]
     for k, camera in enumerate(pair):
-        spacing = (
-            pixel / np.maximum((toward(camera, domain.bake.position) * surface.face_normal).sum(-1), 0.1)[weight[k]]
-        )
+        spacing = pixel / (toward(camera, domain.bake.position) * surface.face_normal).sum(-1)[weight[k]]
         # Bilinear, two directions: h²/8 of a second derivative of at most 1.5, for pixels h apart on the surface.
         bilinear = 2 * spacing**2 / 8 * 1.5
-        # The four pixels may leave the texel's by half a pixel,
-        # and the radiance's slope is at most 0.75.
+        # That is on a plane. Where the mesh bends, the four pixels may leave the texel's plane by half a pixel, which
+        # along the view is half a spacing; the radiance's slope is at most 0.75.
         bound = bilinear + 0.75 * 0.5 * spacing
         worst = error[k].max(-1)[weight[k]]
         assert (worst < bound).all() and (worst < bilinear).mean() > 0.8
