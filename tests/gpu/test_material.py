@@ -80,6 +80,17 @@ def test_the_principled_material_connects_every_map():
     assert material.node_tree.nodes["IRPSO surface"].distribution == "GGX"
 
 
+@pytest.mark.parametrize("name", ["principled", "cook_torrance_two_lobe"])
+def test_nodes_are_laid_out_from_left_to_right_and_not_on_top_of_each_other(name):
+    material = build_material(random_maps(load_model(name)), "icon")
+    for tree in (material.node_tree, *bpy.data.node_groups):
+        for link in tree.links:
+            assert link.from_node.location.x < link.to_node.location.x
+        places = [np.array(node.location[:]) for node in tree.nodes]
+        gaps = [np.abs(a - b) for i, a in enumerate(places) for b in places[:i]]
+        assert all(dx >= 150 or dy >= 150 for dx, dy in gaps)
+
+
 def test_the_lambert_material_has_no_specular_layer():
     inputs = build_material(random_maps(load_model("lambert")), "icon").node_tree.nodes["IRPSO surface"].inputs
     assert (inputs["Specular IOR Level"].default_value, inputs["Roughness"].default_value) == (0, 1)
@@ -201,6 +212,10 @@ def test_a_material_goes_into_the_active_slot_and_only_once():
     card.data.materials.append(other)
     apply_material(card, material)
     assert [slot.material for slot in card.material_slots] == [material, other]
+    another = card_object("another", *SHAPE)
+    another.data.materials.append(other)
+    apply_material(another, material)
+    assert [slot.material for slot in another.material_slots] == [material]
     lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
     for thing in (lamp, bpy.data.objects.new("empty", None)):
         with pytest.raises(InputError, match="has no material"):
@@ -231,10 +246,10 @@ def library(tmp_path):
 
 def test_linked_materials_and_objects_are_refused_by_name(library):
     before = counts()
-    with pytest.raises(InputError, match="IRPSO icon.*library.blend"):
+    with pytest.raises(InputError, match="material 'IRPSO icon' is linked.*library.blend"):
         build_material(random_maps(load_model("lambert"), 1), "icon")
     assert counts() == before
-    with pytest.raises(InputError, match="IRPSO icon.*library.blend"):
+    with pytest.raises(InputError, match="object 'IRPSO icon' is linked.*library.blend"):
         apply_material(bpy.data.objects[0], bpy.data.materials.new("mine"))
 
 
@@ -255,7 +270,8 @@ def test_pictures_in_a_folder_beside_the_file_have_relative_paths_and_move_with_
     maps = random_maps(load_model("lambert"))
     apply_material(card_object("icon", *SHAPE), build_material(maps, "icon", tmp_path / "a" / "textures"))
     save_blend(tmp_path / "a" / "icon.blend")
-    assert Path(bpy.data.images["IRPSO icon normal"].filepath).is_absolute()
+    for image in bpy.data.images:
+        assert Path(image.filepath).parent == tmp_path / "a" / "textures"
     (tmp_path / "a").rename(tmp_path / "b")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "icon.blend"))
     image = bpy.data.images["IRPSO icon base_color"]
@@ -272,8 +288,12 @@ def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
     image = bpy.data.images["IRPSO icon base_color"]
     assert image.packed_file is None
     np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
-    build_material(third, "icon")
+    build_material(third, "icon", tmp_path)
+    np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
+    build_material(second, "icon")
     assert image.packed_file is not None
+    np.testing.assert_allclose(pixels(image), second.values["base_color"], atol=4e-5)
+    build_material(third, "icon")
     np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
 
 
