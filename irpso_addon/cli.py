@@ -56,15 +56,23 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("recover", help="capture to maps and material", epilog=_EPILOG)
     add.add_argument("capture", help="folder, .lp file or capture.toml")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result")
-    add.add_argument("--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card")
+    add.add_argument(
+        "--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card"
+    )
     add.add_argument("--object", metavar="NAME", help="the mesh object in it")
     add.add_argument("--resolution", default="512", metavar="N", help="texels of the UV square, N or WxH (default 512)")
     add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter that is given: an EXR file, or numbers as in base_color=0.5,0.5,0.5")  # fmt: skip
-    add.add_argument("--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr")
-    add.add_argument("--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards")
+    add.add_argument(
+        "--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr"
+    )
+    add.add_argument(
+        "--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards"
+    )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
-    add.add_argument("--resume", action="store_true", help="go on from the checkpoint that an interrupted run left in OUT")
+    add.add_argument(
+        "--resume", action="store_true", help="go on from the checkpoint that an interrupted run left in OUT"
+    )
     _add_solver(add)
     _add_common(add)
 
@@ -86,7 +94,9 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="folder for the capture")
     add.add_argument("--blend", required=True, metavar="FILE", help="Blender file with mesh and cameras")
     add.add_argument("--object", metavar="NAME", help="the mesh object")
-    add.add_argument("--camera", action="append", default=[], metavar="NAME", help="camera object; several may be given")
+    add.add_argument(
+        "--camera", action="append", default=[], metavar="NAME", help="camera object; several may be given"
+    )
     add.add_argument("--size", default="512x512", metavar="WxH", help="of the images, in pixels (default 512x512)")
     add.add_argument("--dome", default="10x20", metavar="LATxLON",
                      help="distant lights, evenly over the sphere (default 10x20, as in the paper)")  # fmt: skip

@@ -48,7 +48,9 @@ def known_from_options(texts: Sequence[str], model: ReflectanceModel) -> dict[st
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise InputError(f"--known {text}: write NAME=VALUE, as in --known roughness=0.5 or --known normal=file.exr")
+            raise InputError(
+                f"--known {text}: write NAME=VALUE, as in --known roughness=0.5 or --known normal=file.exr"
+            )
         parameter = model.parameter(name.strip())
         numbers = [_number_or_text(part) for part in value.split(",")]
         if all(isinstance(number, int | float) for number in numbers):

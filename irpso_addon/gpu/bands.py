@@ -1,4 +1,5 @@
 """Cutting a long draw into bands of rows: drivers kill what runs too long, and a window must not stall."""
+
 from __future__ import annotations
 
 import time

@@ -1,4 +1,5 @@
 """Getting a GPU context with or without a window, and ending the process cleanly afterwards."""
+
 from __future__ import annotations
 
 import os

@@ -1,4 +1,5 @@
 """The shader library: GLSL files with includes, and compile errors that name file and line."""
+
 from __future__ import annotations
 
 import os

@@ -1,4 +1,5 @@
 """Passes: one kernel run over the texels of its targets, as fragments or as a compute dispatch."""
+
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

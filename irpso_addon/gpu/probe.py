@@ -1,4 +1,5 @@
 """Asking what a machine's GPU can do, with real kernels rather than capability flags."""
+
 from __future__ import annotations
 
 import functools
@@ -32,7 +33,16 @@ def probe() -> dict:
     if _inside_blender():
         import bpy
 
-        options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code, "--", str(ROOT)]
+        options = [
+            "--background",
+            "--factory-startup",
+            "--python-exit-code",
+            "1",
+            "--python-expr",
+            code,
+            "--",
+            str(ROOT),
+        ]
         command = [bpy.app.binary_path, *options]
     else:
         command = [sys.executable, "-c", code, str(ROOT)]

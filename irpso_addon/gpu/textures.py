@@ -1,4 +1,5 @@
 """numpy arrays to GPU textures and back, exactly."""
+
 from __future__ import annotations
 
 from typing import Any

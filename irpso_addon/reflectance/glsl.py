@@ -1,4 +1,5 @@
 """The table of parameters, written as GLSL declarations for the kernels that use it."""
+
 from __future__ import annotations
 
 from .model import ReflectanceModel
@@ -15,7 +16,9 @@ def material_declaration(model: ReflectanceModel) -> str:
     unpack, pack = [], []
     for p in model.parameters:
         at = model.offset(p.name)
-        unpack.append(f"    s.{p.name} = {_TYPES[p.components]}({', '.join(f'c[{at + i}]' for i in range(p.components))});")
+        unpack.append(
+            f"    s.{p.name} = {_TYPES[p.components]}({', '.join(f'c[{at + i}]' for i in range(p.components))});"
+        )
         pack += [f"    c[{at + i}] = s.{p.name}{f'[{i}]' if p.components > 1 else ''};" for i in range(p.components)]
     return "\n".join(
         ["struct Material {", *fields, "};",

@@ -1,4 +1,5 @@
 """Reading a reflectance model: its table of parameters (TOML) and the shader beside it (GLSL)."""
+
 from __future__ import annotations
 
 import re
@@ -120,7 +121,7 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
         raise InputError(f"{path}: {components} components in all; at most {MAX_COMPONENTS} fit")
     shader = path.with_name(table.get("shader", path.stem + ".glsl"))
     if not shader.is_file():
-        raise InputError(f"{path}: its shader {shader.name} is not beside it; write it there or set shader = \"…\"")
+        raise InputError(f'{path}: its shader {shader.name} is not beside it; write it there or set shader = "…"')
     ordered, complement = tuple(table.get("ordered", ())), tuple(table.get("complement", ()))
     for name in (*ordered, *complement):
         if name not in names or parameters[names.index(name)].components != 1:

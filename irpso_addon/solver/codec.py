@@ -1,4 +1,5 @@
 """What the numbers of a particle mean: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,4 +1,5 @@
 """The forward renderer, R(p̂) = ĉ of the paper: maps, geometry and lights to images."""
+
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +35,7 @@ class Renderer:
         context.ensure()
         state = bake.coverage.astype(np.float32)
         self._inputs = {
-            **upload_geometry(bake, state, np.ones_like(state)),
+            **upload_geometry(bake.position, bake.normal, bake.tangent, state, np.ones_like(state)),
             **Estimates(model, dict(values)).bindings(),
             "u_observation_table": upload_observations(lights, intensities, views),
         }
@@ -53,7 +54,11 @@ class Renderer:
 
 
 def camera_renderer(
-    bake: GeometryBake, model: ReflectanceModel, values: Mapping[str, np.ndarray], camera: Camera, lights: Sequence[Light]
+    bake: GeometryBake,
+    model: ReflectanceModel,
+    values: Mapping[str, np.ndarray],
+    camera: Camera,
+    lights: Sequence[Light],
 ) -> Renderer:
     """Return the renderer of what a camera sees: ``bake`` and ``values`` per pixel of it."""
     table = np.array([[*light.vector, 0.0 if light.distant else 1.0] for light in lights])

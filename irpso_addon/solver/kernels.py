@@ -1,4 +1,5 @@
 """The kernels of a stage: shader files with the declarations and constants that one model and stage give them."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from .schedule import Schedule
 
 _2D = "FLOAT_2D"
 _GEOMETRY = {"u_position": _2D, "u_normal": _2D, "u_tangent": _2D}
+_PACKING = {"u_place": _2D, "u_packed": _2D}
 _OBSERVATIONS = {**_GEOMETRY, "u_observation_table": _2D, "u_stack": "FLOAT_2D_ARRAY"}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
 _MOVE = {
@@ -78,7 +80,7 @@ def build_stage_passes(
         kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
-    read = {**particle, "u_best_fitness": _2D, **bests, **estimates, **_OBSERVATIONS}
+    read = {**particle, "u_best_fitness": _2D, **bests, **estimates, **_OBSERVATIONS, **_PACKING}
     return StagePasses(
         start=make("move", (*moved, Output("o_verdict")), read, _MOVE, {"START": 1}),
         move=make("move", (*moved, Output("o_verdict")), read, _MOVE),
@@ -91,7 +93,9 @@ def build_stage_passes(
         commit_global=make(
             "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
         ),
-        resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **_GEOMETRY}, _SIZE, how="fragment"),
+        resolve=make(
+            "resolve", estimate_outputs(model), {**bests, **estimates, **_GEOMETRY, **_PACKING}, _SIZE, how="fragment"
+        ),
         take_halo=make(
             "take_halo", best_outputs, {**{f"u_given_{b}": _2D for b in blocks}, **_GEOMETRY}, _SIZE, how="fragment"
         ),

@@ -22,15 +22,13 @@ def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
     return scale
 
 
-def robust_stack(domain: Domain, scale: np.ndarray, fitness: Fitness) -> np.ndarray:
-    """Return the sample stack with weight 0 where a sample lies under the shadow threshold of its texel's scale."""
+def drop_shadow(stack: np.ndarray, intensities: np.ndarray, scale: np.ndarray, fitness: Fitness) -> None:
+    """Give weight 0, in place, to samples (K, h, w, 4) under the shadow threshold of their texel's scale (h, w)."""
     if fitness.loss != "robust" or fitness.shadow == 0:
-        return domain.stack
-    stack = domain.stack.copy()
-    for k in range(domain.observations):
-        brightness = stack[k, ..., :3].mean(axis=-1) / domain.intensities[k].mean()
-        stack[k, ..., 3] *= brightness >= fitness.shadow * scale
-    return stack
+        return
+    for layer, intensity in zip(stack, intensities, strict=True):
+        brightness = layer[..., :3].mean(axis=-1) / intensity.mean()
+        layer[..., 3] *= brightness >= fitness.shadow * scale
 
 
 def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:

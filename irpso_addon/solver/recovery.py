@@ -1,4 +1,5 @@
 """The one engine of the program: a recovery, stepped by whoever drives it."""
+
 from __future__ import annotations
 
 import time
@@ -18,9 +19,10 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .kernels import residual_pass
+from .packing import Packing
 from .schedule import Schedule, resolve
 from .stage import RunningStage
-from .state import DomainTextures, Estimates
+from .state import SOLVED, DomainTextures, Estimates, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
@@ -69,12 +71,18 @@ class Recovery:
         self.entry = probe.faster_entry() if entry == "auto" else entry
         known = {name: _full(model, name, value, domain.shape) for name, value in (known or {}).items()}
         self._stages = resolve(schedule, model, set(known))
-        scale = prepare.texel_scale(domain, schedule.fitness.percentile)
-        self._textures = DomainTextures(domain, prepare.robust_stack(domain, scale, schedule.fitness), scale)
-        self._solved = int((domain.solvable).sum())
-        self._estimates = Estimates(model, {**self._first_guess(known), **known})
+        self._solvable = domain.solvable
+        self._packing = Packing(self._solvable)
+        scale = self._packing.pack(prepare.texel_scale(domain, schedule.fitness.percentile))
+        stack = self._packing.pack_layers(domain.stack)
+        prepare.drop_shadow(stack, domain.intensities, scale, schedule.fitness)
+        self._textures = DomainTextures(domain, self._packing, stack, scale)
+        self._solved = int((texel_states(domain) == SOLVED).sum())
+        guess = {**self._first_guess(), **known}
+        self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
         self._known = known
         self._residual = residual_pass(model, self._textures.defines)
+        self._error = textures.empty(*self._estimates.size)
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._index = 0
@@ -82,14 +90,15 @@ class Recovery:
         self._stage: RunningStage | None = self._begin(0)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations of the current stage, or for about so long, or to the end; return the progress.
+        """Advance by whole iterations, or for about so long, or to the end; return the progress.
 
-        With a time budget it may stop inside an iteration, between bands of rows, and goes on there next time.
+        Placing a stage's swarms is no iteration: it comes with the step that begins the stage, and step(0) does no
+        more. With a time budget it may stop inside an iteration, between bands of rows, and goes on there next time.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         seconds = BACKGROUND_BAND_SECONDS if deadline is None else min(BAND_SECONDS, time_budget_s)
         left = iterations
-        while self._stage is not None and (left is None or left > 0):
+        while self._stage is not None and (left is None or left > 0 or self._stage.iteration < 0):
             if self._work is None:
                 self._work = self._stage.advance(self._bands, seconds)
             for _ in self._work:
@@ -97,11 +106,8 @@ class Recovery:
                     self._wait()
                     if time.perf_counter() >= deadline:
                         return self.progress
-            self._work = None
-            self._evaluations += self._solved
             left = left - 1 if left is not None and self._stage.iteration > 0 else left
-            if self._stage.done or self._reached_threshold():
-                self._finish_stage()
+            self._count_iteration()
         return self.progress
 
     @property
@@ -121,22 +127,26 @@ class Recovery:
         """Return what has been found so far, with the mean absolute error of its render."""
         self._finish_iteration()
         resolved = self._resolve()
-        values = self._estimates.values(resolved)
+        values = {
+            name: self._packing.unpack(value, self.model.parameter(name).default)
+            for name, value in self._estimates.values(resolved).items()
+        }
         target = textures.empty(*self._estimates.size)
         inputs = {**self._textures.textures, **self._estimates.bindings(resolved)}
         self._residual.run([target], inputs, {"u_observations": self.domain.observations})
-        return Maps(self.model, values, self.domain.solvable, textures.download(target)[..., 0])
+        return Maps(self.model, values, self._solvable, self._packing.unpack(textures.download(target)[..., 0]))
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
         """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
 
-        u_estimate_0 … hold the parameters' components in the model's order; no copy and no read-back is made.
+        u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
+        texel of the domain lies in them. No copy and no read-back is made.
         """
         yield {**self._textures.textures, **self._estimates.bindings(self._resolve())}
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need."""
+        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need; NaN where none is."""
         self._finish_iteration()
         return self._running().global_bests()
 
@@ -155,7 +165,7 @@ class Recovery:
         checkpoint.write(Path(path), self._identity(), self._index, iteration, self._evaluations, arrays)
 
     def load(self, path: str | Path) -> None:
-        """Go on from a checkpoint of the same domain, model, schedule and seed. Raises InputError where it is another's."""
+        """Go on from a checkpoint of the same domain, model, schedule and seed. Raises InputError for another's."""
         saved = checkpoint.read(Path(path), self._identity())
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
@@ -172,7 +182,7 @@ class Recovery:
             self._stage.close()
         if self._residual is not None:
             self._residual.close()
-        self._stage = self._textures = self._estimates = self._residual = None
+        self._stage = self._textures = self._estimates = self._residual = self._error = None
 
     def __enter__(self) -> Recovery:
         return self
@@ -196,10 +206,13 @@ class Recovery:
         if self._work is not None:
             for _ in self._work:
                 pass
-            self._work = None
-            self._evaluations += self._solved
-            if self._stage.done:
-                self._finish_stage()
+            self._count_iteration()
+
+    def _count_iteration(self) -> None:
+        self._work = None
+        self._evaluations += self._solved
+        if self._stage.done or self._reached_threshold():
+            self._finish_stage()
 
     def _resolve(self) -> bool:
         """Resolve what the running stage has found; return whether the resolved textures are the ones to look at."""
@@ -212,7 +225,7 @@ class Recovery:
         threshold, stage = self.schedule.threshold, self._stage
         if threshold == 0 or stage.iteration <= 0 or stage.iteration % _THRESHOLD_EVERY:
             return False
-        return bool((stage.global_fitness()[self.domain.solvable] <= threshold).all())
+        return bool((stage.global_fitness()[self._solvable] <= threshold).all())
 
     def _running(self) -> RunningStage:
         if self._stage is None:
@@ -223,7 +236,7 @@ class Recovery:
         swarm = self._stage.swarm
         self._stage.passes.commit_global.fence([*swarm.global_best, swarm.global_fitness])
 
-    def _first_guess(self, known: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _first_guess(self) -> dict[str, np.ndarray]:
         height, width = self.domain.shape
         guess = {
             p.name: np.broadcast_to(np.asarray(p.default, np.float32), (height, width, p.components))

@@ -1,4 +1,5 @@
 """One stage under way: its swarms, placed and then moved iteration by iteration in lock step."""
+
 from __future__ import annotations
 
 import math
@@ -34,13 +35,14 @@ class RunningStage:
         self._domain, self._estimates = domain, estimates
         self.codec = build_codec(model, stage, schedule.swarm.normal)
         self.particles = particle_count(schedule, self.codec.dimensions)
-        height, width = domain.domain.shape
+        width, height = domain.packing.width, domain.packing.height
         self.width, self.height = width, height
         self.swarm = SwarmTextures(width, height, self.particles, self.codec)
         self.passes = build_stage_passes(
             model, self.codec, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
         )
         self._copy = copy_pass() if entry == "compute" else None
+        self._copies: dict[tuple[int, int], Any] = {}
         self.iteration = -self.particles
 
     @property
@@ -104,18 +106,18 @@ class RunningStage:
         self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
 
     def global_bests(self) -> np.ndarray:
-        """Return (H, W, n) float32: every swarm's best place, in [0, 1]."""
+        """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
         packed = np.concatenate([self.read(t) for t in self.swarm.global_best], axis=-1)
-        return packed[..., : self.codec.dimensions]
+        return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
-        """Return (H, W) float32: every swarm's best fitness."""
-        return self.read(self.swarm.global_fitness)[..., 0]
+        """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
+        return self._domain.packing.unpack(self.read(self.swarm.global_fitness)[..., 0], np.nan)
 
     def take_halo(self, bests: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
         packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
-        packed[..., : self.codec.dimensions] = bests
+        packed[..., : self.codec.dimensions] = self._domain.packing.pack(bests)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
         self.passes.take_halo.run(self.swarm.global_best, {**given, **self._domain.textures}, self.constants())
 
@@ -123,7 +125,10 @@ class RunningStage:
         """Return a texture's contents, whichever entry wrote it."""
         if self._copy is None:
             return textures.download(texture)
-        target = textures.empty(texture.width, texture.height)
+        size = texture.width, texture.height
+        if size not in self._copies:
+            self._copies[size] = textures.empty(*size)
+        target = self._copies[size]
         self._copy.run([target], {"u_source": texture})
         return textures.download(target)[..., : textures.CHANNELS[texture.format]]
 
@@ -132,6 +137,7 @@ class RunningStage:
         self.passes.close()
         if self._copy is not None:
             self._copy.close()
+        self._copies.clear()
         self.swarm = None
 
 
@@ -142,7 +148,7 @@ def particle_count(schedule: Schedule, dimensions: int) -> int:
 
 
 def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> float:
-    """Return c3 of Eq. 2 at an iteration: falling linearly to 0 at the fraction c3_until, or constant where that is 0."""
+    """Return c3 of Eq. 2 at an iteration: falling to 0 at the fraction c3_until, or constant where that is 0."""
     swarm = schedule.swarm
     if swarm.c3_until == 0:
         return swarm.c3

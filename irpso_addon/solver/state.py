@@ -1,4 +1,5 @@
 """The textures of a recovery: the domain as shaders read it, the estimates, and the swarms of one stage."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -7,34 +8,44 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.domain import Domain, GeometryBake
+from ..geometry.domain import Domain
 from ..gpu import context, textures
 from ..reflectance.model import ReflectanceModel
 from .codec import Codec
+from .packing import Packing
 
 UNFIT = 1e30  # as in shaders/swarm/fitness.glsl: the fitness of what was never evaluated
-_OUTSIDE, _SOLVED, _HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
+OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
 
 
 class DomainTextures:
-    """A domain on the GPU. stack: the sample stack to use, weights and all. scale: (H, W) for a robust fitness."""
+    """A domain on the GPU, its solved texels packed.
 
-    def __init__(self, domain: Domain, stack: np.ndarray, scale: np.ndarray):
-        self.domain = domain
+    stack: (K, h, w, 4) the packed sample stack to use, weights and all. scale: (h, w) for a robust fitness.
+    """
+
+    def __init__(self, domain: Domain, packing: Packing, stack: np.ndarray, scale: np.ndarray):
+        self.domain, self.packing = domain, packing
         self.defines = observation_defines(domain.lights, domain.views, domain.card)
+        position, normal, tangent = (
+            packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent)
+        )
         self.textures = {
-            **upload_geometry(domain.bake, texel_states(domain), scale),
+            **upload_geometry(position, normal, tangent, packing.pack(texel_states(domain)), scale),
+            **packing.upload(),
             "u_observation_table": upload_observations(domain.lights, domain.intensities, domain.views),
             "u_stack": textures.upload_layers(stack),
         }
 
 
-def upload_geometry(bake: GeometryBake, state: np.ndarray, scale: np.ndarray) -> dict[str, Any]:
+def upload_geometry(
+    position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
+) -> dict[str, Any]:
     """Return the textures of shaders/common/frame.glsl. state, scale: (H, W), carried in alpha."""
     return {
-        "u_position": textures.upload(np.concatenate([bake.position, state[..., None]], axis=-1)),
-        "u_normal": textures.upload(np.concatenate([bake.normal, scale[..., None]], axis=-1)),
-        "u_tangent": textures.upload(bake.tangent),
+        "u_position": textures.upload(np.concatenate([position, state[..., None]], axis=-1)),
+        "u_normal": textures.upload(np.concatenate([normal, scale[..., None]], axis=-1)),
+        "u_tangent": textures.upload(tangent),
     }
 
 
@@ -55,12 +66,12 @@ def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> di
 
 def texel_states(domain: Domain) -> np.ndarray:
     """Return (H, W) float32: 0 outside, 1 solved here, 2 solved by a neighbouring tile."""
-    state = np.where(domain.solvable, _SOLVED, _OUTSIDE).astype(np.float32)
+    state = np.where(domain.solvable, SOLVED, OUTSIDE).astype(np.float32)
     left, right, bottom, top = domain.halo
     height, width = domain.shape
     inside = np.zeros(domain.shape, bool)
     inside[bottom : height - top, left : width - right] = True
-    state[~inside & (state == _SOLVED)] = _HALO
+    state[~inside & (state == SOLVED)] = HALO
     return state
 
 

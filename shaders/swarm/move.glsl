@@ -17,7 +17,7 @@
 
 ivec2 global_texel(ivec2 texel)
 {
-    return texel + ivec2(u_origin_x, u_origin_y);
+    return place_of(texel) + ivec2(u_origin_x, u_origin_y);
 }
 
 #ifdef START

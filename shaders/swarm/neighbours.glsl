@@ -1,8 +1,9 @@
 // Eq. 4 of the paper: the mean of the global bests in an H×H window around a texel, in the coordinates of its search.
-// Reads u_best_0, u_best_1. Uncovered neighbours do not count. On a mesh a neighbour's normal is first turned from its
+// Reads u_best_0, u_best_1 and the packing. Uncovered neighbours do not count. On a mesh a neighbour's normal is first turned from its
 // own tangent frame into this texel's.
 
 #include "common/frame.glsl"
+#include "common/packing.glsl"
 #include "swarm/encoding.glsl"
 
 void read_best(ivec2 texel, out float g[8])
@@ -43,13 +44,11 @@ void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
         mean[i] = 0.0;
     }
     float count = 0.0;
-    ivec2 last = ivec2(u_width, u_height) - 1;
-    ivec2 start = max(texel - REACH, ivec2(0));
-    ivec2 stop = min(texel + REACH, last);
-    for (int y = start.y; y <= stop.y; y++) {
-        for (int x = start.x; x <= stop.x; x++) {
-            ivec2 other = ivec2(x, y);
-            if (state_at(other) == TEXEL_OUTSIDE) {
+    ivec2 place = place_of(texel);
+    for (int y = -REACH; y <= REACH; y++) {
+        for (int x = -REACH; x <= REACH; x++) {
+            ivec2 other = packed_at(place + ivec2(x, y));
+            if (other.x < 0) {
                 continue;
             }
             float g[8];
