@@ -76,13 +76,13 @@ def build_stage_passes(
     best_outputs = tuple(Output(f"o_best_{b}") for b in blocks)
     verdict = {"u_verdict": _2D}
 
-    def make(source: str, outputs: tuple, samplers: dict, constants: dict, more: dict = {}, how: Entry = entry) -> Pass:
+    def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
         kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
     read = {**particle, "u_best_fitness": _2D, **bests, **estimates, **_OBSERVATIONS, **_PACKING}
     return StagePasses(
-        start=make("move", (*moved, Output("o_verdict")), read, _MOVE, {"START": 1}),
+        start=make("move", (*moved, Output("o_verdict")), read, _MOVE, START=1),
         move=make("move", (*moved, Output("o_verdict")), read, _MOVE),
         commit_state=make(
             "commit_state", (Output("o_position"), Output("o_velocity")), {**candidates, **speeds, **verdict}, _SIZE

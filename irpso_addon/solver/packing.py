@@ -45,7 +45,7 @@ class Packing:
         return result
 
     def upload(self) -> dict[str, Any]:
-        """Return the textures of shaders/common/packing.glsl: u_place (x, y of a packed texel), u_packed (its inverse)."""
+        """Return u_place (x, y of a packed texel) and u_packed (its inverse) of shaders/common/packing.glsl."""
         places = self._grid(np.stack([self._columns, self._rows], axis=-1).astype(np.float32))
         index = np.arange(len(self._rows))
         inverse = np.full((*self.shape, 2), -1, np.float32)

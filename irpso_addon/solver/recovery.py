@@ -77,7 +77,8 @@ class Recovery:
         stack = self._packing.pack_layers(domain.stack)
         prepare.drop_shadow(stack, domain.intensities, scale, schedule.fitness)
         self._textures = DomainTextures(domain, self._packing, stack, scale)
-        self._solved = int((texel_states(domain) == SOLVED).sum())
+        self._moved = texel_states(domain) == SOLVED
+        self._solved = int(self._moved.sum())
         guess = {**self._first_guess(), **known}
         self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
         self._known = known
@@ -131,10 +132,9 @@ class Recovery:
             name: self._packing.unpack(value, self.model.parameter(name).default)
             for name, value in self._estimates.values(resolved).items()
         }
-        target = textures.empty(*self._estimates.size)
         inputs = {**self._textures.textures, **self._estimates.bindings(resolved)}
-        self._residual.run([target], inputs, {"u_observations": self.domain.observations})
-        return Maps(self.model, values, self._solvable, self._packing.unpack(textures.download(target)[..., 0]))
+        self._residual.run([self._error], inputs, {"u_observations": self.domain.observations})
+        return Maps(self.model, values, self._solvable, self._packing.unpack(textures.download(self._error)[..., 0]))
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
@@ -146,7 +146,7 @@ class Recovery:
         yield {**self._textures.textures, **self._estimates.bindings(self._resolve())}
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need; NaN where none is."""
+        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need; NaN elsewhere."""
         self._finish_iteration()
         return self._running().global_bests()
 
@@ -225,7 +225,7 @@ class Recovery:
         threshold, stage = self.schedule.threshold, self._stage
         if threshold == 0 or stage.iteration <= 0 or stage.iteration % _THRESHOLD_EVERY:
             return False
-        return bool((stage.global_fitness()[self._solvable] <= threshold).all())
+        return bool((stage.global_fitness()[self._moved] <= threshold).all())
 
     def _running(self) -> RunningStage:
         if self._stage is None:
