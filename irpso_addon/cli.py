@@ -62,7 +62,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--object", metavar="NAME", help="the mesh object in it")
     add.add_argument("--resolution", default="512", metavar="N", help="texels of the UV square, N or WxH (default 512)")
     add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
-                     help="a parameter that is given: an EXR file, or numbers as in base_color=0.5,0.5,0.5")  # fmt: skip
+                     help="a parameter that is given: an EXR file, or numbers: base_color=0.5,0.5,0.5")  # fmt: skip
     add.add_argument(
         "--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr"
     )

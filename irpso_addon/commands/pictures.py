@@ -20,7 +20,7 @@ _WHITE = 99.5  # percentile of the reference that is shown as white
 
 
 def error_preview(domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None) -> np.ndarray:
-    """Return (H, W, 3) display values: reference | recovered | error of the maps that are known, then of some images."""
+    """Return (H, W, 3) display values: reference | recovered | error, of maps that are known, then of images."""
     rows = map_rows(maps, truth, maps.covered) if truth else []
     brightness = [
         layer[..., :3][layer[..., 3] > 0].mean() if (layer[..., 3] > 0).any() else 0 for layer in domain.stack
@@ -80,6 +80,6 @@ def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: 
 
 
 def image_psnr(row: PreviewRow) -> float:
-    """Return the peak signal-to-noise ratio in dB over what is covered, of sRGB-encoded values with white as the peak."""
+    """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, over what is covered."""
     difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.covered]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -28,7 +28,8 @@ class ProgressBar:
         if self._first is None:
             self._first = (now, fraction)
         full = round(_WIDTH * fraction)
-        text = f"{self._label} [{'#' * full}{'.' * (_WIDTH - full)}] {100 * fraction:3.0f} %  {detail}{self._left(now, fraction)}"
+        bar = "#" * full + "." * (_WIDTH - full)
+        text = f"{self._label} [{bar}] {100 * fraction:3.0f} %  {detail}{self._left(now, fraction)}"
         # \x1b[K clears what a longer line before this one has left.
         sys.stderr.write(f"\r{text}\x1b[K" if self._terminal else text + "\n")
         sys.stderr.flush()

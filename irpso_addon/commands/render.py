@@ -9,7 +9,7 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.lists import read_numbers
-from ..capture.types import Capture, Light, Observation
+from ..capture.types import Light
 from ..capture.write import write_capture
 from ..errors import InputError
 from ..geometry.bake import bake_camera
@@ -18,7 +18,7 @@ from ..geometry.scene import camera_from_object, mesh_object, open_blend
 from ..gpu import context, probe
 from ..maps.read import read_maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.forward import Renderer, camera_renderer, sample_maps
+from ..solver.forward import camera_renderer, dome, rendered_capture, sample_maps
 from .options import size_option
 from .progress import ProgressBar
 
@@ -42,31 +42,13 @@ def run(options: Namespace) -> dict:
         camera_renderer(bake, model, sample_maps(model, values, bake.uv), camera, lights)
         for bake, camera in zip(bakes, cameras, strict=True)
     ]
-    count = len(cameras) * len(lights)
-    observations = [
-        rendered_observation(renderers[c], c, k, light, lambda done=c * len(lights) + k + 1: bar.show(done / count))
-        for c in range(len(cameras))
-        for k, light in enumerate(lights)
-    ]
-    masks = tuple(bake.coverage for bake in bakes)
-    name = Path(options.output).name
-    write_capture(Capture(name, tuple(observations), tuple(cameras), masks), options.output)
+    masks = [bake.coverage for bake in bakes]
+    capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)
+    write_capture(capture, options.output)
     bar.close()
     for renderer in renderers:
         renderer.close()
-    return {"output": options.output, "images": count}
-
-
-def rendered_observation(renderer: Renderer, camera: int, index: int, light: Light, seen=lambda: None) -> Observation:
-    """Return the observation of one light whose image is rendered when it is read; ``seen`` is called then."""
-
-    def read() -> np.ndarray:
-        image = renderer.render(index)
-        image[..., 3] = 1
-        seen()
-        return image
-
-    return Observation(f"camera {camera + 1} light {index + 1}", read, light, camera)
+    return {"output": options.output, "images": len(capture.observations)}
 
 
 def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dict[str, np.ndarray]:
@@ -77,14 +59,6 @@ def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dic
     height, width = sizes.pop()
     defaults = {p.name: np.broadcast_to(np.float32(p.default), (height, width, p.components)) for p in model.parameters}
     return defaults | values
-
-
-def dome(latitudes: int, longitudes: int) -> np.ndarray:
-    """Return (latitudes · longitudes, 3) unit directions: rings halfway between equal steps of latitude, pole +Z."""
-    polar = (np.arange(latitudes) + 0.5) * np.pi / latitudes
-    around = np.arange(longitudes) * 2 * np.pi / longitudes
-    polar, around = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))
-    return np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
 
 
 def _lights(options: Namespace) -> list[Light]:

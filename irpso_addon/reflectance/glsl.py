@@ -8,20 +8,18 @@ _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
 
 def material_declaration(model: ReflectanceModel) -> str:
-    """Return ``struct Material`` with one field a parameter, and the functions that pack and unpack its components.
+    """Return ``struct Material``, one field a parameter, and the functions that pack and unpack its components.
 
     ``Material material_from(float c[12])`` and ``void material_to(Material s, out float c[12])`` keep the table's order.
     """
     fields = [f"    {_TYPES[p.components]} {p.name};" for p in model.parameters]
-    unpack, pack = [], []
+    unpack, pack = [], ["    for (int i = 0; i < 12; i++) { c[i] = 0.0; }"]
     for p in model.parameters:
         at = model.offset(p.name)
-        unpack.append(
-            f"    s.{p.name} = {_TYPES[p.components]}({', '.join(f'c[{at + i}]' for i in range(p.components))});"
-        )
+        arguments = ", ".join(f"c[{at + i}]" for i in range(p.components))
+        unpack.append(f"    s.{p.name} = {_TYPES[p.components]}({arguments});")
         pack += [f"    c[{at + i}] = s.{p.name}{f'[{i}]' if p.components > 1 else ''};" for i in range(p.components)]
-    return "\n".join(
-        ["struct Material {", *fields, "};",
-         "Material material_from(float c[12]) {", "    Material s;", *unpack, "    return s;", "}",
-         "void material_to(Material s, out float c[12]) {", "    for (int i = 0; i < 12; i++) c[i] = 0.0;", *pack, "}", ""]
-    )  # fmt: skip
+    lines = ["struct Material {", *fields, "};"]
+    lines += ["Material material_from(float c[12]) {", "    Material s;", *unpack, "    return s;", "}"]
+    lines += ["void material_to(Material s, out float c[12]) {", *pack, "}", ""]
+    return "\n".join(lines)

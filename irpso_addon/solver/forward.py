@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from ..capture.camera import Camera
-from ..capture.types import Light
+from ..capture.types import Capture, Light, Observation
 from ..geometry.domain import GeometryBake
 from ..gpu import context, textures
 from ..reflectance.model import ReflectanceModel
@@ -87,3 +87,42 @@ def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: n
             result /= np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-8)
         sampled[parameter.name] = result
     return sampled
+
+
+def rendered_capture(
+    name: str,
+    renderers: Sequence[Renderer],
+    cameras: Sequence[Camera],
+    masks: Sequence[np.ndarray],
+    lights: Sequence[Light],
+    report: Callable[[float], None] = lambda fraction: None,
+) -> Capture:
+    """Return the capture of every camera under every light; an image is rendered when it is read.
+
+    renderers, masks: one a camera, with all the lights. report: called at each image with the fraction rendered.
+    """
+    count = len(cameras) * len(lights)
+
+    def reader(camera: int, k: int) -> Callable[[], np.ndarray]:
+        def read() -> np.ndarray:
+            image = renderers[camera].render(k)
+            image[..., 3] = 1
+            report((camera * len(lights) + k + 1) / count)
+            return image
+
+        return read
+
+    observations = tuple(
+        Observation(f"camera {camera + 1} light {k + 1}", reader(camera, k), light, camera)
+        for camera in range(len(cameras))
+        for k, light in enumerate(lights)
+    )
+    return Capture(name, observations, tuple(cameras), tuple(masks))
+
+
+def dome(latitudes: int, longitudes: int) -> np.ndarray:
+    """Return (latitudes · longitudes, 3) unit directions: rings halfway between equal steps of latitude, pole +Z."""
+    polar = (np.arange(latitudes) + 0.5) * np.pi / latitudes
+    around = np.arange(longitudes) * 2 * np.pi / longitudes
+    polar, around = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))
+    return np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
