@@ -143,7 +143,7 @@ def strip(
         canvas.text(x + width / 2, top - 14, label, _HEADING, TEXT, 0.5)
         canvas.image(x, top, _scaled(_masked(image, covered), fit))
         canvas.image(x, top + height + _GAP, _scaled(false_color(error, maximum, covered), fit))
-        mean = float(np.mean(error if covered is None else error[covered]))
+        mean = float(np.nanmean(error if covered is None else error[covered]))
         canvas.text(
             x + width / 2, top + 2 * height + _GAP + 20, f"mean {_number(mean)}{_with(unit)}", _SMALL, FAINT, 0.5
         )
@@ -168,7 +168,9 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
         canvas.lines([[(left, y), (left + width, y)]], 1.0, GRID)
         canvas.text(left - 8, y + _SMALL / 2, _number(tick), _SMALL, FAINT, 1.0)
     for color, series in reversed(list(zip(MARK_COLORS, errors.T, strict=False))):
-        x = left + np.asarray(curves.iterations) / last * width
+        known = np.isfinite(series)
+        series = series[known]
+        x = left + np.asarray(curves.iterations)[known] / last * width
         y = top + height - (level(np.clip(series, low, high)) - bottom_level) / span * height
         canvas.lines([np.stack([x, y], axis=-1)], 1.8, color)
     canvas.frame(left, top, width, height)

@@ -79,7 +79,6 @@ def _update_image(image, name: str, path: Path, table: MapTable, packed: bool):
     image.colorspace_settings.name = table.color_space if table.fits_unit else "Non-Color"
     image.alpha_mode = "CHANNEL_PACKED" if table.components == 4 else "NONE"
     image.use_half_precision = False
-    image.reload()
     if packed:
         data = path.read_bytes()
         image.pack(data=data, data_len=len(data))

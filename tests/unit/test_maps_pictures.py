@@ -132,6 +132,17 @@ def test_a_logarithmic_axis_spaces_decades_evenly():
     assert heights[0] - heights[1] == pytest.approx(heights[1] - heights[2], abs=1.5)
 
 
+def test_a_curve_leaves_out_what_is_not_a_number():
+    image = np.full((36, 24, 3), 0.5, np.float32)
+    whole = np.stack([np.full(5, v) for v in (4.0, 3.0, 2.0, 1.0)], axis=1)
+    broken = whole.copy()
+    broken[2] = np.nan
+    iterations = np.array([0, 2, 5, 8, 10])
+    pictures = [convergence(image, [], [Curves("N", iterations, errors)]) for errors in (whole, broken)]
+    # The neighbours' straight connection is the same line.
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-3)
+
+
 def test_a_strip_shares_one_scale_over_all_columns():
     images = [np.full((30, 20, 3), v, np.float32) for v in (0.3, 0.6, 0.9)]
     errors = [np.full((30, 20), v) for v in (8.0, 4.0, 1.0)]
