@@ -11,6 +11,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels import copy_pass
+from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.schedule import load_schedule, resolve
 from irpso_addon.solver.stage import RunningStage
 from irpso_addon.solver.state import DomainTextures, Estimates
@@ -146,10 +147,10 @@ def choices(request):
     found = []
     for seed in (1, 2):
         shapes = {p.name: np.broadcast_to(np.float32(p.default), (64, 64, p.components)) for p in model.parameters}
-        stage = RunningStage(
-            resolve(schedule, model, set())[0], model, schedule, seed,
-            DomainTextures(domain, domain.stack, np.ones((64, 64), np.float32)), Estimates(model, shapes), "fragment",
-        )  # fmt: skip
+        scale = np.ones((64, 64), np.float32)
+        on_gpu = DomainTextures(domain, Packing(domain.solvable), domain.stack, scale)
+        estimates, resolved = Estimates(model, shapes), resolve(schedule, model, set())[0]
+        stage = RunningStage(resolved, model, schedule, seed, on_gpu, estimates, "fragment")
         stage.iteration = 0
         moved = []
         for _ in range(24):

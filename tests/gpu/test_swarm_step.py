@@ -9,6 +9,7 @@ import pytest
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.recovery import Recovery
 from irpso_addon.solver.schedule import load_schedule, resolve
 from irpso_addon.solver.stage import RunningStage, particle_count
@@ -87,8 +88,9 @@ class Bench:
             value = unit(value * (1, 1, 0) + (0, 0, 1)) if p.is_normal else value
             estimates[p.name] = value.astype(np.float32)
         stage = resolve(self.schedule, self.model, set())[0]
-        self.textures = DomainTextures(self.domain, self.domain.stack, scale)
-        self.estimates = Estimates(self.model, estimates)
+        self.packing = pack = Packing(self.domain.solvable)
+        self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack), pack.pack(scale))
+        self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in estimates.items()})
         self.stage = RunningStage(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))
         self.problem = oracle.Problem(
@@ -113,24 +115,35 @@ class Bench:
 
     def give(self, state: oracle.State) -> None:
         """Make ``state`` the state on the GPU."""
-        atlas = self.stage.swarm.atlas
-        fitness = np.concatenate([state.p_fitness] * self.stage.codec.blocks)[..., None]
-        arrays = {
-            name: oracle.to_atlas(a, atlas.across, atlas.down)
-            for name, a in (("position", state.x), ("velocity", state.v), ("best", state.p), ("fitness", fitness))
+        atlas, blocks = self.stage.swarm.atlas, self.stage.codec.blocks
+        particles = {
+            "position": state.x,
+            "velocity": state.v,
+            "best": state.p,
+            "fitness": np.concatenate([state.p_fitness] * blocks)[..., None],
         }
-        arrays |= {f"global_best_{b}": state.g[..., 4 * b : 4 * b + 4] for b in range(self.stage.codec.blocks)}
-        self.stage.swarm.restore(arrays | {"global_fitness": state.g_fitness[..., None]})
+        arrays = {}
+        for name, array in particles.items():
+            packed = np.stack([self.packing.pack(one) for one in array])
+            arrays[name] = oracle.to_atlas(packed, atlas.across, atlas.down)
+        g = self.packing.pack(state.g)
+        arrays |= {f"global_best_{b}": g[..., 4 * b : 4 * b + 4] for b in range(blocks)}
+        self.stage.swarm.restore(arrays | {"global_fitness": self.packing.pack(state.g_fitness)[..., None]})
 
     def read(self) -> oracle.State:
-        """Return the state on the GPU."""
-        problem, stage = self.problem, self.stage
+        """Return the state on the GPU; 0 where no texel is solved, and there a fitness of UNFIT."""
+        stage, pack = self.stage, self.packing
         arrays = {name: stage.read(t).astype(np.float64) for name, t in stage.swarm.remembered.items()}
-        sizes = (problem.particles, *problem.domain.shape)
-        x, v, p = (oracle.from_atlas(arrays[n], *sizes, problem.columns) for n in ("position", "velocity", "best"))
+        sizes = (self.problem.particles, pack.height, pack.width)
+        atlases = {
+            n: oracle.from_atlas(arrays[n], *sizes, self.problem.columns) for n in ("position", "velocity", "best")
+        }
+        x, v, p = (np.stack([pack.unpack(one) for one in a]) for a in atlases.values())
         fitness = oracle.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
         g = np.concatenate([arrays[f"global_best_{b}"] for b in range(stage.codec.blocks)], axis=-1)
-        return oracle.State(x, v, p, fitness, g, arrays["global_fitness"][..., 0])
+        fitness = np.stack([pack.unpack(one, oracle.UNFIT) for one in fitness])
+        g_fitness = pack.unpack(arrays["global_fitness"][..., 0], oracle.UNFIT)
+        return oracle.State(x, v, p, fitness, pack.unpack(g), g_fitness)
 
     def advance(self) -> None:
         """Make one iteration."""
@@ -186,7 +199,7 @@ def test_a_step_of_the_swarm_is_that_of_the_oracle(case, bench):
         b.advance()
         step = oracle.move(b.problem, before, iteration)
         assert_equal_states(b.read(), step, rounding_of(step))
-        verdict = b.stage.read(b.stage.swarm.verdict)
+        verdict = b.packing.unpack(b.stage.read(b.stage.swarm.verdict), -1)
         np.testing.assert_array_equal(verdict[..., 3], step.particle)
 
 
@@ -240,7 +253,7 @@ def test_fragment_and_compute_end_with_equal_error_quantiles():
 
 
 def test_an_atlas_is_cut_into_tiles_that_hold_every_particle_once(bench):
-    b = bench(dataclasses.replace(CASES[10], shape=(5, 3)))
+    b = bench(dataclasses.replace(CASES[10], shape=(5, 3), domain={"holes": False}))
     atlas = b.stage.swarm.atlas
     assert atlas.across * atlas.down >= 2 * b.problem.particles
     marks = np.arange(b.problem.particles * 15 * 8, dtype=np.float64).reshape(-1, 5, 3, 8)

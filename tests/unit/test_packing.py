@@ -1,0 +1,42 @@
+"""Dense packing of the texels that are solved."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.solver.packing import Packing
+
+RNG = np.random.default_rng(0)
+MASKS = {
+    "everywhere": np.ones((5, 7), bool),
+    "nowhere": np.zeros((5, 7), bool),
+    "one": np.eye(5, 7, 3, bool) & (np.arange(7) == 4),
+    "some": RNG.random((13, 17)) < 0.3,
+    "a row": RNG.random((1, 29)) < 0.7,
+    "all but one": np.arange(35).reshape(5, 7) != 11,
+}
+
+
+@pytest.mark.parametrize("name", MASKS)
+def test_what_is_packed_unpacks_to_itself_and_to_the_fill_elsewhere(name):
+    mask = MASKS[name]
+    packing = Packing(mask)
+    array = RNG.normal(size=(*mask.shape, 3)).astype(np.float32)
+    unpacked = packing.unpack(packing.pack(array), (7, 8, 9))
+    np.testing.assert_array_equal(unpacked[mask], array[mask])
+    np.testing.assert_array_equal(unpacked[~mask], np.broadcast_to((7, 8, 9), ((~mask).sum(), 3)))
+
+
+@pytest.mark.parametrize("name", MASKS)
+def test_layers_are_packed_as_single_arrays_are(name):
+    packing = Packing(MASKS[name])
+    layers = RNG.normal(size=(3, *MASKS[name].shape, 4)).astype(np.float32)
+    np.testing.assert_array_equal(packing.pack_layers(layers), np.stack([packing.pack(layer) for layer in layers]))
+
+
+@pytest.mark.parametrize("name", MASKS)
+def test_empty_texels_take_no_room_but_the_rest_of_a_row(name):
+    mask = MASKS[name]
+    packing = Packing(mask)
+    assert packing.width * packing.height - mask.sum() < max(packing.width, 2)
+    if mask.all():
+        assert (packing.height, packing.width) == mask.shape

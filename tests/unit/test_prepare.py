@@ -1,0 +1,150 @@
+"""Before the search: scales, shadow weights and the Lambertian guess, against numpy's percentile and lstsq."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.solver import prepare
+from irpso_addon.solver.schedule import load_schedule
+from tests.swarm_oracle import direction_to, frames, turned
+from tests.swarm_subjects import make_domain, unit, with_radiance
+
+LENS = {"near": True, "colored": True}
+
+
+def grey_of(domain, y, x):
+    """Return the weighted samples of a texel, as grey radiance over the light's grey intensity."""
+    samples = domain.stack[:, y, x].astype(np.float64)
+    keep = samples[:, 3] > 0
+    return samples[keep, :3].mean(axis=1) / domain.intensities[keep].astype(np.float64).mean(axis=1)
+
+
+@pytest.mark.parametrize("percentile", [1, 50, 80, 100])
+@pytest.mark.parametrize("options", [{}, {"colored": True}, {"observations": 1}, {"observations": 2}], ids=str)
+def test_the_scale_is_the_percentile_of_the_weighted_samples(percentile, options):
+    domain = make_domain(9, 7, **options)
+    scale = prepare.texel_scale(domain, percentile)
+    for y, x in np.ndindex(domain.shape):
+        wanted = np.percentile(grey_of(domain, y, x), percentile) if domain.solvable[y, x] else 1.0
+        assert scale[y, x] == pytest.approx(wanted, rel=1e-5)
+
+
+def test_the_percentile_of_columns_with_gaps_is_that_of_numpy():
+    values = np.random.default_rng(4).normal(size=(11, 60))
+    values[np.random.default_rng(5).random(values.shape) < 0.4] = np.nan
+    values[1:, 0] = np.nan
+    for percentile in (0, 20, 33.3, 75, 100):
+        wanted = np.nanpercentile(values, percentile, axis=0)
+        np.testing.assert_allclose(prepare._nan_percentile(values, percentile), wanted, rtol=1e-12)
+
+
+def test_a_texel_that_is_black_has_the_scale_1():
+    domain = make_domain(3, 3, holes=False)
+    domain.stack[:, 1, 1, :3] = 0
+    assert prepare.texel_scale(domain, 80)[1, 1] == 1
+
+
+def test_samples_under_the_shadow_threshold_weigh_nothing():
+    domain = make_domain(9, 7, colored=True)
+    fitness = load_schedule("swarm").fitness
+    fitness = replace(fitness, loss="robust", shadow=0.5)
+    scale = prepare.texel_scale(domain, 80)
+    stack = domain.stack.copy()
+    prepare.drop_shadow(stack, domain.intensities, scale, fitness)
+    for y, x in np.argwhere(domain.solvable):
+        before = domain.stack[:, y, x].astype(np.float64)
+        grey = before[:, :3].mean(axis=1) / domain.intensities.mean(axis=1)
+        wanted = np.where((before[:, 3] > 0) & (grey >= 0.5 * scale[y, x]), before[:, 3], 0)
+        np.testing.assert_array_equal(stack[:, y, x, 3], wanted.astype(np.float32))
+    assert 0 < (stack[..., 3] > 0).sum() < (domain.stack[..., 3] > 0).sum()
+
+
+@pytest.mark.parametrize("change", [{"loss": "l1"}, {"loss": "l2"}, {"shadow": 0.0}])
+def test_only_a_robust_fitness_with_a_threshold_drops_shadow(change):
+    domain = make_domain(5, 4)
+    stack = domain.stack.copy()
+    fitness = replace(replace(load_schedule("swarm").fitness, loss="robust", shadow=0.9), **change)
+    prepare.drop_shadow(stack, domain.intensities, np.ones(domain.shape), fitness)
+    np.testing.assert_array_equal(stack, domain.stack)
+
+
+@pytest.mark.parametrize("options", [{}, {"card": False}, LENS, LENS | {"card": False}], ids=str)
+def test_light_vectors_are_unit_in_the_texels_frame_and_fall_with_the_square(options):
+    domain = make_domain(4, 5, **options)
+    texels = np.nonzero(domain.solvable)
+    vectors, irradiance = prepare.light_vectors(domain, texels)
+    frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
+    for k in range(domain.observations):
+        toward, squared = direction_to(domain.lights[k], position)
+        np.testing.assert_allclose(vectors[k], turned(frame, toward)[texels], atol=1e-6)
+        np.testing.assert_allclose(irradiance[k], (domain.intensities[k] / squared)[texels], rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), 1, rtol=1e-6)
+
+
+def trimmed_fit(domain, y, x):
+    """Return normal and albedo of one texel by lstsq over its lit samples between the 20th and 75th percentile."""
+    frame, position = frames(domain.bake)[y, x], domain.bake.position[y, x].astype(np.float64)
+    rows, shades = [], []
+    for k in range(domain.observations):
+        toward, squared = direction_to(domain.lights[k], position)
+        if domain.stack[k, y, x, 3] > 0:
+            rows.append(frame @ toward)
+            shades.append(domain.stack[k, y, x, :3] / (domain.intensities[k] / squared))
+    if not rows:
+        return np.array([0, 0, 1.0]), np.zeros(3)
+    rows, shades = np.array(rows), np.array(shades, np.float64)
+    grey = shades.mean(axis=1)
+    lit = grey > 0
+    low, high = np.percentile(grey[lit], [20, 75])
+    kept = lit & (grey >= low) & (grey <= high)
+    kept = kept if kept.sum() >= 3 else lit
+    if kept.sum() < 3:
+        return np.array([0, 0, 1.0]), None
+    scaled = np.linalg.lstsq(rows[kept], grey[kept], rcond=None)[0]
+    scaled[2] = max(scaled[2], 0)
+    normal = scaled / np.linalg.norm(scaled)
+    cosine = np.maximum(rows[kept] @ normal, 0)
+    return normal, (cosine[:, None] * shades[kept]).sum(axis=0) / max((cosine**2).sum(), 1e-8)
+
+
+@pytest.mark.parametrize("options", [{}, {"card": False, "observations": 20}, LENS, {"observations": 3}], ids=str)
+def test_the_seed_is_a_trimmed_least_squares_fit_of_every_texel(options):
+    domain = make_domain(7, 6, **({"observations": 15} | options))
+    normals, albedos = prepare.lambert_seed(domain)
+    assert np.isfinite(normals).all() and np.isfinite(albedos).all()
+    for y, x in np.argwhere(domain.solvable):
+        normal, albedo = trimmed_fit(domain, y, x)
+        np.testing.assert_allclose(normals[y, x], normal, atol=2e-4)
+        if albedo is not None:
+            np.testing.assert_allclose(albedos[y, x], albedo, rtol=2e-3, atol=2e-4)
+    np.testing.assert_allclose(normals[~domain.solvable], np.tile((0, 0, 1), ((~domain.solvable).sum(), 1)))
+
+
+@pytest.mark.parametrize("options", [{}, {"card": False}, LENS | {"card": False}], ids=str)
+def test_the_seed_of_a_lambertian_subject_is_the_subject(options):
+    rng = np.random.default_rng(2)
+    normal = unit(rng.normal(size=(7, 6, 3)) * 0.25 + (0, 0, 1))
+    truth = {"normal": normal, "base_color": rng.uniform(0.1, 1, (7, 6, 3))}
+    domain = with_radiance(make_domain(7, 6, observations=30, **options), "lambert", truth)
+    domain.stack[3, ..., :3] = np.nan
+    domain.stack[3, ..., 3] = 0
+    found, albedo = prepare.lambert_seed(domain)
+    lit = ((domain.stack[..., 3] > 0) & (domain.stack[..., 0] > 0)).sum(axis=0)
+    seen = domain.solvable & (lit >= 6)
+    assert seen.sum() > 20
+    assert (found[seen] * normal[seen]).sum(axis=-1).min() > 1 - 1e-6
+    np.testing.assert_allclose(albedo[seen], truth["base_color"][seen], rtol=1e-4)
+
+
+def test_a_highlight_and_a_shadow_do_not_move_the_seed():
+    rng = np.random.default_rng(2)
+    domain = make_domain(5, 5, observations=40, holes=False)
+    truth = {"normal": unit(rng.normal(size=(5, 5, 3)) * 0.2 + (0, 0, 1)), "base_color": np.full((5, 5, 3), 0.5)}
+    domain = with_radiance(domain, "lambert", truth)
+    order = np.argsort(domain.stack[..., 0], axis=0)
+    np.put_along_axis(domain.stack[..., 0], order[-6:], 5.0, axis=0)
+    domain.stack[..., :3] = domain.stack[..., :1]
+    np.put_along_axis(domain.stack[..., 0], order[:5], 1e-4, axis=0)
+    normal, _ = prepare.lambert_seed(domain)
+    assert (normal * truth["normal"]).sum(axis=-1).min() > np.cos(np.radians(0.1))
