@@ -8,29 +8,37 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import NoReturn
 
-from .errors import IrpsoError
+from .errors import InputError, IrpsoError, ShaderError
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one line, like those of all other bad input."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise InputError in place of printing the usage and ending the process, which may be Blender."""
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; bad options end in code 2 like any other bad input."""
-    parser = build_parser()
+    argv = sys.argv[1:] if argv is None else list(argv)
     try:
-        options = parser.parse_args(argv)
-    except SystemExit as stop:  # argparse has said what is wrong; Blender must not be ended from here
+        options = build_parser().parse_args(argv)
+    except InputError as error:
+        return _fail(error, "--json" in argv)
+    except SystemExit as stop:  # --help; Blender must not be ended from here
         return int(stop.code or 0)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     command = import_module(f".commands.{options.command}", __package__)
     try:
         result = command.run(options)
     except IrpsoError as error:
-        sys.stderr.write(f"irpso: {error}\n")
-        if options.json:
-            _print_json({"error": str(error), "exit_code": error.exit_code})
-        return error.exit_code
+        return _fail(error, options.json)
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\nirpso: interrupted{f'; {stop}' if str(stop) else ''}\n")
         return INTERRUPTED
@@ -39,9 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(result.get("exit_code", 0))
 
 
+def _fail(error: IrpsoError, as_json: bool) -> int:
+    """Say in one line what is wrong; the compiler's whole log goes into the JSON alone."""
+    text = error.summary if isinstance(error, ShaderError) else " ".join(str(error).splitlines())
+    sys.stderr.write(f"irpso: {text}\n")
+    if as_json:
+        log = {"log": error.log} if isinstance(error, ShaderError) else {}
+        _print_json({"error": text, "exit_code": error.exit_code, **log})
+    return error.exit_code
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all commands."""
-    parser = argparse.ArgumentParser("irpso", description="Recovers materials from photographs.", epilog=_EPILOG)
+    parser = _Parser("irpso", description="Recovers materials from photographs.", epilog=_EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_recover(commands)
     _add_render(commands)

@@ -1,5 +1,9 @@
 """The exceptions that cross a border of the program; each message names what is wrong, where, and the remedy."""
 
+import re
+
+_SOURCE_LINE = re.compile(r"(\S+\.glsl:\d+(?::\d+)?):\s*(?:error:\s*)?(.+)", re.IGNORECASE)
+
 
 class IrpsoError(Exception):
     """Base of every error meant for the person at the keyboard; ``exit_code`` is what the command line returns."""
@@ -18,7 +22,15 @@ class ShaderError(InputError):
 
     def __init__(self, message: str, log: str = ""):
         super().__init__(message if not log else f"{message}\n{log}")
-        self.log = log
+        self.log, self._message = log, message
+
+    @property
+    def summary(self) -> str:
+        """One line: the first fault of the log with its file and line, as in "my.glsl:5:10: type mismatch"."""
+        if found := _SOURCE_LINE.search(self.log):
+            return f"{found[1]}: {found[2].strip()}; correct the shader there"
+        lines = [line.strip() for line in self.log.splitlines() if line.strip()]
+        return ": ".join([self._message, *lines[:1]])
 
 
 class GpuUnavailableError(IrpsoError):

@@ -27,13 +27,15 @@ from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.recovery import Recovery
 from ..solver.schedule import Schedule
+from .interrupt import held_back
 from .options import index_list, known_from_options, schedule_from_options, size_option
 from .pictures import error_preview, relit_preview
 from .progress import ProgressBar
 
 CHECKPOINT = "checkpoint.npz"
 BLEND = "material.blend"
-_SLICE = 25  # iterations between looks at the clock, the progress bar and Ctrl-C
+_SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
+_SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
 
 
 @dataclass
@@ -121,18 +123,22 @@ def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
     if options.resume:
         recovery.load(checkpoint)
     bar = ProgressBar("recover", options.quiet or options.json)
-    try:
+    iterations = 1
+    with held_back() as interrupted:
         progress = recovery.progress
-        while not progress.done:
-            progress = recovery.step(_SLICE)
-            rate = progress.evaluations / max(bar.seconds, 1e-9) / 1e6
+        before = progress.evaluations
+        while not (progress.done or interrupted()):
+            started = bar.seconds
+            progress = recovery.step(iterations)
+            rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
-    except KeyboardInterrupt as stop:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        recovery.save(checkpoint)
-        raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume") from stop
-    finally:
+            wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
+            iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
         bar.close()
+        if not progress.done:
+            job.folder.mkdir(parents=True, exist_ok=True)
+            recovery.save(checkpoint)
+            raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume")
     job.seconds["solve"] = bar.seconds
     return recovery.maps()
 

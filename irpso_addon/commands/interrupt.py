@@ -1,0 +1,30 @@
+"""Ctrl-C, put off until what is under way is whole."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def held_back() -> Iterator[Callable[[], bool]]:
+    """Hold back the first SIGINT or SIGTERM; yields a function that says whether one has come.
+
+    An exception in the middle of an iteration would leave swarms half moved, from which no checkpoint can go on. A
+    second signal does interrupt at once, for those who do not want to wait.
+    """
+    came = False
+
+    def note(number: int, frame: object) -> None:
+        nonlocal came
+        if came:
+            raise KeyboardInterrupt
+        came = True
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
