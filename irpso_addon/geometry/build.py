@@ -52,8 +52,8 @@ def domain_from_mesh(
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
     grazing: the least cosine between face and view at which a texel counts as seen. Observations are read one at a
-    time. Raises InputError for overlapping UVs (unless allowed), images of another size than their camera, or when
-    no texel is seen by any camera.
+    time. The domain's bake is a SurfaceBake, which ``frames`` needs. Raises InputError for overlapping UVs (unless
+    allowed), images of another size than their camera, or when no texel is seen by any camera.
     """
     _check_masks(capture)
     bake = bake_uv(mesh, width, height, allow_overlap)
@@ -71,8 +71,7 @@ def domain_from_mesh(
         out[:] = projectors[observation.camera].sample(np.concatenate([image[..., :3], weight[..., None]], axis=-1))
     _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
-    plain = GeometryBake(bake.position, bake.normal, bake.tangent, bake.coverage, bake.uv)
-    return _domain(capture.observations, plain, stack, views, np.eye(4), card=False)
+    return _domain(capture.observations, bake, stack, views, np.eye(4), card=False)
 
 
 def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:

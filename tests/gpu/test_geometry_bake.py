@@ -186,6 +186,20 @@ def test_radiance_photographed_from_two_sides_comes_back_to_the_texels_it_came_f
     np.testing.assert_array_equal(domain.lights, [[0, 0, 2, 1]] * 2)
 
 
+def test_a_mesh_that_no_image_shows_is_refused():
+    mesh, camera = oracle.plane(), Camera.from_fov(8, 8, 40, looking((0, 0, 3), (0, 0, 9)))
+    image, mask = np.ones((8, 8, 4), np.float32), np.ones((8, 8), bool)
+    taken = Capture("away", (Observation("one", lambda: image, Light((0, 0, 1))),), (camera,), (mask,))
+    with pytest.raises(InputError, match="no image of capture 'away' shows mesh 'test'"):
+        domain_from_mesh(taken, mesh, 8, 8)
+    facing = replace(taken, cameras=(Camera.from_fov(8, 8, 40, looking((0, 0, 3))),))
+    assert domain_from_mesh(facing, mesh, 8, 8).solvable.sum() > 30
+    with pytest.raises(InputError, match="shows mesh 'test'; check its cameras, masks"):
+        domain_from_mesh(replace(facing, masks=(~mask,)), mesh, 8, 8)
+    with pytest.raises(InputError, match="no texel of 2 × 2 lies on 'test'"):
+        domain_from_mesh(facing, replace(mesh, uvs=mesh.uvs * np.float32(0.1)), 2, 2)
+
+
 def test_no_texel_is_seen_through_another_part_of_the_mesh():
     mesh = extract_mesh(monkey(1))
     camera = Camera.from_fov(200, 160, 40, looking((3.0, -3, 0.6)))
