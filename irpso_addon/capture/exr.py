@@ -90,8 +90,11 @@ def colour_channels(part: ExrPart, layer: str | None, where: str) -> tuple[list[
         layer = next(iter(colours))
     chosen = colours.get(layer or "")
     if chosen is None:
-        names = ", ".join(f"'{name}'" for name in sorted(colours)) or "none with R, G, B or Y"
-        raise CaptureError(f"{where}: has no image layer '{layer or ''}'; its layers: {names}; set layer", "layer")
+        if not colours:
+            raise CaptureError(f"{where}: has no channels R, G, B or Y; export it as RGB", "layer")
+        names = ", ".join(repr(name) for name in sorted(colours) if name) or "none with a name"
+        what = "has several image layers" if layer is None else f"has no image layer '{layer}'"
+        raise CaptureError(f"{where}: {what}; set layer in a capture.toml to one it has ({names})", "layer")
     return chosen, layers[layer or ""].get("A")
 
 

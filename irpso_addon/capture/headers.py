@@ -41,8 +41,8 @@ def read_header(path: Path) -> ImageHeader:
     elif data[:2] == b"#?":
         header = _hdr(path, data)
     else:
-        what = "is empty" if not data else "is no PNG, JPEG, TIFF, HDR or EXR image"
-        raise CaptureError(f"{path}: {what}; replace it by one of these", "image_unknown")
+        what = "is no PNG, JPEG, TIFF, HDR or EXR image; replace it by one" if data else "is empty; copy it again"
+        raise CaptureError(f"{path}: {what}", "image_unknown")
     if header.orientation >= 5:
         header = ImageHeader(header.kind, header.height, header.width, header.bits, header.orientation)
     if header.width < 1 or header.height < 1:
@@ -57,7 +57,7 @@ def read_bytes(path: Path) -> bytes:
     except FileNotFoundError as error:
         raise CaptureError(f"{path}: this image is not there; put it there or take its line out", "missing") from error
     except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror}); check its permissions", "missing") from error
+        raise CaptureError(f"{path}: cannot be read ({error.strerror}); check what it is", "missing") from error
 
 
 def truncated(path: Path) -> CaptureError:
@@ -70,8 +70,6 @@ def _png(path: Path, data: bytes) -> ImageHeader:
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         kind, end = data[at + 4 : at + 8], at + 12 + length
-        if end > len(data):
-            break
         if kind == b"eXIf":
             orientation = tiff_orientation(data[at + 8 : at + 8 + length])
         if kind == b"IEND":

@@ -86,14 +86,16 @@ class ImageStore:
         wanted = image.part
         if isinstance(wanted, int) and 0 <= wanted < len(parts):
             return parts[wanted]
-        named = [part for part in parts if part.name == wanted]
         if wanted is None and len(parts) == 1:
             return parts[0]
-        if not named or wanted is None:
-            some = ", ".join(repr(part.name) for part in parts[:6]) + (", …" if len(parts) > 6 else "")
-            raise CaptureError(
-                f"{image.path}: has no part {wanted!r}; set part to one of {some}, or a number from 0", "part"
+        named = [part for part in parts if part.name == wanted and wanted is not None]
+        if not named:
+            what = "has several parts" if wanted is None else f"has no part {wanted!r}"
+            some = ", ".join(repr(part.name) for part in parts[:6] if part.name) + (", …" if len(parts) > 6 else "")
+            remedy = (
+                f"set part in a capture.toml to one it has ({some})" if some else "take part out: it has one, unnamed"
             )
+            raise CaptureError(f"{image.path}: {what}; {remedy}", "part")
         return named[0]
 
     def _pixels(self, path: Path, part: ExrPart) -> ExrImage:

@@ -75,7 +75,8 @@ DILIGENT = {
     "one name too many": (write("filenames.txt", "000.exr\n" * 6), "light_directions.txt", "5 lights.*6 images"),
     "an intensity too many": (write("light_intensities.txt", "1\n" * 6), "light_intensities.txt", "6 lights"),
     "a NaN light": (lights(lambda a: a * [[1], [np.nan], [1], [1], [1]]), "light_directions.txt: line 2", "number"),
-    "an infinite light": (replace("light_directions.txt", "1.0", "inf"), "light_directions.txt: line 1", "number"),
+    "an infinite light": (
+        replace("light_directions.txt", "1.00000000", "inf"), "light_directions.txt: line 1", "number; write three"),
     "a zero light": (lights(lambda a: a * [[1], [1], [0], [1], [1]]), "light_directions.txt: line 3", "zero"),
     "text for a number": (replace("light_directions.txt", "0.6", "x6"), "light_directions.txt: line 2", "'x600"),
     "two numbers in a line": (write("light_directions.txt", "0 0 1\n" * 4 + "0 1\n"), "line 5", "three"),
@@ -95,9 +96,10 @@ DILIGENT = {
     "an image of another size": (exr("001.exr", (6, 9)), "001.exr", "9×6.*8×6"),
     "a folder for an image": (lambda f: (remove("001.exr")(f), (f / "001.exr").mkdir()), "001.exr", "cannot be read"),
     "an image without colour": (
-        lambda f: write_exr(f / "001.exr", {"": {"u": FRAMES[0], "v": FRAMES[0]}}), "001.exr", "layer"),
+        lambda f: write_exr(f / "001.exr", {"": {"u": FRAMES[0], "v": FRAMES[0]}}), "001.exr", "no channels R"),
     "several parts and none named": (
-        lambda f: write_exr(f / "001.exr", {"a": {"Y": FRAMES[0]}, "b": {"Y": FRAMES[0]}}), "001.exr", "'a', 'b'"),
+        lambda f: write_exr(f / "001.exr", {"a": {"Y": FRAMES[0]}, "b": {"Y": FRAMES[0]}}),
+        "001.exr", "several parts.*'a', 'b'"),
     "a mask of another size": (exr("mask.exr", (6, 9)), "mask.exr", "9×6.*8×6"),
     "an empty mask": (exr("mask.exr", (6, 8), 0.0), "mask.exr", "empty"),
     "a mask that is junk": (write("mask.png", b"junk"), "mask.png", "no PNG"),
@@ -223,6 +225,12 @@ def test_what_is_no_capture_is_refused_in_one_line(tmp_path):
         read_capture(tmp_path, colour_space="log")
 
 
+def test_sizes_that_differ_are_refused_before_any_image_is_decoded(tmp_path):
+    exr("003.exr", (6, 9))(write_diligent(tmp_path, FRAMES))
+    with pytest.raises(InputError, match="003.exr: is 9×6 pixels where its camera has 8×6"):
+        read_capture(tmp_path)
+
+
 def test_all_broken_images_are_told_of_and_not_only_the_first(tmp_path):
     write_diligent(tmp_path, FRAMES)
     for name in ("001.exr", "003.exr", "004.exr"):
@@ -238,7 +246,7 @@ def test_all_broken_images_are_told_of_and_not_only_the_first(tmp_path):
 def test_a_file_that_may_not_be_read_is_named(tmp_path, name):
     write_diligent(tmp_path, FRAMES)
     (tmp_path / name).chmod(0)
-    refused(tmp_path, name, "permissions")
+    refused(tmp_path, name, "cannot be read")
 
 
 def test_a_file_that_shrinks_between_looking_and_reading_is_refused(tmp_path):

@@ -64,8 +64,17 @@ def test_a_layer_is_taken_by_name_or_because_it_is_the_only_one(tmp_path):
     np.testing.assert_array_equal(samples(tmp_path / "one.exr").rgba[..., 2], GREY + 2)
     write_exr(tmp_path / "two.exr", {"": {**one, **{f"gloss.{c}": 3 * GREY for c in "RGB"}}})
     np.testing.assert_array_equal(samples(tmp_path / "two.exr", layer="gloss").rgba[..., 0], 3 * GREY)
-    with pytest.raises(CaptureError, match="'diffuse', 'gloss'; set layer"):
+    with pytest.raises(CaptureError, match="several image layers; .*'diffuse', 'gloss'"):
         samples(tmp_path / "two.exr")
+
+
+def test_chroma_of_lower_resolution_is_refused(tmp_path):
+    even = RNG.random((6, 8)).astype(np.float32)
+    channels = {"Y": even, "RY": OpenEXR.Channel("RY", even[::2, ::2].copy(), 2, 2)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "a.exr"))
+    with pytest.raises(CaptureError, match="lower resolution.*save it as RGB"):
+        samples(tmp_path / "a.exr")
 
 
 def test_alpha_is_the_weight(tmp_path):

@@ -18,8 +18,8 @@ def picture(codes, bits):
 
 def test_the_srgb_curve_has_the_values_of_its_standard():
     # IEC 61966-2-1: code 0.5 is 0.21404114 of linear light; the straight part has slope 1/12.92.
-    found = srgb_to_linear(np.array([0.0, 0.02, 0.04045, 0.5, 1.0]))
-    np.testing.assert_allclose(found, [0, 0.02 / 12.92, 0.0031308, 0.21404114, 1], rtol=1e-5)
+    found = srgb_to_linear(np.array([0.0, 0.02, 0.04045, 0.048, 0.5, 1.0]))
+    np.testing.assert_allclose(found, [0, 0.02 / 12.92, 0.0031308, (0.103 / 1.055) ** 2.4, 0.21404114, 1], rtol=1e-5)
 
 
 def test_8_bits_are_srgb_and_16_bits_linear_unless_told_otherwise():

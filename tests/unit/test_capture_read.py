@@ -73,11 +73,11 @@ def test_png_images_come_through_the_decoder_upright(tmp_path):
 
 
 def test_an_lp_file_finds_its_images_by_the_last_part_of_dead_paths(tmp_path):
-    names = ["plain.exr", "with two spaces.exr", "dead.exr", "windows dead.exr", "CASE.exr"]
+    names = ["with two spaces.exr", "dead.exr", "windows dead.exr", "CASE.exr", "Both.exr"]
     for name, frame in zip(names, FRAMES, strict=True):
         write_exr(tmp_path / name, {"": {"Y": frame}})
-    written = ["plain.exr", "with two spaces.exr", "/no/such/folder/dead.exr", r"C:\my pictures\windows dead.exr",
-               "case.EXR"]  # fmt: skip
+    written = ["with two spaces.exr", "/no/such/folder/dead.exr", r"C:\my pictures\windows dead.exr", "case.EXR",
+               r"D:\x\BOTH.EXR"]  # fmt: skip
     rows = [f"{n} {x} {y} {z}" for n, (x, y, z) in zip(written, 3 * LIGHTS, strict=True)]
     (tmp_path / "dome.lp").write_text("5\r\n" + "\r\n".join(rows) + "\r\n\r\n")
     for path in (tmp_path, tmp_path / "dome.lp"):
