@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
+from ..errors import InputError
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import read_header
@@ -77,7 +78,12 @@ class ImageStore:
     def _picture(self, image: ImageRef) -> Picture:
         if self.decoder is None:
             self.size(image)  # raises, naming the remedy
-        return self.decoder(image.path)
+        try:
+            return self.decoder(image.path)
+        except CaptureError:
+            raise
+        except InputError as error:  # a decoder knows no codes
+            raise CaptureError(str(error), "image_truncated") from error
 
     def _part(self, image: ImageRef) -> ExrPart:
         if image.path not in self._headers:

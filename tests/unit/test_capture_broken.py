@@ -231,6 +231,20 @@ def test_sizes_that_differ_are_refused_before_any_image_is_decoded(tmp_path):
         read_capture(tmp_path)
 
 
+def test_what_a_decoder_cannot_read_is_told_by_inspect_too(tmp_path):
+    def decoder(path):
+        raise InputError(f"{path}: is of a rare kind; save it again")
+
+    write_diligent(tmp_path, FRAMES)
+    write_png(tmp_path / "000.png", np.zeros((6, 8, 3)))
+    replace("filenames.txt", "000.exr", "000.png")(tmp_path)
+    assert [f.message for f in inspect_capture(tmp_path, decoder).findings if f.severity == "error"] == [
+        f"{tmp_path / '000.png'}: is of a rare kind; save it again"
+    ]
+    write_png(tmp_path / "mask.png", np.full((6, 8, 1), 255))
+    assert "mask.png: is of a rare kind" in inspect_capture(tmp_path, decoder).findings[0].message
+
+
 def test_all_broken_images_are_told_of_and_not_only_the_first(tmp_path):
     write_diligent(tmp_path, FRAMES)
     for name in ("001.exr", "003.exr", "004.exr"):
