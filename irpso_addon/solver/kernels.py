@@ -112,6 +112,15 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
+def confidence_pass(model: ReflectanceModel, unknowns: str, defines: dict[str, int]) -> Pass:
+    """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what unknowns.glsl brings."""
+    outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
+    samplers = {**estimate_samplers(model), **_OBSERVATIONS}
+    given = {**model_includes(model), "unknowns.glsl": unknowns}
+    defines = {**defines, **estimate_defines(model)}
+    return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, given))
+
+
 def copy_pass() -> Pass:
     """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
     return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": _2D}, {}, {}))

@@ -18,6 +18,7 @@ from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
+from .confidence import Confidence
 from .kernels import residual_pass
 from .packing import Packing
 from .schedule import Schedule, resolve
@@ -84,6 +85,7 @@ class Recovery:
         self._known = known
         self._residual = residual_pass(model, self._textures.defines)
         self._error = textures.empty(*self._estimates.size)
+        self._confidence: Confidence | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._index = 0
@@ -124,8 +126,11 @@ class Recovery:
             (before + max(iteration, 0)) / total if self._stage else 1.0, self._evaluations, self._stage is None,
         )  # fmt: skip
 
-    def maps(self) -> Maps:
-        """Return what has been found so far, with the mean absolute error of its render."""
+    def maps(self, confidence: bool = True) -> Maps:
+        """Return what has been found so far, with the mean absolute error of its render.
+
+        confidence: whether to tell the standard deviations too, which takes as long as some dozens of iterations.
+        """
         self._finish_iteration()
         resolved = self._resolve()
         values = {
@@ -134,7 +139,8 @@ class Recovery:
         }
         inputs = {**self._textures.textures, **self._estimates.bindings(resolved)}
         self._residual.run([self._error], inputs, {"u_observations": self.domain.observations})
-        return Maps(self.model, values, self._solvable, self._packing.unpack(textures.download(self._error)[..., 0]))
+        error = self._packing.unpack(textures.download(self._error)[..., 0])
+        return Maps(self.model, values, self._solvable, error, self._deviations(resolved) if confidence else None)
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
@@ -182,7 +188,9 @@ class Recovery:
             self._stage.close()
         if self._residual is not None:
             self._residual.close()
-        self._stage = self._textures = self._estimates = self._residual = self._error = None
+        if self._confidence is not None:
+            self._confidence.close()
+        self._stage = self._textures = self._estimates = self._residual = self._error = self._confidence = None
 
     def __enter__(self) -> Recovery:
         return self
@@ -220,6 +228,14 @@ class Recovery:
             return False
         self._stage.resolve()
         return True
+
+    def _deviations(self, resolved: bool) -> dict[str, np.ndarray]:
+        if self._confidence is None:
+            self._confidence = Confidence(self.model, self._known, self._textures.defines)
+        found = self._confidence.deviations(
+            self._textures, self._estimates, resolved, self._bands, BACKGROUND_BAND_SECONDS
+        )
+        return {name: self._packing.unpack(deviation) for name, deviation in found.items()}
 
     def _reached_threshold(self) -> bool:
         threshold, stage = self.schedule.threshold, self._stage

@@ -1,0 +1,95 @@
+"""How far each recovered number is to be trusted: its standard deviation, from the observations alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..gpu import textures
+from ..gpu.bands import Bands
+from ..reflectance.model import ReflectanceModel
+from .kernels import confidence_pass
+from .state import DomainTextures, Estimates
+
+NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the observations say nothing
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The numbers that a model leaves to be found. count: a normal is two. source: their table, as GLSL."""
+
+    count: int
+    source: str
+    defines: dict[str, int]
+
+
+def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
+    """Return the unknowns of a model of which the parameters named ``known`` are given."""
+    rows: list[tuple[int, float, float]] = []
+    defines = {"NORMAL_UNKNOWN": -1}
+    for p in model.parameters:
+        at = model.offset(p.name)
+        if p.name in known:
+            continue
+        if p.is_normal:
+            defines = {"NORMAL_UNKNOWN": len(rows), "NORMAL_COMPONENT": at}
+            rows += [(at, 0.0, NORMAL_RANGE)] * 2
+        else:
+            rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
+    cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
+             for u, (at, low, width) in enumerate(rows)]  # fmt: skip
+    source = "\n".join(
+        ["void unknown_at(int u, out int component, out float low, out float width)", "{",
+         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", ""]
+    )  # fmt: skip
+    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows)})
+
+
+class Confidence:
+    """The pass that tells the standard deviation of every parameter at every texel.
+
+    It linearises the render around the estimates and takes the noise from what is left of the samples there (its
+    variance is Σ w e² / (3 Σ w − n), over weighted samples and three channels): σ² = variance · (JᵀJ)⁻¹, over all n
+    numbers that are not ``known`` jointly. It says how far noise of this size moves the best fit; it does not see a
+    model that is wrong in itself, nor another optimum. Where the samples do not determine a number (its column of J is
+    lost in rounding, or is a mixture of others' to 1e-5 of its square) σ is its range, and numbers that can be traded
+    for it take their share, up to their own range: two lobes of one width leave r1, r2 and w open, w = 1 leaves r2.
+    """
+
+    def __init__(self, model: ReflectanceModel, known: Collection[str], domain_defines: dict[str, int]):
+        self.model, self._known = model, frozenset(known)
+        unknowns = build_unknowns(model, self._known)
+        self._pass = confidence_pass(model, unknowns.source, {**domain_defines, **unknowns.defines})
+
+    def deviations(
+        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+    ) -> dict[str, np.ndarray]:
+        """Return parameter name → (h, w, components) float32, packed, in the parameter's units; 0 where it is known.
+
+        A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
+        seconds: about how long one draw may take.
+        """
+        targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+        inputs = {**domain.textures, **estimates.bindings(resolved)}
+        constants = {"u_observations": domain.domain.observations}
+        for _ in bands.run(
+            "confidence",
+            targets[0].height,
+            seconds,
+            lambda rows: self._pass.run(targets, inputs, constants, rows),
+            lambda: self._pass.fence(targets),
+        ):
+            self._pass.fence(targets)
+        packed = np.concatenate([textures.download(t) for t in targets], axis=-1)
+        deviations = {}
+        for p in self.model.parameters:
+            at, size = self.model.offset(p.name), 1 if p.is_normal else p.components
+            deviations[p.name] = packed[..., at : at + size]
+        return deviations
+
+    def close(self) -> None:
+        """Free the shader."""
+        self._pass.close()

@@ -1,0 +1,222 @@
+// Over W×H texels: the standard deviation of every parameter that was not given, from (JᵀJ)⁻¹ and the residual, over
+// all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table.
+// Writes o_deviation_0 …, packed as the estimates are: a number a component, in the parameter's own units; the first
+// component of a normal has the root of its two tangent variances, in radians, the others 0.
+//
+// unknowns.glsl is generated: void unknown_at(int u, out int component, out float low, out float width).
+// UNKNOWNS are counted, the normal as two that follow each other from NORMAL_UNKNOWN on (−1 where it was given);
+// NORMAL_COMPONENT is where it lies in the estimates.
+
+#include "common/estimate.glsl"
+#include "common/observation.glsl"
+#include "model.glsl"
+#include "unknowns.glsl"
+
+// Steps of the differences, of a parameter's range. A difference of two renders keeps about 2⁻²² / (2 · 2⁻¹⁰) = 2⁻¹³ of
+// the radiance as rounding; the stencil's own error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
+#define STEP (1.0 / 1024.0)
+#define DIFFERENCE_ROUNDING (1.0 / 8192.0)
+
+// The normal matrix squares the condition of J. In float32 its entries are good to 1e-6 of the diagonal after a few
+// hundred samples, so what is left of a diagonal below ten times that is not told from nothing.
+#define SINGULAR 1e-5
+
+// The render, changed by moving unknown u by a fraction of its range; it stays inside, as everything that is tried.
+Material moved(float c[12], int u, float by)
+{
+    int at;
+    float low;
+    float width;
+    unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
+        // Any axis will do, and the sum of the two variances does not depend on it.
+        vec3 axis = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+        axis = u == NORMAL_UNKNOWN ? axis : cross(n, axis);
+        // tan stands for the angle: 1e-6 of it at this step.
+        float angle = by * width;
+        n = (n + angle * axis) * inversesqrt(1.0 + angle * angle);
+        c[NORMAL_COMPONENT] = n.x;
+        c[NORMAL_COMPONENT + 1] = n.y;
+        c[NORMAL_COMPONENT + 2] = n.z;
+        return material_from(c);
+    }
+#endif
+    c[at] = clamp(c[at] + by * width, low, low + width);
+    return material_from(c);
+}
+
+// Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward.
+vec2 steps_of(float c[12], int u)
+{
+    int at;
+    float low;
+    float width;
+    unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        return vec2(-STEP, STEP);
+    }
+#endif
+    float x = (c[at] - low) / width;
+    return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
+}
+
+// Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights.
+void accumulate(ivec2 texel, float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors, out float energy,
+                out float weights)
+{
+    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
+        a[i] = 0.0;
+    }
+    errors = 0.0;
+    energy = 0.0;
+    weights = 0.0;
+    vec2 steps[UNKNOWNS];
+    for (int u = 0; u < UNKNOWNS; u++) {
+        steps[u] = steps_of(c, u);
+    }
+    Frame f = frame_at(texel);
+    Material s = material_from(c);
+    for (int k = 0; k < u_observations; k++) {
+        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
+        if (reference.a <= 0.0) {
+            continue;
+        }
+        vec3 intensity;
+        vec3 l = light_at(f, k, intensity);
+        vec3 v = view_at(f, k);
+        vec3 render = intensity * reflectance(s, l, v);
+        vec3 error = render - reference.rgb;
+        errors += reference.a * dot(error, error);
+        energy += reference.a * dot(render, render);
+        weights += reference.a;
+        vec3 j[UNKNOWNS];
+        for (int u = 0; u < UNKNOWNS; u++) {
+            vec2 by = steps[u];
+            vec3 first = intensity * reflectance(moved(c, u, by.x), l, v) - render;
+            vec3 second = intensity * reflectance(moved(c, u, by.y), l, v) - render;
+            // The slope at 0 of the parabola through the three.
+            j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
+        }
+        for (int row = 0; row < UNKNOWNS; row++) {
+            vec3 weighted = reference.a * j[row];
+            for (int column = row; column < UNKNOWNS; column++) {
+                a[row * UNKNOWNS + column] += dot(weighted, j[column]);
+            }
+        }
+    }
+}
+
+// Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). Once the set S
+// is swept, the matrix holds −A_SS⁻¹ there, the Schur complement A_UU − A_US A_SS⁻¹ A_SU in the rest U, and between them
+// A_SS⁻¹ A_SU: what S gives way when U is moved.
+void sweep(inout float a[UNKNOWNS * UNKNOWNS], int k)
+{
+    float pivot = a[k * UNKNOWNS + k];
+    float column[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        column[i] = a[i * UNKNOWNS + k];
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int m = 0; m < UNKNOWNS; m++) {
+            a[i * UNKNOWNS + m] -= column[i] * column[m] / pivot;
+        }
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        a[i * UNKNOWNS + k] = column[i] / pivot;
+        a[k * UNKNOWNS + i] = column[i] / pivot;
+    }
+    a[k * UNKNOWNS + k] = -1.0 / pivot;
+}
+
+// Turns JᵀJ into the deviations of the unknowns, as fractions of their ranges; 1 where the observations do not say.
+// An unknown that is left undetermined has the deviation 1 and passes it on to those that can be traded for it.
+void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float energy, out float deviation[UNKNOWNS])
+{
+    // Unit diagonal first: the pivots are then what is left of 1.
+    float norm[UNKNOWNS];
+    bool swept[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        norm[i] = sqrt(a[i * UNKNOWNS + i]);
+        swept[i] = false;
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int m = i; m < UNKNOWNS; m++) {
+            float scale = norm[i] * norm[m];
+            a[i * UNKNOWNS + m] = scale > 0.0 ? a[i * UNKNOWNS + m] / scale : 0.0;
+            a[m * UNKNOWNS + i] = a[i * UNKNOWNS + m];
+        }
+    }
+    float nothing = DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy;
+    for (int round = 0; round < UNKNOWNS; round++) {
+        // What changes the render most goes first, so that what is left undetermined is what matters least.
+        int chosen = -1;
+        float most = nothing;
+        for (int i = 0; i < UNKNOWNS; i++) {
+            float left = a[i * UNKNOWNS + i];
+            if (!swept[i] && left > SINGULAR && left * norm[i] * norm[i] > most) {
+                chosen = i;
+                most = left * norm[i] * norm[i];
+            }
+        }
+        if (chosen < 0) {
+            break;
+        }
+        sweep(a, chosen);
+        swept[chosen] = true;
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        deviation[i] = 1.0;
+        if (swept[i]) {
+            float squared = -a[i * UNKNOWNS + i] * variance;
+            for (int m = 0; m < UNKNOWNS; m++) {
+                float traded = swept[m] ? 0.0 : a[i * UNKNOWNS + m] * norm[m];
+                squared += traded * traded;
+            }
+            squared /= norm[i] * norm[i];
+            // Written so that NaN knows nothing.
+            deviation[i] = squared < 1.0 ? sqrt(squared) : 1.0;
+        }
+    }
+}
+
+bool kernel(ivec2 texel)
+{
+    float sigma[12];
+    for (int i = 0; i < 12; i++) {
+        sigma[i] = 0.0;
+    }
+    if (state_at(texel) == TEXEL_SOLVED) {
+        float c[12];
+        material_to(estimate_at(texel), c);
+        float a[UNKNOWNS * UNKNOWNS];
+        float errors;
+        float energy;
+        float weights;
+        accumulate(texel, c, a, errors, energy, weights);
+        float deviation[UNKNOWNS];
+        float freedom = 3.0 * weights - float(UNKNOWNS);
+        if (freedom > 0.0) {
+            deviations_from(a, errors / freedom, energy, deviation);
+        }
+        for (int u = 0; u < UNKNOWNS; u++) {
+            int at;
+            float low;
+            float width;
+            unknown_at(u, at, low, width);
+            float own = width * (freedom > 0.0 ? deviation[u] : 1.0);
+            // The two of a normal share a component: their variances add up, to its range at most.
+            sigma[at] = min(width, length(vec2(sigma[at], own)));
+        }
+    }
+    o_deviation_0 = vec4(sigma[0], sigma[1], sigma[2], sigma[3]);
+#if ESTIMATES > 1
+    o_deviation_1 = vec4(sigma[4], sigma[5], sigma[6], sigma[7]);
+#endif
+#if ESTIMATES > 2
+    o_deviation_2 = vec4(sigma[8], sigma[9], sigma[10], sigma[11]);
+#endif
+    return true;
+}
