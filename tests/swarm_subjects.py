@@ -1,4 +1,4 @@
-"""Domains made in numpy for the tests of the solver, and a stage set up to be compared with its oracle."""
+"""Domains and subjects made in numpy for the tests of the solver, and recoveries of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.schedule import load_schedule
 from tests.swarm_oracle import MODELS, direction_to, frames, turned
+
+# Few iterations, and a neighbour term strong enough to show.
+SHORT = load_schedule("swarm").replaced(iterations=12, seed="random", c3=0.3, particles=6, particles_per_dimension=0.0)
 
 
 def make_domain(
@@ -72,3 +77,38 @@ def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> 
         render = MODELS[model](values, turned(frame, light), turned(frame, view)) * domain.intensities[k] / squared
         stack[k, ..., :3] = np.where(stack[k, ..., 3:] > 0, render, np.nan)
     return replace(domain, stack=stack)
+
+
+def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
+    """Return (domain, truth) of a smooth subject with noise on it, as the oracle's model renders it."""
+    rng = np.random.default_rng(rng_seed)
+    shape = (height, width)
+    truth = {
+        "base_color": rng.uniform(0.2, 0.9, (*shape, 3)),
+        "normal": unit(rng.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)),
+        "r1": rng.uniform(0.1, 0.2, (*shape, 1)),
+        "r2": rng.uniform(0.4, 0.6, (*shape, 1)),
+        "w": rng.uniform(0.3, 0.7, (*shape, 1)),
+    }
+    truth = {p.name: truth[p.name].astype(np.float32) for p in load_model(model).parameters}
+    return with_radiance(make_domain(height, width, **options), model, truth), truth
+
+
+def bits_of(maps):
+    """Return all values of maps as bytes, to be compared bit for bit."""
+    return {name: np.ascontiguousarray(v[maps.covered]).tobytes() for name, v in maps.values.items()}
+
+
+def recoveries():
+    """Yield a maker of recoveries, which are closed at the end: what a fixture of a test module is made of."""
+    from irpso_addon.solver.recovery import Recovery  # needs Blender
+
+    made = []
+
+    def make(domain, model=None, schedule=SHORT, seed=1, known=None, entry="fragment"):
+        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, known, entry))
+        return made[-1]
+
+    yield make
+    for recovery in made:
+        recovery.close()
