@@ -102,7 +102,7 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
                      help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
     add.add_argument("--iterations", type=int, metavar="N", help="of every stage")
-    add.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default 0)")
+    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the random numbers (default 0)")
     add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
 
 
@@ -135,7 +135,7 @@ def _add_demo(commands: argparse._SubParsersAction) -> None:
     add.add_argument("-o", "--output", default="out/demo", metavar="OUT", help="folder for the result")
     add.add_argument("--quick", action="store_true", help="in small: under three minutes on two CPU cores")
     add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or a .toml of your own")
-    add.add_argument("--seed", type=int, default=0, metavar="S", help="of the random numbers (default 0)")
+    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the random numbers (default 0)")
     add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
     _add_common(add)
 
@@ -143,6 +143,14 @@ def _add_demo(commands: argparse._SubParsersAction) -> None:
 def _add_common(add: argparse.ArgumentParser) -> None:
     add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
     add.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _seed(text: str) -> int:
+    """Return a seed; shaders take it as a signed integer of 32 bits."""
+    number = int(text)
+    if not -(2**31) <= number < 2**31:
+        raise argparse.ArgumentTypeError(f"{text} does not fit 32 bits; give a whole number of up to nine digits")
+    return number
 
 
 def _print_json(value: dict) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..maps.read import read_parameter
-from ..reflectance.model import ReflectanceModel
+from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.schedule import Schedule, load_schedule
 
 LARGEST_SIDE = 16384
@@ -52,17 +52,40 @@ def known_from_options(texts: Sequence[str], model: ReflectanceModel) -> dict[st
                 f"--known {text}: write NAME=VALUE, as in --known roughness=0.5 or --known normal=file.exr"
             )
         parameter = model.parameter(name.strip())
-        numbers = [_number_or_text(part) for part in value.split(",")]
-        if all(isinstance(number, int | float) for number in numbers):
-            if len(numbers) not in (1, parameter.components):
-                raise InputError(f"--known {text}: {parameter.name} has {parameter.components} numbers")
-            known[parameter.name] = np.resize(np.asarray(numbers, np.float32), parameter.components)
-            low, high = parameter.range
-            if (known[parameter.name] < low).any() or (known[parameter.name] > high).any():
-                raise InputError(f"--known {text}: {parameter.name} lies between {low:g} and {high:g}")
-        else:
-            known[parameter.name] = read_parameter(Path(value), parameter)
+        numbers = _numbers(value)
+        known[parameter.name] = (
+            read_parameter(Path(value.strip()), parameter)
+            if numbers is None
+            else _known_numbers(f"--known {text}", numbers, parameter)
+        )
     return known
+
+
+def check_size(option: str, maps: Mapping[str, np.ndarray], shape: tuple[int, int]) -> None:
+    """Raise InputError, naming the option, where a map is not of the domain's shape (H, W)."""
+    height, width = shape
+    for name, value in maps.items():
+        if value.ndim == 3 and value.shape[:2] != shape:
+            raise InputError(
+                f"{option}: {name} is {value.shape[1]} × {value.shape[0]}, the domain {width} × {height}; resample it"
+            )
+
+
+def _known_numbers(option: str, numbers: list[float], parameter: Parameter) -> np.ndarray:
+    """Return (components,) float32 of numbers that are the same everywhere."""
+    count, (low, high) = parameter.components, parameter.range
+    if len(numbers) not in ((count,) if parameter.is_normal else (1, count)):
+        raise InputError(f"{option}: {parameter.name} has {count} numbers; give them separated by commas")
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{option}: that is no finite number; give one between {low:g} and {high:g}")
+    if min(numbers) < low or max(numbers) > high:
+        raise InputError(f"{option}: {parameter.name} lies between {low:g} and {high:g}; give a value inside")
+    values = np.resize(np.asarray(numbers, np.float64), count)
+    if parameter.is_normal:
+        if not 0.99 < np.linalg.norm(values) < 1.01:
+            raise InputError(f"{option}: a normal has the length 1, as in {parameter.name}=0,0,1")
+        values /= np.linalg.norm(values)
+    return values.astype(np.float32)
 
 
 def index_list(option: str, text: str | None, count: int) -> list[int]:
@@ -73,6 +96,14 @@ def index_list(option: str, text: str | None, count: int) -> list[int]:
     if not all(part.isdigit() and int(part) < count for part in parts) or len(set(parts)) != len(parts):
         raise InputError(f"{option} {text}: give different numbers from 0 to {count - 1}, separated by commas")
     return [int(part) for part in parts]
+
+
+def _numbers(text: str) -> list[float] | None:
+    """Return the numbers of "a,b,…", not finite ones included, or None where it is something else."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
 
 
 def _number_or_text(text: str) -> int | float | str:

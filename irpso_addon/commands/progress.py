@@ -1,12 +1,19 @@
-"""The progress bar of long work, on standard error."""
+"""What a person at a terminal sees of long work: a progress bar on standard error, and none of Blender's reports."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
 import time
 
 _WIDTH = 28
 _LINE_EVERY = 0.1  # of the work, where standard error is no terminal
+
+
+def unseen_reports() -> contextlib.AbstractContextManager:
+    """Keep Blender's own reports ("Info: Saved copy as …") off standard output; its errors come as exceptions."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 class ProgressBar:

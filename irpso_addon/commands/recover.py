@@ -28,9 +28,9 @@ from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.recovery import Recovery
 from ..solver.schedule import Schedule
 from .interrupt import held_back
-from .options import index_list, known_from_options, schedule_from_options, size_option
+from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .pictures import error_preview, relit_preview
-from .progress import ProgressBar
+from .progress import ProgressBar, unseen_reports
 
 CHECKPOINT = "checkpoint.npz"
 BLEND = "material.blend"
@@ -105,16 +105,15 @@ def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None]:
     if not options.blend:
         domain, subject = domain_from_card(job.capture), None
     else:
-        open_blend(options.blend)
+        with unseen_reports():
+            open_blend(options.blend)
         subject = mesh_object(options.object)
         domain = domain_from_mesh(job.capture, extract_mesh(subject), *job.resolution)
-    for name, value in (job.truth or {}).items():
-        if value.shape[:2] != domain.shape:
-            height, width = domain.shape
-            raise InputError(
-                f"--ground-truth {options.ground_truth}: {name} is {value.shape[1]} × {value.shape[0]},"
-                f" the domain {width} × {height}; resample it"
-            )
+    check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
+    for text in options.known:
+        name = text.partition("=")[0].strip()
+        check_size(f"--known {text}", {name: job.known[name]}, domain.shape)
+    _try_material(job, subject)
     return domain, subject
 
 
@@ -143,13 +142,26 @@ def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
     return recovery.maps()
 
 
+def _try_material(job: _Job, subject: object | None) -> None:
+    """Build the material of a single texel: what refuses it does so before hours of work, and before any file."""
+    texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in job.model.parameters}
+    material.build_material(Maps(job.model, texel, np.ones((1, 1), bool)), _subject_name(job, subject))
+    if subject is not None:
+        material.check_object(subject)
+
+
 def _write_material(maps: Maps, job: _Job, subject: object | None) -> None:
-    name = subject.name if subject is not None else job.capture.name
+    name = _subject_name(job, subject)
     made = material.build_material(maps, name)
     if subject is None:
         subject = material.card_object(name, *maps.covered.shape)
     material.apply_material(subject, made)
-    material.save_blend(job.folder / BLEND)
+    with unseen_reports():
+        material.save_blend(job.folder / BLEND)
+
+
+def _subject_name(job: _Job, subject: object | None) -> str:
+    return subject.name if subject is not None else job.capture.name
 
 
 def _settings(options: Namespace) -> dict:

@@ -20,7 +20,7 @@ from ..maps.read import read_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.forward import camera_renderer, dome, rendered_capture, sample_maps
 from .options import size_option
-from .progress import ProgressBar
+from .progress import ProgressBar, unseen_reports
 
 
 def run(options: Namespace) -> dict:
@@ -33,7 +33,8 @@ def run(options: Namespace) -> dict:
         raise InputError(f"{options.output}: is there already and not empty; choose a new folder for the capture")
     probe.probe()
     context.ensure()
-    open_blend(options.blend)
+    with unseen_reports():
+        open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     cameras = _cameras(options.camera, size)
     bar = ProgressBar("render", options.quiet or options.json)

@@ -50,16 +50,21 @@ def build_material(maps: Maps, subject: str, images_folder: str | Path | None = 
     return material
 
 
-def apply_material(obj, material) -> None:
-    """Put the material into the object's active slot, or into a first one; faces keep the slots they have.
-
-    Raises InputError where the object or its data is linked from a library, or cannot have materials.
-    """
+def check_object(obj) -> None:
+    """Raise InputError where the object or its data is linked from a library, or cannot have materials."""
     if obj.library is not None or (obj.data is not None and obj.data.library is not None):
         library = (obj.library or obj.data.library).filepath
         raise InputError(f"object '{obj.name}' is linked from {library}; make it local before giving it a material")
     if not hasattr(obj.data, "materials"):
         raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, which has no material; choose a mesh")
+
+
+def apply_material(obj, material) -> None:
+    """Put the material into the object's active slot, or into a first one; faces keep the slots they have.
+
+    Raises InputError as ``check_object`` does.
+    """
+    check_object(obj)
     if material.name in obj.material_slots and obj.material_slots[material.name].material == material:
         return
     if obj.material_slots:
@@ -187,13 +192,19 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
 def _principled(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
     """Make the Principled BSDF; return its output and parameter name → the socket it names, if there is one."""
     table = dict(model.material.get("settings", {}))
-    node = nodes.node("surface", "ShaderNodeBsdfPrincipled", (280, 0), distribution=table.pop("distribution", "GGX"))
+    distribution = table.pop("distribution", "GGX")
+    if distribution not in ("GGX", "MULTI_GGX"):
+        raise InputError(f"model {model.name}: [material.settings] distribution must be GGX or MULTI_GGX")
+    node = nodes.node("surface", "ShaderNodeBsdfPrincipled", (280, 0), distribution=distribution)
     driven = {parameter.socket for parameter in model.parameters}
     if model.material.get("shader") == "principled" and not table and "Roughness" not in driven:
         table = _MATTE
     for name, value in table.items():
         if name not in node.inputs:
             raise InputError(f"model {model.name}: [material.settings] names '{name}', no socket of Principled BSDF")
-        set_input(node, name, value)
+        try:
+            set_input(node, name, value)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"model {model.name}: [material.settings] '{name}' cannot be {value!r}") from error
     sockets = {p.name: node.inputs[p.socket] for p in model.parameters if p.socket and p.socket in node.inputs}
     return node.outputs["BSDF"], sockets

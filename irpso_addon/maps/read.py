@@ -25,7 +25,7 @@ def read_maps(path: str | Path, model: ReflectanceModel) -> dict[str, np.ndarray
     path = Path(path)
     if path.is_dir():
         path = path / "maps.exr"
-    parts = read_exr(path)
+    parts = _parts(path)
     tables = map_tables(model)
     values: dict[str, np.ndarray] = {}
     for table in tables:
@@ -44,10 +44,16 @@ def read_maps(path: str | Path, model: ReflectanceModel) -> dict[str, np.ndarray
 
 def read_parameter(path: str | Path, parameter: Parameter) -> np.ndarray:
     """Return (H, W, components) of one parameter from an EXR of a single part. Raises InputError."""
-    parts = read_exr(Path(path))
+    parts = _parts(Path(path))
     if len(parts) != 1:
         raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {parameter.name} alone")
     return _stacked(MapTable(parameter.name, (parameter,)), next(iter(parts.values())), Path(path))
+
+
+def _parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; give the path of an EXR with maps")
+    return read_exr(path)
 
 
 def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) -> np.ndarray:

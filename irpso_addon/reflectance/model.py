@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from dataclasses import dataclass, field
@@ -14,6 +15,10 @@ from ..paths import MODELS
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _KINDS = ("search", "linear")
+_COLOR_SPACES = ("Non-Color", "sRGB")
+# What the keys of the TOML hold, where it is no number.
+_KIND_OF = {"ordered": list, "complement": list, "material": dict}
+_WORDS = {str: "a text", list: "a list of names", dict: "a table"}
 
 
 @dataclass(frozen=True)
@@ -108,8 +113,10 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     known = {"name", "title", "source", "shader", "ordered", "complement", "parameter", "material"}
     _refuse_unknown_keys(table, known, path, "the table")
     rows = table.get("parameter")
-    if not isinstance(rows, list) or not rows:
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise InputError(f"{path}: declares no [[parameter]]; add one table for each unknown of the model")
+    for key in known - {"parameter"}:
+        _check_kind(table, key, _KIND_OF.get(key, str), str(path))
     parameters = tuple(_parameter_from_table(row, path) for row in rows)
     names = [p.name for p in parameters]
     if len(set(names)) != len(names):
@@ -143,6 +150,8 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
         raise InputError(f"{path}: {where}: a name is lower-case letters, digits and _")
     is_normal = bool(row.get("is_normal", False))
+    for key in ("kind", "map", "color_space", "socket", "stage"):
+        _check_kind(row, key, str, f"{path}: {where}")
     components = row.get("components", 3 if is_normal else 1)
     if not isinstance(components, int) or not 1 <= components <= 4 or (is_normal and components != 3):
         raise InputError(f"{path}: {where}: components must be 1 to 4, and 3 for a normal")
@@ -151,6 +160,8 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
         raise InputError(f"{path}: {where}: range must rise, as in range = [0.0, 1.0]")
     if row.get("kind", "search") not in _KINDS:
         raise InputError(f"{path}: {where}: kind must be one of {', '.join(_KINDS)}")
+    if row.get("color_space", "Non-Color") not in _COLOR_SPACES:
+        raise InputError(f"{path}: {where}: color_space must be one of {', '.join(_COLOR_SPACES)}")
     default = row.get("default", (0.0, 0.0, 1.0) if is_normal else (low + high) / 2)
     default = tuple(default) if isinstance(default, list | tuple) else (default,) * components
     if len(default) != components or not all(isinstance(v, int | float) and low <= v <= high for v in default):
@@ -162,8 +173,15 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     )  # fmt: skip
 
 
+def _check_kind(table: dict[str, Any], key: str, kind: type, where: str) -> None:
+    value = table.get(key, kind())
+    if not isinstance(value, kind) or (kind is list and not all(isinstance(item, str) for item in value)):
+        raise InputError(f"{where}: {key} must be {_WORDS[kind]}, not {value!r}")
+
+
 def _two_numbers(value: Any, path: Path, where: str) -> tuple[float, float]:
-    if not (isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(v, int | float) for v in value)):
+    numbers = value if isinstance(value, list | tuple) else ()
+    if len(numbers) != 2 or not all(isinstance(v, int | float) and math.isfinite(v) for v in numbers):
         raise InputError(f"{path}: {where}: range must be two numbers, as in range = [0.0, 1.0]")
     return float(value[0]), float(value[1])
 
