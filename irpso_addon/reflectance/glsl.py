@@ -8,9 +8,9 @@ _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
 
 def material_declaration(model: ReflectanceModel) -> str:
-    """Return ``struct Material``, one field a parameter, and the functions that pack and unpack its components.
+    """Return ``struct Material``, one field a parameter, and the functions that pack and unpack components.
 
-    ``Material material_from(float c[12])`` and ``void material_to(Material s, out float c[12])`` keep the table's order.
+    ``Material material_from(float c[12])`` and ``void material_to(Material s, out float c[12])`` keep the order.
     """
     fields = [f"    {_TYPES[p.components]} {p.name};" for p in model.parameters]
     unpack, pack = [], ["    for (int i = 0; i < 12; i++) { c[i] = 0.0; }"]

@@ -10,7 +10,7 @@ from .schedule import NormalSearch, ResolvedStage
 
 @dataclass(frozen=True)
 class Codec:
-    """dimensions: n of 1 to 8. source: GLSL ``decode(x, s)`` and ``encode(s, x)``. defines: for the swarm kernels."""
+    """dimensions: n of 1 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: for the swarm kernels."""
 
     dimensions: int
     source: str
@@ -39,10 +39,11 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
             at += size
             continue
         low, width = p.range[0], p.range[1] - p.range[0]
+        span = f"{width!r} * reach" if p.kind == "linear" else repr(width)
         for i in range(p.components):
             field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
-            decode.append(f"{field} = {low!r} + {width!r} * x[{at}];")
-            encode.append(f"x[{at}] = clamp(({field} - {low!r}) / {width!r}, 0.0, 1.0);")
+            decode.append(f"{field} = {low!r} + {span} * x[{at}];")
+            encode.append(f"x[{at}] = clamp(({field} - {low!r}) / ({span}), 0.0, 1.0);")
             at += 1
     if model.ordered and all(name in places for name in (*model.ordered, *model.complement)):
         defines |= {"LOBE_FIRST": places[model.ordered[0]], "LOBE_SECOND": places[model.ordered[1]]}
@@ -51,7 +52,7 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
     clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
-         "void decode(float x[8], inout Material s) {", *decode, "}",
-         "void encode(Material s, out float x[8]) {", clear, *encode, "}", ""]
+         "void decode(float x[8], float reach, inout Material s) {", *decode, "}",
+         "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
     return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2})

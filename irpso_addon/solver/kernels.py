@@ -65,6 +65,8 @@ def build_stage_passes(
         "FITNESS": _LOSSES[schedule.fitness.loss],
         "WALLS": _WALLS[swarm.walls],
         "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
+        "NEIGHBOUR_EVERY": swarm.neighbour_every,
+        "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
         "START_SPEED": f"{swarm.start_speed:.9f}",
     }
     blocks = range(codec.blocks)

@@ -34,9 +34,12 @@ class Swarm:
 
     particles: m to a texel, or particles_per_dimension · n where that is more. inertia (Shi & Eberhart 1998) and
     constriction (Clerc & Kennedy 2002) are 1 in the paper. c1, c2, c3: Eq. 2; c3 falls to 0 over the fraction
-    c3_until of the iterations, and stays where c3_until is 0. neighbourhood: the odd H of Eq. 4. v_max: largest speed.
+    c3_until of the iterations, and stays where c3_until is 0. neighbourhood: the odd H of Eq. 4.
+    neighbour_every: iterations between those in which the particle tries the best of one of the eight texels around (0:
+    never, as in the paper). v_max: largest speed.
     walls: what a particle does that would leave the range. start_speed: largest speed of a new particle. seed: where
     the first particles stand; seeded: the fraction of the swarm that stands within seed_spread of the seed.
+    linear_reach: how many times its texel's scale (see Fitness) a linear parameter may be, 0 for its whole range.
     normal: two numbers on the hemisphere, or the paper's three that are normalised.
     """
 
@@ -49,12 +52,14 @@ class Swarm:
     c3: float
     c3_until: float
     neighbourhood: int
+    neighbour_every: int
     v_max: float
     walls: Walls
     start_speed: float
     seed: Seed
     seeded: float
     seed_spread: float
+    linear_reach: float
     normal: NormalSearch
 
 

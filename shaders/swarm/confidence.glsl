@@ -14,12 +14,14 @@
 
 // Steps of the differences, of a parameter's range. A difference of two renders keeps about 2⁻²² / (2 · 2⁻¹⁰) = 2⁻¹³ of
 // the radiance as rounding; the stencil's own error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
+#ifndef STEP
 #define STEP (1.0 / 1024.0)
 #define DIFFERENCE_ROUNDING (1.0 / 8192.0)
 
 // The normal matrix squares the condition of J. In float32 its entries are good to 1e-6 of the diagonal after a few
 // hundred samples, so what is left of a diagonal below ten times that is not told from nothing.
 #define SINGULAR 1e-5
+#endif
 
 // The render, changed by moving unknown u by a fraction of its range; it stays inside, as everything that is tried.
 Material moved(float c[12], int u, float by)
@@ -149,7 +151,8 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
             a[m * UNKNOWNS + i] = a[i * UNKNOWNS + m];
         }
     }
-    float nothing = DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy;
+    // What changes the render by less than rounding does, or than noise over all of its range, is undetermined.
+    float nothing = max(DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy, variance);
     for (int round = 0; round < UNKNOWNS; round++) {
         // What changes the render most goes first, so that what is left undetermined is what matters least.
         int chosen = -1;

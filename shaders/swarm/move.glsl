@@ -26,7 +26,7 @@ ivec2 global_texel(ivec2 texel)
 void place_particle(ivec2 texel, out float x[8], out float v[8])
 {
     float seed[8];
-    encode(estimate_at(texel), seed);
+    encode(estimate_at(texel), reach_of(scale_at(texel)), seed);
     for (int block = 0; block < BLOCKS; block++) {
         ivec2 at = global_texel(texel);
         vec4 place = random_uniform(u_seed, u_iteration, at, u_particle, RANDOM_POSITION + block);
@@ -94,6 +94,18 @@ void move_particle(ivec2 texel, Frame f, int particle, out float x[8], out float
     }
 }
 
+// Takes the particle to the global best of one of the eight texels around, if that one is solved: what a neighbour has
+// found is often right here too, and a swarm caught in a wrong optimum has no other way out.
+void try_neighbour(ivec2 texel, Frame f, uint choice, inout float x[8])
+{
+    int direction = int(choice % 8u);
+    direction += direction >= 4 ? 1 : 0;
+    ivec2 other = packed_at(place_of(texel) + ivec2(direction % 3 - 1, direction / 3 - 1));
+    if (other.x >= 0) {
+        read_neighbour(other, texel, f, x);
+    }
+}
+
 #endif
 
 // Interchangeable lobes stay in rising order, so that a mean over neighbours means something.
@@ -138,15 +150,20 @@ bool kernel(ivec2 texel)
     place_particle(texel, x, v);
     float personal = UNFIT;
 #else
-    uint choice = random_bits(u_seed, u_iteration, global_texel(texel), 0, RANDOM_CHOICE).x >> 8u;
-    int particle = int(choice % uint(PARTICLES));
+    uvec4 choice = random_bits(u_seed, u_iteration, global_texel(texel), 0, RANDOM_CHOICE) >> 8u;
+    int particle = int(choice.x % uint(PARTICLES));
     move_particle(texel, f, particle, x, v);
+#if NEIGHBOUR_EVERY > 0
+    if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0) {
+        try_neighbour(texel, f, choice.y, x);
+    }
+#endif
     float personal = texelFetch(u_particle_fitness, atlas_texel(texel, 0, particle), 0).x;
 #endif
     order_lobes(x, v);
 
     Material s = estimate_at(texel);
-    decode(x, s);
+    decode(x, reach_of(scale_at(texel)), s);
     float fitness = fitness_of(texel, f, s);
 
     o_position_0 = vec4(x[0], x[1], x[2], x[3]);

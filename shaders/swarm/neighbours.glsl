@@ -38,6 +38,17 @@ void turn_normal(Frame from, Frame to, inout float g[8])
 #endif
 }
 
+// Reads the global best of a packed texel as this texel sees it.
+void read_neighbour(ivec2 other, ivec2 texel, Frame f, out float g[8])
+{
+    read_best(other, g);
+#if NORMAL_SIZE > 0 && !defined(CARD)
+    if (other != texel) {
+        turn_normal(frame_at(other), f, g);
+    }
+#endif
+}
+
 void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
 {
     for (int i = 0; i < 8; i++) {
@@ -52,12 +63,7 @@ void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
                 continue;
             }
             float g[8];
-            read_best(other, g);
-#if NORMAL_SIZE > 0 && !defined(CARD)
-            if (other != texel) {
-                turn_normal(frame_at(other), f, g);
-            }
-#endif
+            read_neighbour(other, texel, f, g);
             for (int i = 0; i < DIMENSIONS; i++) {
                 mean[i] += g[i];
             }

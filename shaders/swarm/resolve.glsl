@@ -11,7 +11,7 @@ bool kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_OUTSIDE) {
         float g[8];
         read_best(texel, g);
-        decode(g, s);
+        decode(g, reach_of(scale_at(texel)), s);
     }
     float c[12];
     material_to(s, c);
