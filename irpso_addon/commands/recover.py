@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from ..capture.types import Capture
 from ..errors import InputError
 from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
-from ..geometry.mesh import extract_mesh
+from ..geometry.frames import from_blender, to_blender, turned_normals
+from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import mesh_object, open_blend
 from ..gpu import context, probe
 from ..maps import material
@@ -59,7 +60,7 @@ def run(options: Namespace) -> dict:
     job = _check(options)
     probe.probe()
     context.ensure()
-    domain, subject = _domain(options, job)
+    domain, subject, mesh = _domain(options, job)
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
     with Recovery(subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry) as recovery:
@@ -75,8 +76,11 @@ def run(options: Namespace) -> dict:
     )  # fmt: skip
     report |= relighting
     pictures = {"preview": error_preview(domain, maps, job.truth)} | relit
-    write_maps(maps, job.folder, report, pictures)
-    _write_material(maps, job, subject)
+    written = maps
+    if mesh is not None:
+        written = replace(maps, values=turned_normals(job.model, maps.values, mesh, domain.bake, to_blender))
+    write_maps(written, job.folder, report, pictures)
+    _write_material(written, job, subject)
     (job.folder / CHECKPOINT).unlink(missing_ok=True)
     if not options.quiet and not options.json:
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
@@ -101,20 +105,25 @@ def _check(options: Namespace) -> _Job:
     return _Job(capture, model, schedule, known, truth, held_out, folder, resolution)
 
 
-def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None]:
+def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshData | None]:
+    subject = mesh = None
     if not options.blend:
-        domain, subject = domain_from_card(job.capture), None
+        domain = domain_from_card(job.capture)
     else:
         with unseen_reports():
             open_blend(options.blend)
         subject = mesh_object(options.object)
-        domain = domain_from_mesh(job.capture, extract_mesh(subject), *job.resolution)
+        mesh = extract_mesh(subject)
+        domain = domain_from_mesh(job.capture, mesh, *job.resolution)
     check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
     for text in options.known:
         name = text.partition("=")[0].strip()
         check_size(f"--known {text}", {name: job.known[name]}, domain.shape)
     _try_material(job, subject)
-    return domain, subject
+    if mesh is not None:  # files hold normals in Blender's tangent frame, the solver has one of its own
+        job.known = turned_normals(job.model, job.known, mesh, domain.bake, from_blender)
+        job.truth = job.truth and turned_normals(job.model, job.truth, mesh, domain.bake, from_blender)
+    return domain, subject, mesh
 
 
 def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:

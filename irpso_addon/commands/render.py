@@ -13,6 +13,7 @@ from ..capture.types import Light
 from ..capture.write import write_capture
 from ..errors import InputError
 from ..geometry.bake import bake_camera
+from ..geometry.frames import from_blender, turned_normals
 from ..geometry.mesh import extract_mesh
 from ..geometry.scene import camera_from_object, mesh_object, open_blend
 from ..gpu import context, probe
@@ -40,7 +41,13 @@ def run(options: Namespace) -> dict:
     bar = ProgressBar("render", options.quiet or options.json)
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers = [
-        camera_renderer(bake, model, sample_maps(model, values, bake.uv), camera, lights)
+        camera_renderer(
+            bake,
+            model,
+            turned_normals(model, sample_maps(model, values, bake.uv), mesh, bake, from_blender),
+            camera,
+            lights,
+        )
         for bake, camera in zip(bakes, cameras, strict=True)
     ]
     masks = [bake.coverage for bake in bakes]

@@ -8,10 +8,15 @@ agree with Cycles within 0.03° (4.2 to 5.2). EEVEE's frame differs again, by be
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
+from ..reflectance.model import ReflectanceModel
 from .bake import SurfaceBake
 from .mesh import MeshData
+
+Change = Callable[[MeshData, SurfaceBake, np.ndarray], np.ndarray]
 
 _BLOCK = 1 << 18  # texels worked on at a time
 
@@ -27,6 +32,16 @@ def to_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.nda
 def from_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
     """Return normals in the solver's frame, (H, W, 3) float32 unit, of a normal map for Blender: XYZ in −1…1."""
     return _convert(mesh, bake, normals, _into_solver)
+
+
+def turned_normals(
+    model: ReflectanceModel, values: Mapping[str, np.ndarray], mesh: MeshData, bake: SurfaceBake, change: Change
+) -> dict[str, np.ndarray]:
+    """Return maps whose normal, where they hold one per texel, has gone through ``to_blender`` or ``from_blender``."""
+    return {
+        name: change(mesh, bake, value) if model.parameter(name).is_normal and np.ndim(value) == 3 else value
+        for name, value in values.items()
+    }
 
 
 def _into_blender(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, normals: np.ndarray) -> np.ndarray:
