@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
-from irpso_addon.reflectance.model import ReflectanceModel
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 from irpso_addon.solver.schedule import ResolvedStage, Schedule
 
 UNFIT = 1e30
@@ -84,19 +84,22 @@ MODELS = {"lambert": lambert, "cook_torrance_two_lobe": cook_torrance_two_lobe}
 
 
 def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 2) places: Lambert's equal-area disc; outside it the horizon."""
-    d = 2 * x - 1
-    r2 = dot(d, d)
-    inside = np.concatenate([d * np.sqrt(np.maximum(2 - r2, 0)), 1 - r2], axis=-1)
-    horizon = np.concatenate([d / np.sqrt(np.maximum(r2, 1e-300)), np.zeros_like(r2)], axis=-1)
-    return np.where(r2 > 1, horizon, inside)
+    """Return unit normals of (…, 2) places: the square on the disc by ellipses (Fong 2015), the disc by equal areas."""
+    q = 2 * x - 1
+    d = np.stack([q[..., 0] * np.sqrt(1 - q[..., 1] ** 2 / 2), q[..., 1] * np.sqrt(1 - q[..., 0] ** 2 / 2)], axis=-1)
+    r2 = np.minimum(dot(d, d), 1)
+    return np.concatenate([d * np.sqrt(2 - r2), 1 - r2], axis=-1)
 
 
 def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
     """Return (…, 2) places of unit normals; those below the horizon are put on it."""
     xy, z = n[..., :2], n[..., 2:]
     below = xy / np.sqrt(np.maximum(dot(xy, xy), 1e-20))
-    return 0.5 * np.where(z <= 0, below, xy / np.sqrt(np.maximum(1 + z, 1e-20))) + 0.5
+    u, v = np.moveaxis(np.where(z <= 0, below, xy / np.sqrt(np.maximum(1 + z, 1e-20))), -1, 0)
+    # Fong 2015, Eq. for the inverse of the elliptical grid mapping.
+    a, b = 2 + u**2 - v**2, 2 - u**2 + v**2
+    root = [np.sqrt(np.maximum(c, 0)) for c in (a + 8**0.5 * u, a - 8**0.5 * u, b + 8**0.5 * v, b - 8**0.5 * v)]
+    return np.clip(0.5 + 0.25 * np.stack([root[0] - root[1], root[2] - root[3]], axis=-1), 0, 1)
 
 
 def cartesian_to_normal(x: np.ndarray) -> np.ndarray:
@@ -141,6 +144,12 @@ class Problem:
         """D, n rounded up to whole RGBA texels."""
         return 4 if self.dimensions <= 4 else 8
 
+    def width_of(self, p: Parameter) -> np.ndarray | float:
+        """Return how much of a parameter's range is searched: of a linear one what the texel's brightness allows."""
+        reach = self.schedule.swarm.linear_reach
+        share = np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and reach else 1.0
+        return (p.range[1] - p.range[0]) * share
+
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Return the material of places (H, W, D): the estimates with the searched parameters put in."""
         s = {name: np.asarray(value, np.float64) for name, value in self.estimates.items()}
@@ -150,7 +159,7 @@ class Problem:
             if p.is_normal:
                 s[name] = hemisphere_to_normal(part) if size == 2 else cartesian_to_normal(part)
             else:
-                s[name] = p.range[0] + (p.range[1] - p.range[0]) * part
+                s[name] = p.range[0] + self.width_of(p) * part
         return s
 
     def encode(self, s: dict[str, np.ndarray]) -> np.ndarray:
@@ -161,7 +170,7 @@ class Problem:
             if p.is_normal:
                 x[..., at : at + size] = normal_to_hemisphere(value) if size == 2 else 0.5 * value + 0.5
             else:
-                x[..., at : at + size] = np.clip((value - p.range[0]) / (p.range[1] - p.range[0]), 0, 1)
+                x[..., at : at + size] = np.clip((value - p.range[0]) / self.width_of(p), 0, 1)
         return x
 
 
@@ -334,7 +343,26 @@ def move(problem: Problem, state: State, iteration: int) -> Step:
     x = np.clip(target, 0, 1)
     if swarm.walls != "clamp":
         v = np.where(x == target, v, 0 if swarm.walls == "stop" else -v)
+    if swarm.neighbour_every and (iteration + 1) % swarm.neighbour_every == 0:
+        x = _neighbours_best(problem, state.g, x, iteration)
     return _committed(problem, state, which, x, v, iteration)
+
+
+def _neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, iteration: int) -> np.ndarray:
+    """Return the best of one of the eight texels around every texel, by chance; ``x`` where that one is not solved."""
+    columns, rows = global_texels(problem.domain)
+    bits = random_bits(problem.seed, iteration, columns, rows, 0, CHOICE)[..., 1] >> 8
+    around = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
+    _, covered = solved_and_covered(problem.domain)
+    frame = frames(problem.domain.bake)
+    result = x.copy()
+    for y, x_ in np.argwhere(covered):
+        dy, dx = around[bits[y, x_] % 8]
+        j, i = y + dy, x_ + dx
+        if 0 <= j < covered.shape[0] and 0 <= i < covered.shape[1] and covered[j, i]:
+            own = problem.domain.card
+            result[y, x_] = g[j, i] if own else _in_frame(problem, g[j, i], frame[j, i], frame[y, x_])
+    return result
 
 
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

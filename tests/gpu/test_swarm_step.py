@@ -19,6 +19,8 @@ from tests.swarm_subjects import make_domain, unit, with_radiance
 
 # Places are in [0, 1] and speeds below 1, in float32: a handful of roundings of 2⁻²⁴.
 PLACE_TOLERANCE = 1e-6
+# A normal turned into another frame goes through square roots that lose digits near the corners of its square.
+TURNED_TOLERANCE = 5e-5
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,13 @@ CASES = [
          settings={"loss": "l1", "walls": "reflect"}),
     Case("eight-dimensions", ("all",), model="cook_torrance_two_lobe", domain=MESH | {"observations": 12},
          settings={"neighbourhood": 5, "c3": 0.3}),
+    Case("neighbours-bests-on-a-mesh", ("normal",), domain=MESH, settings={"neighbour_every": 1, "c3": 0.0}),
+    Case("neighbours-bests-every-second-time", ("all",), model="cook_torrance_two_lobe",
+         settings={"neighbour_every": 2, "walls": "clamp"}),
+    Case("cartesian-neighbours-bests-on-a-mesh", ("diffuse", "normal"), domain=MESH,
+         settings={"normal": "cartesian", "neighbour_every": 1}),
+    Case("the-whole-range-of-albedo", ("diffuse",), settings={"linear_reach": 0.0, "loss": "l1"}),
+    Case("bounded-albedo", ("diffuse", "normal"), settings={"linear_reach": 0.7}),
     Case("a-threshold-stops-swarms", ("diffuse",), settings={"threshold": 0.2, "loss": "l1"}),
 ]  # fmt: skip
 
@@ -169,16 +178,16 @@ def bench():
         item.close()
 
 
-def assert_equal_states(found: oracle.State, step: oracle.Step, tolerance: np.ndarray) -> None:
+def assert_equal_states(found: oracle.State, step: oracle.Step, tolerance: np.ndarray, places: float) -> None:
     """Compare all that a swarm remembers; bests only where rounding could not have decided the comparison."""
     clear = step.margin > tolerance
     # Normals placed on the horizon tie: nothing of their render is lit. Ties after a move are chance.
     assert clear.mean() > (0.85 if (step.state.p_fitness >= 1e29).any() else 0.97) or (~clear).sum() <= 1
     wanted = step.state
-    np.testing.assert_allclose(found.x, wanted.x, atol=PLACE_TOLERANCE, rtol=0)
-    np.testing.assert_allclose(found.v, wanted.v, atol=PLACE_TOLERANCE, rtol=0)
-    np.testing.assert_allclose(found.p[:, clear], wanted.p[:, clear], atol=PLACE_TOLERANCE, rtol=0)
-    np.testing.assert_allclose(found.g[clear], wanted.g[clear], atol=PLACE_TOLERANCE, rtol=0)
+    np.testing.assert_allclose(found.x, wanted.x, atol=places, rtol=0)
+    np.testing.assert_allclose(found.v, wanted.v, atol=places, rtol=0)
+    np.testing.assert_allclose(found.p[:, clear], wanted.p[:, clear], atol=places, rtol=0)
+    np.testing.assert_allclose(found.g[clear], wanted.g[clear], atol=places, rtol=0)
     for a, b in ((found.p_fitness, wanted.p_fitness), (found.g_fitness, wanted.g_fitness)):
         difference = np.where(b >= 1e29, np.abs(a / 1e30 - 1), np.abs(a - b))
         assert (difference <= np.where(b >= 1e29, 1e-6, tolerance))[..., clear].all(), np.nanmax(difference)
@@ -198,7 +207,8 @@ def test_a_step_of_the_swarm_is_that_of_the_oracle(case, bench):
         before = b.read()
         b.advance()
         step = oracle.move(b.problem, before, iteration)
-        assert_equal_states(b.read(), step, rounding_of(step))
+        turned = not b.domain.card and "normal" in b.stage.stage.title
+        assert_equal_states(b.read(), step, rounding_of(step), TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
         verdict = b.packing.unpack(b.stage.read(b.stage.swarm.verdict), -1)
         np.testing.assert_array_equal(verdict[..., 3], step.particle)
 
@@ -213,7 +223,7 @@ def test_particles_are_placed_where_the_oracle_places_them(case, seed, bench):
         assert b.stage.iteration == index - b.problem.particles
         b.advance()
         step = oracle.place(b.problem, before, index)
-        assert_equal_states(b.read(), step, rounding_of(step))
+        assert_equal_states(b.read(), step, rounding_of(step), PLACE_TOLERANCE)
     placed, _ = oracle.solved_and_covered(b.domain)
     assert (b.read().g_fitness[placed] < 1e29).all()
 
