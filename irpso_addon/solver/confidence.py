@@ -54,9 +54,11 @@ class Confidence:
     It linearises the render around the estimates and takes the noise from what is left of the samples there (its
     variance is Σ w e² / (3 Σ w − n), over weighted samples and three channels): σ² = variance · (JᵀJ)⁻¹, over all n
     numbers that are not ``known`` jointly. It says how far noise of this size moves the best fit; it does not see a
-    model that is wrong in itself, nor another optimum. Where the samples do not determine a number (its column of J is
-    lost in rounding, or is a mixture of others' to 1e-5 of its square) σ is its range, and numbers that can be traded
-    for it take their share, up to their own range: two lobes of one width leave r1, r2 and w open, w = 1 leaves r2.
+    model that is wrong in itself, nor another optimum. A number that the samples do not determine has its range for σ:
+    one whose column of J is lost in rounding, that is a mixture of others, or that noise moves by more than its range
+    when all others may move with it. Numbers that can be traded for it take their share, up to their own range: two
+    lobes of one width leave r1, r2 and w open (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than
+    numbers all have their range.
     """
 
     def __init__(self, model: ReflectanceModel, known: Collection[str], domain_defines: dict[str, int]):
