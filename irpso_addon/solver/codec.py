@@ -10,7 +10,7 @@ from .schedule import NormalSearch, ResolvedStage
 
 @dataclass(frozen=True)
 class Codec:
-    """dimensions: n of 1 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: for kernels."""
+    """dimensions: n of 1 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'."""
 
     dimensions: int
     source: str

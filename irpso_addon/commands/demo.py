@@ -1,0 +1,142 @@
+"""``demo``: the paper's experiment, from rendering to material; --quick in small."""
+
+from __future__ import annotations
+
+import sys
+import time
+from argparse import Namespace
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from ..capture.types import Light
+from ..demo import experiment, pictures, subject
+from ..errors import InputError
+from ..geometry.frames import to_blender, turned_normals
+from ..geometry.mesh import extract_mesh
+from ..gpu import context, probe
+from ..maps import material
+from ..maps.report import build_report, ground_truth_errors, quantiles
+from ..maps.result import Maps
+from ..maps.write import check_output_folder, write_maps
+from ..solver.schedule import load_schedule
+from .progress import ProgressBar
+from .recover import BLEND, unseen_reports
+
+_VIEW_HEIGHT = 250  # pixels of the head in the figures
+_PHASES = ("photograph", *experiment.STAGES, experiment.JOINT)
+
+
+def run(options: Namespace) -> dict:
+    """Run the experiment and write figures, maps, material and report into the output folder and its joint/ inside."""
+    started = time.perf_counter()
+    folder = check_output_folder(options.output)
+    schedule = load_schedule(options.preset)
+    if options.seed < 0:
+        raise InputError(f"--seed {options.seed}: give a whole number from 0")
+    probe.probe()
+    context.ensure()
+    size = experiment.QUICK if options.quick else experiment.PAPER
+    bar = ProgressBar("demo", options.quiet or options.json)
+
+    def report(phase: str, fraction: float) -> None:
+        bar.show((_PHASES.index(phase) + fraction) / len(_PHASES), phase)
+
+    head = subject.build_scene()
+    found = experiment.photograph(extract_mesh(head), subject.scene_camera(size.camera), size, report)
+    photographed = time.perf_counter() - started
+    marks = experiment.choose_marks(found)
+    runs = {}
+    for stage in experiment.STAGES:
+        strip = size.strip if stage == "normal" and size.strip[-1] <= size.stage_iterations else ()
+        runs[stage] = experiment.recover_stage(
+            found, schedule, stage, size.stage_iterations, options.seed, options.entry, report, marks=marks, strip=strip
+        )
+    joint = experiment.recover_jointly(found, schedule, size.joint_iterations, options.seed, options.entry, report)
+    history = runs["normal"]
+    if not history.snapshots:
+        history = experiment.recover_stage(
+            found, schedule, "normal", size.strip[-1], options.seed, options.entry, report, strip=size.strip
+        )
+    bar.close()
+    result = _write(options, folder, found, runs, joint, history, marks, photographed, head)
+    result["seconds_in_all"] = round(time.perf_counter() - started, 1)
+    if not options.quiet and not options.json:
+        sys.stdout.write(_summary(result, folder))
+    return result
+
+
+def _write(
+    options: Namespace,
+    folder: Path,
+    found: experiment.Subject,
+    runs: dict[str, experiment.Run],
+    joint: experiment.Run,
+    history: experiment.Run,
+    marks: tuple[tuple[int, int], ...],
+    photographed: float,
+    head: object,
+) -> dict:
+    lights = [Light(tuple(float(v) for v in light[:3])) for light in found.domain.lights]
+    light = pictures.shown_light(lights)
+    view = pictures.View(found, subject.scene_camera(_VIEW_HEIGHT))
+    large = pictures.View(found, subject.scene_camera(2 * _VIEW_HEIGHT))
+    staged = pictures.staged_maps(runs)
+    everything = {**runs, experiment.JOINT: joint}
+    errors = {name: _errors(found, done) for name, done in everything.items()}
+    seconds = {"photograph": photographed, **{name: done.seconds for name, done in everything.items()}}
+    report = build_report(
+        staged, settings={**{k: v for k, v in vars(options).items() if k != "command"},
+                          "preset": asdict(load_schedule(options.preset))},
+        seed=options.seed, gpu=context.describe()["renderer"], iterations=runs["normal"].iterations[-1],
+        evaluations=sum(done.evaluations for done in everything.values()), seconds=seconds,
+        ground_truth=found.truth, evaluated=found.evaluated,
+    )  # fmt: skip
+    report["lights"], report["runs"] = len(lights), errors
+    figures = {
+        "preview": pictures.comparison(view, staged.values, light),
+        "convergence": pictures.curves(large, runs, marks, light),
+        "strip": pictures.history(view, history),
+        "frames": pictures.frames(view, lights),
+    }
+    write_maps(_turned(found, staged), folder, report, figures)
+    joint_figures = {"preview": pictures.comparison(view, joint.maps.values, light)}
+    write_maps(
+        _turned(found, joint.maps), folder / "joint", {**report, "runs": {"joint": errors["joint"]}}, joint_figures
+    )
+    material.apply_material(head, material.build_material(_turned(found, joint.maps), head.name))
+    with unseen_reports():
+        material.save_blend(folder / BLEND)
+    return {"output": str(folder), "excluded_fraction": report["excluded_fraction"], "texels": report["texels"],
+            "runs": errors, "seconds": report["seconds"]}  # fmt: skip
+
+
+def _turned(found: experiment.Subject, maps: Maps) -> Maps:
+    values = turned_normals(maps.model, maps.values, found.mesh, found.bake, to_blender)
+    return replace(maps, values=values)
+
+
+def _errors(found: experiment.Subject, done: experiment.Run) -> dict:
+    """Image error in % of white, and the error of each parameter that was searched."""
+    truth = {name: found.truth[name] for name in done.errors}
+    parameters = ground_truth_errors(done.maps, truth, found.evaluated)
+    return {"image": {"unit": "%", **quantiles(done.image_errors)}, **parameters}
+
+
+def _summary(result: dict, folder: Path) -> str:
+    lines = [
+        f"{result['texels']} texels recovered, {100 * result['excluded_fraction']:.1f} % of them left out of the"
+        f" figures below (n·v < {experiment.GRAZING}); {result['seconds_in_all']:.0f} s in all; written to {folder}"
+    ]
+    for name, errors in result["runs"].items():
+        lines.append(f"{name}: {_what_was_known(name)}")
+        for what, error in errors.items():
+            lines.append(
+                f"    {what:12} mean {error['mean']:.4f} {error['unit']}  99th percentile {error['p99']:.4f}"
+                f"  largest {error['max']:.3f}"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _what_was_known(name: str) -> str:
+    """Say what a run knew."""
+    return "nothing known" if name == experiment.JOINT else "random start, the other maps known"

@@ -1,0 +1,183 @@
+"""The paper's three recoveries, each with the other maps known, then one of everything."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.types import Light
+from ..geometry.bake import SurfaceBake, bake_camera, bake_uv
+from ..geometry.build import domain_from_mesh
+from ..geometry.domain import Domain
+from ..geometry.mesh import MeshData
+from ..maps.report import parameter_error
+from ..maps.result import Maps
+from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.forward import Renderer, camera_renderer, dome, rendered_capture
+from ..solver.recovery import Recovery
+from ..solver.schedule import Schedule
+from .truth import material_at
+
+MODEL = "cook_torrance_two_lobe"
+STAGES = ("diffuse", "normal", "specular")
+LATITUDES, LONGITUDES = 10, 20  # the paper's 200 lights
+GRAZING = 0.1  # n·v of the true normal: texels seen at a flatter angle are left out, and counted
+JOINT = "joint"
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large an experiment is. texels: (W, H). camera: image height in pixels. strip: iterations to be pictured."""
+
+    texels: tuple[int, int]
+    camera: int
+    stage_iterations: int
+    joint_iterations: int
+    strip: tuple[int, ...]
+
+
+# The paper's 150×225. A camera pixel is a small part of a texel, so that resampling costs less than the solver's error.
+PAPER = Size((150, 225), 1280, 1000, 2000, (0, 100, 300, 1000, 2000))
+QUICK = Size((80, 120), 600, 600, 800, (0, 30, 100, 300, 600))
+
+
+@dataclass
+class Run:
+    """One recovery. iterations: (N,), errors: parameter → (N, marks) at the marked texels, in their units.
+
+    snapshots: iteration → maps. image_errors: (K, texels) absolute differences in % of white.
+    """
+
+    name: str
+    maps: Maps
+    seconds: float
+    evaluations: int
+    iterations: list[int] = field(default_factory=list)
+    errors: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    snapshots: dict[int, Maps] = field(default_factory=dict)
+    image_errors: np.ndarray | None = None
+
+
+@dataclass
+class Subject:
+    """What is recovered: the domain, the truth on it, and where it is seen well enough to count."""
+
+    mesh: MeshData
+    camera: Camera
+    bake: SurfaceBake
+    domain: Domain
+    model: ReflectanceModel
+    truth: dict[str, np.ndarray]
+    evaluated: np.ndarray
+
+
+def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Subject:
+    """Render the camera's images under 200 lights and project them into the mesh's texture square."""
+    model = load_model(MODEL)
+    lights = [Light(tuple(float(v) for v in direction)) for direction in dome(LATITUDES, LONGITUDES)]
+    view = bake_camera(mesh, camera)
+    renderer = camera_renderer(view, model, material_at(view), camera, lights)
+    capture = rendered_capture(
+        "demo", [renderer], [camera], [view.coverage], lights, lambda done: report("photograph", done)
+    )
+    domain = domain_from_mesh(capture, mesh, *size.texels, grazing=0.0)
+    renderer.close()
+    bake = bake_uv(mesh, *size.texels)
+    truth = material_at(bake)
+    toward = camera.position - bake.position
+    facing = (world_normals(bake, truth["normal"]) * toward).sum(axis=-1) / np.linalg.norm(toward, axis=-1)
+    return Subject(mesh, camera, bake, domain, model, truth, domain.solvable & (facing > GRAZING))
+
+
+def recover_stage(
+    subject: Subject, schedule: Schedule, stage: str, iterations: int, seed: int, entry: str, report: Report, **more
+) -> Run:
+    """Recover one stage from a random start with the other maps known, by the paper's fitness, mean |e|."""
+    wanted = {p.name for p in subject.model.parameters if p.stage == stage}
+    known = {name: value for name, value in subject.truth.items() if name not in wanted}
+    changed = schedule.replaced(search=[stage], iterations=iterations, seed="random", loss="l1")
+    return _recover(subject, changed, known, stage, seed, entry, report, **more)
+
+
+def recover_jointly(
+    subject: Subject, schedule: Schedule, iterations: int, seed: int, entry: str, report: Report, **more
+) -> Run:
+    """Recover everything at once, with nothing known, as the preset has it."""
+    changed = schedule.replaced(search=["all"], iterations=iterations)
+    return _recover(subject, changed, {}, JOINT, seed, entry, report, **more)
+
+
+def _recover(
+    subject: Subject,
+    schedule: Schedule,
+    known: dict[str, np.ndarray],
+    name: str,
+    seed: int,
+    entry: str,
+    report: Report,
+    marks: tuple[tuple[int, int], ...] = (),
+    strip: tuple[int, ...] = (),
+) -> Run:
+    iterations = schedule.stages[0].iterations
+    every = max(1, iterations // 50)
+    stops = sorted({*range(0, iterations, every), iterations, *strip})
+    seconds = 0.0
+    result = Run(name, None, 0.0, 0)
+    searched = [p for p in subject.model.parameters if p.name not in known]
+    with Recovery(subject.domain, subject.model, schedule, seed, known, entry) as recovery:
+        for stop in stops:
+            start = time.perf_counter()
+            progress = recovery.step(stop - max(recovery.progress.iteration, 0))
+            maps = recovery.maps(confidence=stop == iterations)
+            seconds += time.perf_counter() - start
+            report(name, progress.fraction)
+            result.iterations.append(stop)
+            for p in searched:
+                error = parameter_error(p, maps.values[p.name], subject.truth[p.name])
+                result.errors.setdefault(p.name, []).append(np.array([error[y, x] for x, y in marks]))
+            if stop in strip:
+                result.snapshots[stop] = maps
+        result.maps, result.seconds, result.evaluations = maps, seconds, progress.evaluations
+    result.image_errors = image_errors(subject, result.maps)
+    return result
+
+
+def image_errors(subject: Subject, maps: Maps) -> np.ndarray:
+    """Return (K, T): |render − reference|, mean of RGB, of every observation at the T evaluated texels, in % of white.
+
+    White is radiance 1: a white Lambertian surface that faces the light.
+    """
+    domain = subject.domain
+    renderer = Renderer(domain.bake, maps.model, maps.values, domain.lights, domain.intensities, domain.views)
+    errors = []
+    for k in range(domain.observations):
+        rendered = renderer.render(k)[..., :3]
+        errors.append(100 * np.abs(rendered - domain.stack[k, ..., :3]).mean(axis=-1)[subject.evaluated])
+    renderer.close()
+    return np.stack(errors)
+
+
+def world_normals(bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
+    """Return tangent-space normals (H, W, 3) in world axes."""
+    bitangent = bake.tangent[..., 3:] * np.cross(bake.normal, bake.tangent[..., :3])
+    axes = (bake.tangent[..., :3], bitangent, bake.normal)
+    return sum(normals[..., i : i + 1] * axis for i, axis in enumerate(axes))
+
+
+def choose_marks(subject: Subject, count: int = 4) -> tuple[tuple[int, int], ...]:
+    """Return (x, y) of texels far from each other in the camera's view, the first nearest to its middle."""
+    rows, columns = np.nonzero(subject.evaluated)
+    pixels, _ = subject.camera.project(subject.bake.position[rows, columns])
+    middle = np.median(pixels, axis=0)
+    # Not at the rim, where a mark would hide what it marks.
+    near = np.linalg.norm(pixels - middle, axis=1) < 0.8 * np.linalg.norm(pixels - middle, axis=1).max()
+    chosen = [int(np.argmin(np.linalg.norm(pixels - middle, axis=1)))]
+    while len(chosen) < count:
+        distance = np.min([np.linalg.norm(pixels - pixels[i], axis=1) for i in chosen], axis=0)
+        chosen.append(int(np.argmax(np.where(near, distance, -1))))
+    return tuple((int(columns[i]), int(rows[i])) for i in chosen)
