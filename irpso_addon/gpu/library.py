@@ -1,19 +1,14 @@
-"""The shader library: GLSL files with includes, and compile errors that name file and line."""
+"""The shader library: GLSL files with includes, each line of which can be traced to its file."""
 
 from __future__ import annotations
 
-import os
 import re
-import sys
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from ..errors import ShaderError
 from ..paths import SHADERS
 
-_MESSAGE = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | behind its line number
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 
@@ -59,37 +54,3 @@ def _find(
         if path.is_file():
             return path.resolve()
     raise ShaderError(f'{label}:{line}: #include "{name}" names no file beside it or in shaders/')
-
-
-def messages_of(log: str) -> str:
-    """Return the lines ``file:line:column: message`` of Blender's log, without gutters and echoed code.
-
-    Where there is none (a linker's log, say), the log itself. Each message stands once.
-    """
-    lines = [line.strip(" |\t") for line in log.splitlines()]
-    found = dict.fromkeys(line for line in lines if _MESSAGE.match(line))
-    errors = [line for line in found if "error" in line.lower()]
-    return "\n".join(errors or found) or log.strip()
-
-
-def compile_shader(name: str, create: Callable[[], Any]) -> Any:
-    """Run ``create`` (which makes a GPUShader); where it fails, raise ShaderError carrying the compiler's own lines.
-
-    Blender writes them from C to the process's own output, so that is caught for as long as the compiler runs.
-    """
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as log:
-        kept = [os.dup(stream) for stream in (1, 2)]
-        for stream in (1, 2):
-            os.dup2(log.fileno(), stream)
-        try:
-            return create()
-        except Exception as error:
-            log.seek(0)
-            text = log.read().decode("utf-8", "replace").strip()
-            raise ShaderError(f"shader '{name}' does not compile", messages_of(text) or str(error)) from error
-        finally:
-            for stream, copy in zip((1, 2), kept, strict=True):
-                os.dup2(copy, stream)
-                os.close(copy)

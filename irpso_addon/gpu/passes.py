@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from ..errors import ShaderError
 from . import context
-from .library import compile_shader, read_source
+from .compiler import compile_shader
+from .library import read_source
 
 Entry = Literal["fragment", "compute"]
 MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
@@ -51,9 +52,7 @@ class Pass:
             raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.outputs)}")
         context.ensure()
         self.kernel, self.entry = kernel, entry
-        info = self._create_info()
-        build = self._compute if entry == "compute" else self._fragment
-        self._shader = build(info)
+        self._shader = self._compute() if entry == "compute" else self._fragment()
         self._framebuffers: dict[tuple[int, ...], Any] = {}
         self._active = {name for name in kernel.constants if _has_uniform(self._shader, name)}
         self._samplers = {name for name in kernel.samplers if _has_uniform(self._shader, name)}
@@ -105,7 +104,7 @@ class Pass:
         self._framebuffers.clear()
         self._shader = self._triangle = None
 
-    def _create_info(self) -> Any:
+    def _info(self) -> Any:
         import gpu
 
         info = gpu.types.GPUShaderCreateInfo()
@@ -120,22 +119,32 @@ class Pass:
     def _sources(self) -> str:
         return read_source(self.kernel.source, self.kernel.given)
 
-    def _fragment(self, info: Any) -> Any:
-        import gpu
+    def _fragment(self) -> Any:
         from gpu_extras.batch import batch_for_shader
 
-        for slot, output in enumerate(self.kernel.outputs):
-            info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
-        info.vertex_in(0, "VEC2", "position")
-        info.vertex_source(read_source("common/full_screen.glsl"))
-        info.fragment_source(self._sources() + read_source("common/entry_fragment.glsl"))
-        shader = compile_shader(self.kernel.source, lambda: gpu.shader.create_from_info(info))
+        sources = {
+            "vertex": read_source("common/full_screen.glsl"),
+            "fragment": self._sources() + read_source("common/entry_fragment.glsl"),
+        }
+        shader = compile_shader(self.kernel.source, self._fragment_info, sources)
         self._triangle = batch_for_shader(shader, "TRIS", {"position": [(-1, -1), (3, -1), (-1, 3)]})
         return shader
 
-    def _compute(self, info: Any) -> Any:
-        import gpu
+    def _fragment_info(self) -> Any:
+        info = self._info()
+        for slot, output in enumerate(self.kernel.outputs):
+            info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
+        info.vertex_in(0, "VEC2", "position")
+        return info
 
+    def _compute(self) -> Any:
+        source = read_source("common/outputs_compute.glsl") + self._sources()
+        sources = {"compute": source + read_source("common/entry_compute.glsl")}
+        self._triangle = None
+        return compile_shader(self.kernel.source, self._compute_info, sources)
+
+    def _compute_info(self) -> Any:
+        info = self._info()
         for slot, output in enumerate(self.kernel.outputs):
             info.image(slot, output.format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
             info.define(f"OUTPUT_{slot}", output.name)
@@ -143,10 +152,7 @@ class Pass:
         for name in ("u_first_row", "u_last_row", "u_columns"):
             info.push_constant("INT", name)
         info.local_group_size(*_GROUP, 1)
-        source = read_source("common/outputs_compute.glsl") + self._sources()
-        info.compute_source(source + read_source("common/entry_compute.glsl"))
-        self._triangle = None
-        return compile_shader(self.kernel.source, lambda: gpu.shader.create_from_info(info))
+        return info
 
     def _dispatch(self, targets: Sequence[Any], first: int, last: int) -> None:
         import gpu

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from . import context, textures
-from .library import compile_shader, read_source
+from .compiler import compile_shader
+from .library import read_source
 
 SURFACE = ("position", "normal", "tangent", "uv", "face")
 _TRIANGLES_A_ROW = 1024  # 3072 texels: narrower than the narrowest limit, and 16 million triangles fit 16384 rows
@@ -87,21 +88,23 @@ def _batch(clip: np.ndarray, order: np.ndarray) -> Any:
 def _shader(source: str, outputs: list[tuple[str, str]], samplers: list[str]) -> Any:
     import gpu
 
-    info = gpu.types.GPUShaderCreateInfo()
-    info.vertex_in(0, "VEC4", "place")
-    info.vertex_in(1, "INT", "corner")
-    between = gpu.types.GPUStageInterfaceInfo("bake")
-    between.flat("INT", "v_triangle")
-    info.vertex_out(between)
-    for slot, name in enumerate(samplers):
-        info.sampler(slot, "FLOAT_2D", name)
-    if samplers:
-        info.push_constant("VEC2", "u_size")
-    for slot, (name, kind) in enumerate(outputs):
-        info.fragment_out(slot, kind, name)
-    info.vertex_source(read_source("view/bake_vertex.glsl"))
-    info.fragment_source(read_source(source))
-    return compile_shader(source, lambda: gpu.shader.create_from_info(info))
+    def info() -> Any:
+        made = gpu.types.GPUShaderCreateInfo()
+        made.vertex_in(0, "VEC4", "place")
+        made.vertex_in(1, "INT", "corner")
+        between = gpu.types.GPUStageInterfaceInfo("bake")
+        between.flat("INT", "v_triangle")
+        made.vertex_out(between)
+        for slot, name in enumerate(samplers):
+            made.sampler(slot, "FLOAT_2D", name)
+        if samplers:
+            made.push_constant("VEC2", "u_size")
+        for slot, (name, kind) in enumerate(outputs):
+            made.fragment_out(slot, kind, name)
+        return made
+
+    sources = {"vertex": read_source("view/bake_vertex.glsl"), "fragment": read_source(source)}
+    return compile_shader(source, info, sources)
 
 
 def _draw(shader: Any, batch: Any, targets: list[Any], nearest: bool, bound: dict[str, Any]) -> None:

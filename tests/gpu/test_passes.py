@@ -9,7 +9,8 @@ import pytest
 from irpso_addon.errors import ShaderError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
-from irpso_addon.gpu.library import messages_of, read_source
+from irpso_addon.gpu.compiler import messages_of
+from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.paths import SHADERS
 from irpso_addon.reflectance.model import load_model

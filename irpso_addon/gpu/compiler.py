@@ -1,0 +1,133 @@
+"""Compiling shaders, with errors that name file and line whatever the driver and the version of Blender write."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from ..errors import ShaderError
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal
+_PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | behind its row
+_ECHO = re.compile(r"[\s|]*?(\d+) \|")
+_SAID = re.compile(r"[\s|]*((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
+_STAGE = re.compile(r"(?:(Vert|Frag|Compute)Shader|Linking):\s*$")
+_STAGES = {"Vert": "vertex", "Frag": "fragment", "Compute": "compute"}
+_MARK = re.compile(r'#line 1 "([^"]+)"')
+_NUMBERED = "#line 1 0\n"  # without it 4.5 finds no row; 4.2 counts rows from it, 4.5 from the top of what it adds
+_PADDING = "\n" * 8  # Blender echoes no row that is near the end of the source
+_WRONG = "irpso_first_row;\n"
+
+
+def compile_shader(name: str, make_info: Callable[[], Any], sources: Mapping[str, str]) -> Any:
+    """Return the GPUShader of a create info and its sources; ShaderError with file and line where it does not compile.
+
+    make_info: returns a new GPUShaderCreateInfo that has no source yet. sources: stage (vertex, fragment, compute) →
+    GLSL text with the marks ``#line 1 "file"`` of ``library.read_source``.
+    """
+    shader, log = _attempt(make_info, {stage: _MARK.sub("", text) for stage, text in sources.items()})
+    if shader is not None:
+        return shader
+    # Only some drivers and versions take marks with a file's name: those say it all themselves.
+    shader, named = _attempt(make_info, sources)
+    if shader is None and any(f"{label}:" in named for text in sources.values() for label in _MARK.findall(text)):
+        said = messages_of(named)
+    else:
+        said = _mapped(make_info, sources) or messages_of(log)
+    raise ShaderError(f"shader '{name}' does not compile", said)
+
+
+def messages_of(log: str) -> str:
+    """Return the lines ``file:line:column: message`` of Blender's log, without gutters and echoed code.
+
+    Where there is none (a linker's log, say), the log itself. Each message stands once.
+    """
+    log = _COLOUR.sub("", log)
+    lines = [line.strip(" |\t") for line in log.splitlines()]
+    return _errors([line for line in lines if _PLACED.match(line)]) or log.strip()
+
+
+def rows_of(log: str) -> Iterator[tuple[str | None, int | None, str]]:
+    """Yield the stage, the row of the code that is echoed above (None where none is) and the text of every message."""
+    stage = row = None
+    gutter = False
+    for line in _COLOUR.sub("", log).splitlines():
+        if header := _STAGE.search(line):
+            stage, row = _STAGES.get(header[1]), None
+        elif echo := _ECHO.match(line):
+            row = int(echo[1])
+        elif said := _SAID.match(line):
+            # Messages of one place follow one another; a new place begins with an empty line, then its code.
+            row = None if gutter else row
+            yield stage, row, said[1].strip()
+        gutter = not line.strip(" |\t")
+
+
+def places_of(source: str) -> list[tuple[str, int]]:
+    """Return the file and line of every row of a source, from the marks ``#line 1 "file"`` in it."""
+    places, label, line = [], "", 0
+    for text in source.splitlines():
+        mark = _MARK.match(text)
+        label, line = (mark[1], 0) if mark else (label, line + 1)
+        places.append((label, max(1, line)))
+    return places
+
+
+def _mapped(make_info: Callable[[], Any], sources: Mapping[str, str]) -> str:
+    """Return the messages of a compiler that counts rows over the whole source, brought to files and lines."""
+    texts = {stage: _NUMBERED + _MARK.sub("", text) + _PADDING for stage, text in sources.items()}
+    places = {stage: places_of(text) for stage, text in sources.items()}
+    before: dict[str, int | None] = {}
+    lines = []
+    for stage, row, said in rows_of(_attempt(make_info, texts)[1]):
+        if stage in places and stage not in before:
+            before[stage] = _rows_before(make_info, texts, stage)
+        if stage in places and row is not None and before[stage] is not None:
+            index = min(max(row - before[stage], 1), len(places[stage])) - 1
+            said = "{}:{}: {}".format(*places[stage][index], said)
+        lines.append(said)
+    return _errors(lines)
+
+
+def _rows_before(make_info: Callable[[], Any], texts: Mapping[str, str], stage: str) -> int | None:
+    """Return how many rows the log counts before a source's first: measured, with a row that is known to be wrong."""
+    wrong = {**texts, stage: _NUMBERED + _WRONG + texts[stage].removeprefix(_NUMBERED)}
+    rows = [row for where, row, _ in rows_of(_attempt(make_info, wrong)[1]) if where == stage and row is not None]
+    return rows[0] - 1 if rows else None
+
+
+def _errors(lines: list[str]) -> str:
+    """Return the errors among messages, or all where there is no error, each once."""
+    found = dict.fromkeys(lines)
+    return "\n".join([line for line in found if "error" in line.lower()] or found)
+
+
+def _attempt(make_info: Callable[[], Any], sources: Mapping[str, str]) -> tuple[Any, str]:
+    """Compile; return the shader, or None and the log.
+
+    Blender writes the log from C to the process's own output, so that is caught for as long as the compiler runs.
+    """
+    import gpu
+
+    info = make_info()
+    for stage, text in sources.items():
+        getattr(info, f"{stage}_source")(text)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as log:
+        kept = [os.dup(stream) for stream in (1, 2)]
+        for stream in (1, 2):
+            os.dup2(log.fileno(), stream)
+        try:
+            return gpu.shader.create_from_info(info), ""
+        except Exception as error:  # noqa: BLE001  Blender raises Exception itself
+            log.seek(0)
+            return None, log.read().decode("utf-8", "replace").strip() or str(error)
+        finally:
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
