@@ -129,7 +129,7 @@ class Recovery:
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, with the mean absolute error of its render.
 
-        confidence: whether to tell the standard deviations too, which takes as long as some dozens of iterations.
+        confidence: whether to tell the standard deviations too, which takes as long as three to five iterations.
         """
         self._finish_iteration()
         resolved = self._resolve()

@@ -179,6 +179,13 @@ def test_fewer_samples_than_unknowns_leave_everything_open():
     assert np.allclose(got["base_color"], 1) and np.allclose(got["normal"], np.pi / 2)
 
 
+def test_a_weighted_sample_that_is_not_finite_leaves_everything_open():
+    subject = make_subject("lambert", observations=20, holes=False)
+    subject.domain.stack[3, ..., 1] = np.nan
+    got = deviations(subject)
+    assert np.allclose(got["base_color"], 1) and np.allclose(got["normal"], np.pi / 2)
+
+
 def test_a_colour_that_no_light_carries_is_open_and_the_others_are_not():
     model = load_model("lambert")
     domain = make_domain(*SHAPE, observations=20, holes=False)
