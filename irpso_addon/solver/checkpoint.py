@@ -18,7 +18,9 @@ import numpy as np
 from ..errors import InputError
 from ..files import replacing_file
 from ..geometry.domain import Domain
+from ..gpu.library import read_source
 from ..reflectance.model import ReflectanceModel
+from .kernels import model_includes
 from .schedule import Schedule
 
 _VERSION = 1
@@ -52,7 +54,7 @@ def identity(
         "seed": seed,
         "entry": entry,
         "parameters": [dataclasses.asdict(p) for p in model.parameters],
-        "shader": hashlib.sha256(model.shader.read_bytes()).hexdigest(),
+        "shader": hashlib.sha256(read_source(model.shader, model_includes(model)).encode()).hexdigest(),
         "domain": [*domain.shape, *domain.origin, *domain.halo],
         "observations": _digest(observed),
         "geometry": _digest(shape),

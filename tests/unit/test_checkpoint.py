@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.errors import InputError
+from irpso_addon.paths import SHADERS
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver import checkpoint
 from irpso_addon.solver.schedule import load_schedule
@@ -176,6 +177,20 @@ def test_other_settings_are_another_recovery_and_are_named(tmp_path, change, wha
     checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), 0, 0, 0, ARRAYS)
     with pytest.raises(InputError, match=f"of another recovery: {what} differ"):
         checkpoint.read(path, checkpoint.identity(DOMAIN, **(SETTINGS | change)))
+
+
+def test_a_changed_line_in_a_file_that_a_models_shader_includes_is_another_recovery(tmp_path):
+    (tmp_path / "mine.toml").write_bytes((SHADERS / "models" / "lambert.toml").read_bytes())
+    shader = (SHADERS / "models" / "lambert.glsl").read_text(encoding="utf-8")
+    (tmp_path / "mine.glsl").write_text('#include "terms.glsl"\n' + shader, encoding="utf-8")
+    (tmp_path / "terms.glsl").write_text('#include "deeper.glsl"\n', encoding="utf-8")
+    (tmp_path / "deeper.glsl").write_text("const float GAIN = 1.0;\n", encoding="utf-8")
+    settings = SETTINGS | {"model": load_model(tmp_path / "mine.toml")}
+    checkpoint.write(tmp_path / "run", checkpoint.identity(DOMAIN, **settings), 0, 0, 0, ARRAYS)
+    checkpoint.read(tmp_path / "run", checkpoint.identity(DOMAIN, **settings))
+    (tmp_path / "deeper.glsl").write_text("const float GAIN = 1.1;\n", encoding="utf-8")
+    with pytest.raises(InputError, match="of another recovery: shader differ"):
+        checkpoint.read(tmp_path / "run", checkpoint.identity(DOMAIN, **settings))
 
 
 def test_other_known_maps_are_another_recovery(tmp_path):
