@@ -27,6 +27,7 @@ from .state import SOLVED, DomainTextures, Estimates, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
+_SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 
 
@@ -67,6 +68,8 @@ class Recovery:
         known: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
     ):
+        if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
+            raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry

@@ -100,6 +100,17 @@ def test_another_seed_gives_other_maps_and_the_same_gives_the_same(whole, recove
     assert found[0] == wanted and found[1] != wanted
 
 
+@pytest.mark.parametrize("seed", [2**31, -(2**31) - 1, 1.5, "a", None])
+def test_a_seed_that_the_gpu_cannot_hold_is_refused(recover, seed):
+    with pytest.raises(InputError, match="^seed: must be a whole number from -2147483648 to 2147483647, not"):
+        recover(subject(5, 4)[0], seed=seed)
+
+
+def test_the_outermost_seeds_are_taken(recover):
+    for seed in (2**31 - 1, -(2**31)):
+        assert recover(subject(5, 4)[0], seed=seed).step().done
+
+
 def tiles_of(domain, halo):
     """Cut a domain of 17×13 into tiles of uneven sizes; return them with their places."""
     cuts = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 3), (5, 8, 11, 5), (16, 8, 1, 5)]
