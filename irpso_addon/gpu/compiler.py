@@ -14,7 +14,8 @@ from ..errors import ShaderError
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal
 _PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | behind its row
 _ECHO = re.compile(r"[\s|]*?(\d+) \|")
-_SAID = re.compile(r"[\s|]*((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
+# A place before the message is where Blender takes the row to be among its own files, which 4.2 does wrongly.
+_SAID = re.compile(r"[\s|]*(?:\S+:\d+:\d+: )?((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
 _STAGE = re.compile(r"(?:(Vert|Frag|Compute)Shader|Linking):\s*$")
 _STAGES = {"Vert": "vertex", "Frag": "fragment", "Compute": "compute"}
 _MARK = re.compile(r'#line 1 "([^"]+)"')
@@ -103,7 +104,7 @@ def _rows_before(make_info: Callable[[], Any], texts: Mapping[str, str], stage: 
 def _errors(lines: list[str]) -> str:
     """Return the errors among messages, or all where there is no error, each once."""
     found = dict.fromkeys(lines)
-    return "\n".join([line for line in found if "error" in line.lower()] or found)
+    return "\n".join([line for line in found if "error:" in line.lower()] or found)
 
 
 def _attempt(make_info: Callable[[], Any], sources: Mapping[str, str]) -> tuple[Any, str]:

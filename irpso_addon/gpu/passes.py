@@ -97,7 +97,9 @@ class Pass:
 
     def fence(self, targets: Sequence[Any]) -> None:
         """Wait until all that was drawn into ``targets`` is there."""
-        self.framebuffer(targets).read_color(0, 0, 1, 1, 4, 0, "FLOAT")
+        framebuffer = self.framebuffer(targets)
+        with framebuffer.bind():  # its size is not known before
+            framebuffer.read_color(0, 0, 1, 1, 4, 0, "FLOAT")
 
     def close(self) -> None:
         """Free the shader and its frame buffers."""

@@ -46,7 +46,8 @@ def download(texture: Any) -> np.ndarray:
 
 def download_rectangle(framebuffer: Any, x: int, y: int, width: int, height: int) -> np.ndarray:
     """Return a copy (height, width, 4) of a part of a frame buffer's first colour attachment."""
-    return _array(framebuffer.read_color(x, y, width, height, 4, 0, "FLOAT"), (height, width, 4))
+    with framebuffer.bind():  # its size is not known before
+        return _array(framebuffer.read_color(x, y, width, height, 4, 0, "FLOAT"), (height, width, 4))
 
 
 def _array(buffer: Any, shape: tuple[int, ...]) -> np.ndarray:

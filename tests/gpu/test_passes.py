@@ -113,6 +113,14 @@ def test_a_pass_runs_again_on_other_targets_of_another_size(entry):
     work.close()
 
 
+def test_a_fence_is_waited_at_before_anything_was_drawn(entry):
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    target = textures.empty(5, 3, value=BEFORE)
+    work.fence([target])
+    np.testing.assert_array_equal(textures.download(target), np.full((3, 5, 4), BEFORE))
+    work.close()
+
+
 @pytest.mark.parametrize("seconds", [1e-9, 1e-4, 10.0])
 @pytest.mark.parametrize("height", [1, 5, 64, 333])
 def test_bands_cover_every_row_once_whatever_time_they_are_given(seconds, height):

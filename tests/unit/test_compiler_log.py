@@ -12,7 +12,7 @@ LOG_4_2 = """ERROR (gpu.shader): pyGPU_Shader FragShader:
       | 
       | #extension GL_ARB_shader_draw_parameters : enable
       |    ^
-      | Error: operands to arithmetic operators must be numeric
+      | common_math_lib.glsl:18:16: Error: operands to arithmetic operators must be numeric
       | Error: operands to arithmetic operators must be numeric
       | 
       | Error: nowhere
