@@ -12,6 +12,9 @@ _HOMES = {
     "load_schedule": "solver.schedule",
     "Recovery": "solver.recovery",
     "Domain": "geometry.domain",
+    "domain_from_card": "geometry.build",
+    "domain_from_mesh": "geometry.build",
+    "extract_mesh": "geometry.mesh",
     "Maps": "maps.result",
     "write_maps": "maps.write",
 }

@@ -9,7 +9,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.types import Light
 from ..geometry.bake import bake_camera
-from ..maps.encode import encode_normal, srgb_from_linear
+from ..maps.encode import encode_normal, fill_margin, srgb_from_linear
 from ..maps.pictures import Curves, PreviewRow, convergence, display_image, preview, strip
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
@@ -31,7 +31,11 @@ class View:
         self.bake = bake_camera(subject.mesh, camera)
         height, width = subject.domain.shape
         x, y = self.bake.uv[..., 0] * width, self.bake.uv[..., 1] * height
-        self._texel = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
+        place = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
+        # At the rim of an island a pixel falls on texels whose centre lies outside: it is shown the one next to them.
+        indices = np.stack(np.mgrid[:height, :width], axis=-1).astype(np.float32)
+        nearest = fill_margin(indices, subject.evaluated, texels=2, far=tuple(np.argwhere(~subject.evaluated)[0])).astype(int)
+        self._texel = tuple(np.moveaxis(nearest[place], -1, 0))
         self.covered = self.bake.coverage & subject.evaluated[self._texel]
 
     def show(self, texels: np.ndarray) -> np.ndarray:
