@@ -17,7 +17,7 @@ from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
 from ..geometry.frames import from_blender, to_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
-from ..geometry.scene import mesh_object, open_blend
+from ..geometry.scene import empty_blend, mesh_object, open_blend
 from ..gpu import context, probe
 from ..maps import material
 from ..maps.blender_images import decode
@@ -108,6 +108,7 @@ def _check(options: Namespace) -> _Job:
 def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshData | None]:
     subject = mesh = None
     if not options.blend:
+        empty_blend()
         domain = domain_from_card(job.capture)
     else:
         with unseen_reports():

@@ -24,6 +24,13 @@ def open_blend(path: str | Path) -> None:
         raise InputError(f"Blender cannot open '{path}': {' '.join(str(error).split())}") from error
 
 
+def empty_blend() -> None:
+    """Open an empty file in place of the current one: Blender starts with a cube, a lamp and a camera."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, load_ui=False)
+
+
 def mesh_object(name: str | None = None) -> Any:
     """Return the mesh object of that name, or the scene's only one. Raises InputError naming those that there are."""
     import bpy
