@@ -118,15 +118,16 @@ def add_mesh(bpy, name, vertices, faces, uvs=None):
 
 
 def add_camera(bpy, name="Camera", place=(0, 0, 4), toward=(0, 0, 0), **settings):
-    """Add a camera that looks at a point, and make it the scene's."""
-    from mathutils import Vector
+    """Add a camera that looks at a point, upright (+Z is up, or +Y where it looks along Z), and make it the scene's."""
+    from mathutils import Matrix, Vector
 
     data = bpy.data.cameras.new(name)
     for key, value in settings.items():
         setattr(data, key, value)
     thing = bpy.data.objects.new(name, data)
-    thing.location = place
-    thing.rotation_euler = (Vector(place) - Vector(toward)).to_track_quat("Z", "Y").to_euler()
+    z = (Vector(place) - Vector(toward)).normalized()
+    x = Vector((0, 1, 0) if abs(z.z) > 0.99 else (0, 0, 1)).cross(z).normalized()
+    thing.matrix_world = Matrix.Translation(place) @ Matrix((x, z.cross(x), z)).transposed().to_4x4()
     bpy.context.scene.collection.objects.link(thing)
     bpy.context.scene.camera = thing
     return thing
