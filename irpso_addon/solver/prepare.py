@@ -64,8 +64,10 @@ def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple
     vectors, irradiance = light_vectors(domain, texels)
     samples = domain.stack[:, texels[0], texels[1]]
     # What weighs nothing may be anything, and 0 · NaN is NaN.
-    shades = np.where(samples[..., 3:] > 0, samples[..., :3] / irradiance, 0)
-    grey = shades.mean(axis=-1)
+    radiance = np.where(samples[..., 3:] > 0, samples[..., :3], 0)
+    lights = irradiance > 0  # a coloured light may have none of a channel
+    shades = np.divide(radiance, irradiance, out=np.zeros_like(irradiance), where=lights)
+    grey = shades.sum(axis=-1) / lights.sum(axis=-1)
     lit = grey > 0
     values = np.where(lit, grey, np.nan)
     with np.errstate(all="ignore"):
@@ -79,8 +81,8 @@ def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
     usable = (kept.sum(axis=0) >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
-    cosine = np.maximum(np.einsum("kti,ti->kt", vectors, normal), 0) * kept
-    albedo = np.einsum("kt,ktc->tc", cosine, shades) / np.maximum((cosine**2).sum(axis=0), 1e-8)[:, None]
+    cosine = (np.maximum(np.einsum("kti,ti->kt", vectors, normal), 0) * kept)[..., None] * lights
+    albedo = (cosine * shades).sum(axis=0) / np.maximum((cosine**2).sum(axis=0), 1e-8)
     return normal.astype(np.float32), albedo.astype(np.float32)
 
 

@@ -28,6 +28,7 @@ from .state import SOLVED, DomainTextures, Estimates, texel_states
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
+_SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 
 
@@ -202,8 +203,11 @@ class Recovery:
         self.close()
 
     def _begin(self, index: int) -> RunningStage:
+        # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
+        # As the signed 32 bits that a push constant has.
+        seed = (self.seed + _SEED_STEP * index + 2**31) % 2**32 - 2**31
         return RunningStage(
-            self._stages[index], self.model, self.schedule, self.seed, self._textures, self._estimates, self.entry
+            self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry
         )
 
     def _finish_stage(self) -> None:
