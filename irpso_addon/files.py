@@ -1,12 +1,14 @@
-"""Writing whole files and folders or none: everything goes to a temporary name first."""
+"""Files and folders: shipped tables by name, and writing whole or not at all, through a temporary name."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from .errors import InputError
 
@@ -48,3 +50,29 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def shipped_names(folder: Path) -> list[str]:
+    """Return the names of the .toml files in a folder of the program's own."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tuple[dict[str, Any], Path]:
+    """Return the table of ``folder``/NAME.toml, or of a user's own .toml by path, and where it lies.
+
+    what: "model" or "preset", for the message of the InputError that a missing or damaged file raises.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = folder / f"{name_or_path}.toml"
+        if not path.exists():
+            names = ", ".join(shipped_names(folder))
+            raise InputError(f"{what} '{name_or_path}' is not shipped; choose one of {names}, or give a .toml by path")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")), path
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); give the path of a {what}'s .toml file"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid TOML: {error}") from error

@@ -34,7 +34,8 @@ class View:
         place = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
         # At the rim of an island a pixel falls on texels whose centre lies outside: it is shown the one next to them.
         indices = np.stack(np.mgrid[:height, :width], axis=-1).astype(np.float32)
-        nearest = fill_margin(indices, subject.evaluated, texels=2, far=tuple(np.argwhere(~subject.evaluated)[0])).astype(int)
+        elsewhere = tuple(np.argwhere(~subject.evaluated)[0])
+        nearest = fill_margin(indices, subject.evaluated, texels=2, far=elsewhere).astype(int)
         self._texel = tuple(np.moveaxis(nearest[place], -1, 0))
         self.covered = self.bake.coverage & subject.evaluated[self._texel]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..files import load_shipped_table, shipped_names
 from ..paths import MODELS
 
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
@@ -87,25 +87,12 @@ class ReflectanceModel:
 
 def shipped_models() -> list[str]:
     """Return the names of the models that come with the program."""
-    return sorted(path.stem for path in MODELS.glob("*.toml"))
+    return shipped_names(MODELS)
 
 
 def load_model(name_or_path: str | Path) -> ReflectanceModel:
     """Read a shipped model by name, or a user's own by the path of its .toml file (the .glsl lies beside it)."""
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = MODELS / f"{name_or_path}.toml"
-        if not path.exists():
-            raise InputError(
-                f"model '{name_or_path}' is not shipped; choose one of {', '.join(shipped_models())},"
-                " or give the path of a .toml file"
-            )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a model's .toml file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from error
+    table, path = load_shipped_table("model", name_or_path, MODELS)
     return _model_from_table(table, path)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ..errors import InputError
+from ..files import load_shipped_table, shipped_names
 from ..paths import PRESETS
 from ..reflectance.model import Parameter, ReflectanceModel
 
@@ -127,22 +127,12 @@ class Schedule:
 
 def shipped_presets() -> list[str]:
     """Return the names of the presets that come with the program."""
-    return sorted(path.stem for path in PRESETS.glob("*.toml"))
+    return shipped_names(PRESETS)
 
 
 def load_schedule(name_or_path: str | Path) -> Schedule:
     """Read a shipped preset by name, or a .toml file of one's own by path. Raises InputError."""
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = PRESETS / f"{name_or_path}.toml"
-        if not path.exists():
-            raise InputError(f"preset '{name_or_path}' is not shipped; choose one of {', '.join(shipped_presets())}")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a preset's .toml") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from error
+    table, path = load_shipped_table("preset", name_or_path, PRESETS)
     _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage"], str(path))
     rows = table.get("stage", [])
     if not isinstance(rows, list):
