@@ -108,8 +108,8 @@ def recover_stage(
 def recover_jointly(
     subject: Subject, schedule: Schedule, iterations: int, seed: int, entry: str, report: Report, **more
 ) -> Run:
-    """Recover everything at once, with nothing known, as the preset has it."""
-    changed = schedule.replaced(search=["all"], iterations=iterations)
+    """Recover everything with nothing known, in the preset's own stages: most presets have one, for all at once."""
+    changed = schedule.replaced(iterations=iterations)
     return _recover(subject, changed, {}, JOINT, seed, entry, report, **more)
 
 
@@ -124,16 +124,17 @@ def _recover(
     marks: tuple[tuple[int, int], ...] = (),
     strip: tuple[int, ...] = (),
 ) -> Run:
-    iterations = schedule.stages[0].iterations
+    iterations = schedule.cycles * sum(stage.iterations for stage in schedule.stages)
     every = max(1, iterations // 50)
     stops = sorted({*range(0, iterations, every), iterations, *strip})
-    seconds = 0.0
+    seconds, made = 0.0, 0
     result = Run(name, None, 0.0, 0)
     searched = [p for p in subject.model.parameters if p.name not in known]
     with Recovery(subject.domain, subject.model, schedule, seed, known, entry) as recovery:
         for stop in stops:
             start = time.perf_counter()
-            progress = recovery.step(stop - max(recovery.progress.iteration, 0))
+            progress = recovery.step(stop - made)
+            made = stop
             maps = recovery.maps(confidence=stop == iterations)
             seconds += time.perf_counter() - start
             report(name, progress.fraction)
