@@ -63,7 +63,9 @@ def run(options: Namespace) -> dict:
     domain, subject, mesh = _domain(options, job)
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
+    started = time.perf_counter()
     with Recovery(subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry) as recovery:
+        job.seconds["prepare"] = time.perf_counter() - started
         maps = _solve(recovery, job, options)
         progress = recovery.progress
         entry = recovery.entry
@@ -136,6 +138,7 @@ def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
     with held_back() as interrupted:
         progress = recovery.progress
         before = progress.evaluations
+        bar.show(progress.fraction, f"{progress.title}  placing the swarms")
         while not (progress.done or interrupted()):
             started = bar.seconds
             progress = recovery.step(iterations)
