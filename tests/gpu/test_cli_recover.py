@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -85,7 +86,7 @@ def test_a_result_holds_all_files_and_no_other(name, recovered):
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert set(report["files"]) == (pictures | OTHERS) - {"material.blend"}
     assert report["settings"]["model"] == name and report["seed"] == 5 and report["texels"] == SHAPE[0] * SHAPE[1]
-    assert report["evaluations"] > 0 and {"read", "solve"} <= set(report["seconds"])
+    assert report["evaluations"] > 0 and {"read", "prepare", "solve"} <= set(report["seconds"])
     assert report["versions"]["blender"] and report["gpu"]
 
 
@@ -225,17 +226,21 @@ def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered,
             command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )  # fmt: skip
+        percents = []
         for line in process.stderr:
-            if line.startswith("recover ["):
-                process.send_signal(number)
-                break
+            if found := re.match(r"recover \[.*\] +(\d+) %", line):
+                percents.append(int(found[1]))
+                if percents[-1] >= 10:
+                    process.send_signal(number)
+                    break
         rest = process.stderr.read()
         assert process.wait(60) == 130
         assert [path.name for path in folder.iterdir()] == ["checkpoint.npz"]
         assert f"{folder / 'checkpoint.npz'} holds the run so far, go on with --resume" in rest
+        return percents[0]
 
-    interrupted(signal.SIGINT)
-    interrupted(signal.SIGTERM, "--resume")
+    assert interrupted(signal.SIGINT) == 0
+    assert interrupted(signal.SIGTERM, "--resume") >= 10, "it began anew"
     assert run_cli(*options, "--resume", "--quiet", "-o", folder)[0] == 0
     assert not (folder / "checkpoint.npz").exists()
     assert run_cli(*options, "--quiet", "-o", tmp_path / "whole")[0] == 0
@@ -243,6 +248,16 @@ def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered,
     assert names == {path.name for path in (tmp_path / "whole").iterdir()}
     for name in names - {"report.json", "material.blend"}:
         assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import recover
+
+    _, out, _ = recovered("lambert")
+    monkeypatch.setattr(recover, "domain_from_card", lambda *_: signal.raise_signal(signal.SIGINT))
+    code, answer, err = run_cli("recover", out.parent / "lambert", "-o", tmp_path / "out")
+    assert (code, answer, err.strip()) == (130, "", "irpso: interrupted")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_checkpoint_of_other_settings_is_refused_by_what_differs(recovered, tmp_path):
