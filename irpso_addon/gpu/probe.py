@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -125,4 +124,5 @@ def _inside_blender() -> bool:
         import bpy
     except ImportError:
         return False
-    return bool(bpy.app.binary_path) and os.path.basename(bpy.app.binary_path).lower().startswith("blender")
+    # bpy.app.module came after 4.2; the wheel has no binary, unless a script has named one.
+    return not getattr(bpy.app, "module", not bpy.app.binary_path)

@@ -1,0 +1,83 @@
+"""The GPU context: what it leaves behind, what a probe says of it, and how a process that had one ends."""
+
+import json
+import stat
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from irpso_addon.errors import GpuUnavailableError
+from irpso_addon.gpu import context, probe
+from irpso_addon.paths import ROOT
+
+# What Blender does with --python-expr CODE -- ARGUMENTS, in a file that any Python can run.
+STAND_IN = """#!{python}
+import sys
+exec(sys.argv[sys.argv.index("--python-expr") + 1])
+"""
+
+
+def run(*arguments):
+    """Run this Python in the repository; return exit code and output."""
+    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stdout
+
+
+def executable(path, text):
+    """Write a file that can be run; return its path."""
+    path.write_text(text, encoding="utf-8")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+def everything():
+    """Return the names of all that a context could leave in a file, and the scene that is active."""
+    kinds = (bpy.data.scenes, bpy.data.objects, bpy.data.cameras, bpy.data.images)
+    return [sorted(thing.name for thing in kind) for kind in kinds], bpy.context.scene.name
+
+
+def test_a_context_leaves_the_open_file_as_it_was():
+    before = everything()
+    context.ensure()
+    assert context.describe()["max_texture_size"] >= 4096
+    assert everything() == before
+    assert not [kind for kind in bpy.types.RenderEngine.__subclasses__() if kind.is_registered and "IRPSO" in str(kind)]
+
+
+def test_the_probe_finds_the_context_of_this_process():
+    found = probe.probe()
+    ours = context.describe()
+    assert {name: found[name] for name in ours} == ours
+    assert found["fragment_seconds"] > 0 and found["compute_seconds"] > 0
+
+
+@pytest.mark.parametrize("facts", [{"module": False}, {}], ids=["since 4.3", "4.2"])
+def test_blender_itself_is_asked_where_python_runs_inside_it(facts, monkeypatch, tmp_path):
+    assert not probe._inside_blender()
+    ours = context.describe()
+    binary = executable(tmp_path / "a renamed Blender", STAND_IN.format(python=sys.executable))
+    monkeypatch.setattr(bpy, "app", SimpleNamespace(binary_path=binary, **facts))
+    monkeypatch.setattr(sys, "executable", "must not be run")
+    assert probe.probe()["renderer"] == ours["renderer"]
+
+
+def test_a_probe_that_dies_is_reported_with_what_it_said_last(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", executable(tmp_path / "dies", "#!/bin/sh\necho no EGL >&2\nexit 134\n"))
+    with pytest.raises(GpuUnavailableError, match=r"exit code 134 \(no EGL\)"):
+        probe.probe()
+
+
+@pytest.mark.parametrize("code", [0, 3, 130])
+def test_a_process_that_drew_ends_with_the_code_it_is_given(code):
+    drawn = "from irpso_addon.gpu import context, probe; context.ensure(); probe.check(); print('said', end='')"
+    found, out = run("-c", f"{drawn}; context.exit_process({code})")
+    assert (found, out.splitlines()[-1]) == (code, "said")
+
+
+def test_doctor_ends_with_0_and_names_the_renderer():
+    code, out = run("-m", "irpso_addon", "doctor", "--json")
+    assert code == 0
+    assert json.loads(out.splitlines()[-1])["renderer"] == context.describe()["renderer"]
