@@ -31,6 +31,16 @@ def has_metallic() -> bool:
     return hasattr(bpy.types, "ShaderNodeBsdfMetallic")
 
 
+def has_exact_conductor() -> bool:
+    """Whether the Metallic BSDF without extinction is a dielectric (since 5.0, which gave it thin films too).
+
+    Before, its Fresnel is the approximation for metals: at 60° on skin, 77 % too bright.
+    """
+    import bpy
+
+    return bpy.app.version >= (5, 0, 0)
+
+
 def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
     """Make the group node; return its output and parameter name → the socket that it drives.
 
@@ -73,8 +83,7 @@ def _group(settings: _Settings):
     """Return the node group of these settings, found by its tag or made."""
     import bpy
 
-    kind = "metallic" if has_metallic() else "glossy"
-    key = f"two_lobe {kind} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
+    key = f"two_lobe {_kind(settings)} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
     for group in bpy.data.node_groups:
         if group.get(TAG) == key and group.library is None:
             return group
@@ -90,6 +99,18 @@ def _group(settings: _Settings):
     with OwnNodes(group) as nodes:
         _fill(nodes, settings)
     return group
+
+
+def _kind(settings: _Settings) -> str:
+    """Return what makes the lobes: a Metallic BSDF (by the name of its Fresnel), Principled BSDFs, or Glossy ones."""
+    if has_metallic() and settings.fresnel == "schlick":
+        return "F82"
+    if has_metallic() and has_exact_conductor():
+        return "PHYSICAL_CONDUCTOR"
+    if settings.distribution == "GGX":
+        return "principled"
+    # For a dielectric Schlick's Fresnel, 19 % too dark at 60° on skin, is the nearest that there is.
+    return "F82" if has_metallic() else "glossy"
 
 
 def _fill(nodes: OwnNodes, settings: _Settings) -> None:
@@ -126,8 +147,8 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
     """
     place = (-120, 20 - 220 * lobe)
     ior = (1 + settings.f0**0.5) / (1 - settings.f0**0.5)
-    if has_metallic():
-        kind = "F82" if settings.fresnel == "schlick" else "PHYSICAL_CONDUCTOR"
+    kind = _kind(settings)
+    if kind in ("F82", "PHYSICAL_CONDUCTOR"):
         metal = nodes.node(
             f"lobe {lobe}", "ShaderNodeBsdfMetallic", place, distribution=settings.distribution, fresnel_type=kind
         )
@@ -137,7 +158,7 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
         set_input(metal, "IOR", (ior,) * 3)
         set_input(metal, "Extinction", (0.0,) * 3)
         return metal
-    if settings.distribution == "GGX":
+    if kind == "principled":
         return _principled_lobe(nodes, lobe, settings, ior, place)
     fresnel = nodes.node("fresnel", "ShaderNodeFresnel", (-440, 260))
     fresnel.inputs["IOR"].default_value = ior
