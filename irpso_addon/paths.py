@@ -1,4 +1,5 @@
 """Where the program's own data lie, and what the package is called once Blender has installed it."""
+
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent

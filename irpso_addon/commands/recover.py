@@ -28,6 +28,7 @@ from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.recovery import Recovery
 from ..solver.schedule import Schedule
+from .history import History
 from .interrupt import held_back
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .pictures import error_preview, relit_preview
@@ -66,7 +67,8 @@ def run(options: Namespace) -> dict:
     started = time.perf_counter()
     with Recovery(subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry) as recovery:
         job.seconds["prepare"] = time.perf_counter() - started
-        maps = _solve(recovery, job, options)
+        history = History(recovery, job.truth)
+        maps = _solve(recovery, history, job, options)
         progress = recovery.progress
         entry = recovery.entry
     started = time.perf_counter()
@@ -77,7 +79,7 @@ def run(options: Namespace) -> dict:
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
     report |= relighting
-    pictures = {"preview": error_preview(domain, maps, job.truth)} | relit
+    pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
     written = maps
     if mesh is not None:
         written = replace(maps, values=turned_normals(job.model, maps.values, mesh, domain.bake, to_blender))
@@ -129,7 +131,7 @@ def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshD
     return domain, subject, mesh
 
 
-def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
+def _solve(recovery: Recovery, history: History, job: _Job, options: Namespace) -> Maps:
     checkpoint = job.folder / CHECKPOINT
     if options.resume:
         recovery.load(checkpoint)
@@ -142,6 +144,7 @@ def _solve(recovery: Recovery, job: _Job, options: Namespace) -> Maps:
         while not (progress.done or interrupted()):
             started = bar.seconds
             progress = recovery.step(iterations)
+            history.look()
             rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
             wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)

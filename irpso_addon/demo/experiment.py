@@ -14,6 +14,7 @@ from ..geometry.bake import SurfaceBake, bake_camera, bake_uv
 from ..geometry.build import domain_from_mesh
 from ..geometry.domain import Domain
 from ..geometry.mesh import MeshData
+from ..maps.pictures import spread_marks
 from ..maps.report import parameter_error
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel, load_model
@@ -171,15 +172,8 @@ def world_normals(bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
     return sum(normals[..., i : i + 1] * axis for i, axis in enumerate(axes))
 
 
-def choose_marks(subject: Subject, count: int = 4) -> tuple[tuple[int, int], ...]:
-    """Return (x, y) of texels far from each other in the camera's view, the first nearest to its middle."""
+def choose_marks(subject: Subject) -> tuple[tuple[int, int], ...]:
+    """Return (x, y) of four texels far from each other in the camera's view."""
     rows, columns = np.nonzero(subject.evaluated)
     pixels, _ = subject.camera.project(subject.bake.position[rows, columns])
-    middle = np.median(pixels, axis=0)
-    # Not at the rim, where a mark would hide what it marks.
-    near = np.linalg.norm(pixels - middle, axis=1) < 0.8 * np.linalg.norm(pixels - middle, axis=1).max()
-    chosen = [int(np.argmin(np.linalg.norm(pixels - middle, axis=1)))]
-    while len(chosen) < count:
-        distance = np.min([np.linalg.norm(pixels - pixels[i], axis=1) for i in chosen], axis=0)
-        chosen.append(int(np.argmax(np.where(near, distance, -1))))
-    return tuple((int(columns[i]), int(rows[i])) for i in chosen)
+    return tuple((int(columns[i]), int(rows[i])) for i in spread_marks(pixels))

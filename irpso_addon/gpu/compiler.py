@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
-import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..errors import ShaderError
+from .output import caught_output
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal
 _PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | behind its row
@@ -117,18 +115,8 @@ def _attempt(make_info: Callable[[], Any], sources: Mapping[str, str]) -> tuple[
     info = make_info()
     for stage, text in sources.items():
         getattr(info, f"{stage}_source")(text)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as log:
-        kept = [os.dup(stream) for stream in (1, 2)]
-        for stream in (1, 2):
-            os.dup2(log.fileno(), stream)
+    with caught_output() as log:
         try:
             return gpu.shader.create_from_info(info), ""
         except Exception as error:  # noqa: BLE001  Blender raises Exception itself
-            log.seek(0)
-            return None, log.read().decode("utf-8", "replace").strip() or str(error)
-        finally:
-            for stream, copy in zip((1, 2), kept, strict=True):
-                os.dup2(copy, stream)
-                os.close(copy)
+            return None, log() or str(error)

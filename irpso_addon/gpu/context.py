@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import nullcontext
 
 from ..errors import GpuUnavailableError
+from .output import caught_output
 
 _ready = False
 
 
-def ensure() -> None:
+def ensure(quiet: bool = True) -> None:
     """Make a GPU context in this process, once. Raises GpuUnavailableError where bpy or the context is missing.
+
+    quiet: whether to drop what EGL says meanwhile; it complains of configurations that it then does without.
 
     A machine without a usable EGL kills the process inside Blender, which Python cannot catch: where that may be, ask
     ``probe.probe()`` first, which tries it in a child process.
@@ -25,10 +29,11 @@ def ensure() -> None:
     except ImportError as error:
         raise GpuUnavailableError(f"Blender's Python module does not load ({error}); run 'make doctor'") from error
     if bpy.app.background:
-        if hasattr(gpu, "init"):  # since Blender 5.2
-            gpu.init()
-        else:
-            _render_once()
+        with caught_output() if quiet else nullcontext():
+            if hasattr(gpu, "init"):  # since Blender 5.2
+                gpu.init()
+            else:
+                _render_once()
     try:
         gpu.platform.renderer_get()
     except SystemError as error:

@@ -65,6 +65,7 @@ def probe() -> dict:
 def main() -> None:
     """Answer a parent's probe on standard output, then end the process."""
     try:
+        context.ensure(quiet=False)  # should it die here, the parent reads why
         answer = {**context.describe(), **check()}
     except GpuUnavailableError as error:
         answer = {"error": str(error)}

@@ -120,6 +120,21 @@ def convergence(image: np.ndarray, marks: Sequence[tuple[int, int]], panels: Seq
     return canvas.result()
 
 
+def spread_marks(places: np.ndarray, count: int = 4) -> list[int]:
+    """Return the indices of points (N, 2) far from each other, for marks: the first nearest to the middle.
+
+    None lies at the rim, where a mark would hide what it marks. Fewer come back where there are fewer points.
+    """
+    places = np.asarray(places, np.float64)
+    distance = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    inner = distance <= 0.8 * distance.max()
+    chosen = [int(np.argmin(distance))]
+    while len(chosen) < min(count, len(places)):
+        nearest = np.min([np.linalg.norm(places - places[i], axis=1) for i in chosen], axis=0)
+        chosen.append(int(np.argmax(np.where(inner, nearest, -1))))
+    return chosen
+
+
 def strip(
     images: Sequence[np.ndarray],
     errors: Sequence[np.ndarray],

@@ -46,7 +46,13 @@ def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for T texels, (K, T, 3) unit vectors to the light in each texel's own frame, and its irradiance/π."""
+    """Return, for T texels, (K, T, 3) unit vectors to the light in each texel's own frame, and its irradiance/π.
+
+    Where they are the same at every texel, on a card under distant lights, T is 1.
+    """
+    if domain.card and not domain.lights[:, 3].any():
+        vectors = domain.lights[:, None, :3].astype(np.float64)
+        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), domain.intensities[:, None]
     bake = domain.bake
     position, normal, tangent = bake.position[texels], bake.normal[texels], bake.tangent[texels]
     frame = np.stack(
@@ -66,7 +72,7 @@ def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple
     # What weighs nothing may be anything, and 0 · NaN is NaN.
     radiance = np.where(samples[..., 3:] > 0, samples[..., :3], 0)
     lights = irradiance > 0  # a coloured light may have none of a channel
-    shades = np.divide(radiance, irradiance, out=np.zeros_like(irradiance), where=lights)
+    shades = np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=lights)
     grey = shades.sum(axis=-1) / lights.sum(axis=-1)
     lit = grey > 0
     values = np.where(lit, grey, np.nan)
@@ -74,16 +80,28 @@ def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple
         low, high = (_nan_percentile(values, q) for q in _LIT_PERCENTILES)
         kept = lit & (grey >= low) & (grey <= high)
     kept = np.where(kept.sum(axis=0) >= 3, kept, lit).astype(np.float64)
-    gram = np.einsum("kt,kti,ktj->tij", kept, vectors, vectors)
-    scaled = np.linalg.pinv(gram, hermitian=True) @ np.einsum("kt,kti,kt->ti", kept, vectors, grey)[..., None]
-    scaled = scaled[..., 0]
+    gram, right = _normal_equations(vectors, kept, grey)
+    # 1e-9 of the trace: an answer for lights in a plane too, where it is the shortest of many.
+    gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
+    scaled = np.linalg.solve(gram, right[..., None])[..., 0]
     scaled[:, 2] = np.maximum(scaled[:, 2], 0)
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
     usable = (kept.sum(axis=0) >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
-    cosine = (np.maximum(np.einsum("kti,ti->kt", vectors, normal), 0) * kept)[..., None] * lights
+    facing = vectors[:, 0] @ normal.T if vectors.shape[1] == 1 else np.einsum("kti,ti->kt", vectors, normal)
+    cosine = (np.maximum(facing, 0) * kept)[..., None] * lights
     albedo = (cosine * shades).sum(axis=0) / np.maximum((cosine**2).sum(axis=0), 1e-8)
     return normal.astype(np.float32), albedo.astype(np.float32)
+
+
+def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3, 3) Σ w l lᵀ and (T, 3) Σ w l v over K lights: products of matrices where texels share the lights."""
+    if vectors.shape[1] == 1:
+        outer = vectors[:, 0, :, None] * vectors[:, 0, None, :]
+        gram = (weight.T @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        return gram, (weight * values).T @ vectors[:, 0]
+    gram = np.einsum("kti,ktj->tij", weight[..., None] * vectors, vectors, optimize=True)
+    return gram, np.einsum("kt,kti->ti", weight * values, vectors)
 
 
 def _grey(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

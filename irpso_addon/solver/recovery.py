@@ -36,7 +36,8 @@ _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reache
 class Progress:
     """How far a recovery is. iteration counts from 0 in the stage, negative while swarms are being placed.
 
-    fraction: of all the work, 0 to 1. evaluations: renders of all observations at one texel, so far.
+    iteration_in_all: over all stages so far. fraction: of all the work, 0 to 1. evaluations: renders of all
+    observations at one texel, so far.
     """
 
     stage: int
@@ -44,6 +45,7 @@ class Progress:
     title: str
     iteration: int
     iterations: int
+    iteration_in_all: int
     fraction: float
     evaluations: int
     done: bool
@@ -125,9 +127,10 @@ class Recovery:
         before = sum(stage.iterations for stage in stages[: self._index])
         running = stages[min(self._index, len(stages) - 1)]
         iteration = self._stage.iteration if self._stage else running.iterations
+        made = before + max(iteration, 0) if self._stage else total
         return Progress(
-            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations,
-            (before + max(iteration, 0)) / total if self._stage else 1.0, self._evaluations, self._stage is None,
+            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made,
+            made / total, self._evaluations, self._stage is None,
         )  # fmt: skip
 
     def maps(self, confidence: bool = True) -> Maps:

@@ -1,0 +1,62 @@
+"""How a recovery converged: the errors of four texels, looked at now and then while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..maps.pictures import Curves, convergence, display_image, spread_marks
+from ..maps.report import error_unit, parameter_error
+from ..maps.result import Maps
+from ..solver.recovery import Recovery
+
+_LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations
+
+
+class History:
+    """Looks at a recovery about 40 times and keeps the errors of four texels.
+
+    truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white.
+    """
+
+    def __init__(self, recovery: Recovery, truth: Mapping[str, np.ndarray] | None):
+        self._recovery, self._truth = recovery, truth
+        rows, columns = np.nonzero(recovery.domain.solvable)
+        chosen = spread_marks(np.stack([columns, rows], axis=-1))
+        self._rows, self._columns = rows[chosen], columns[chosen]
+        self._iterations: list[int] = []
+        self._errors: dict[str, list[np.ndarray]] = {}
+        self._next = 0.0
+
+    def look(self) -> None:
+        """Note the errors, if it is time to."""
+        progress = self._recovery.progress
+        if progress.fraction < self._next and not progress.done:
+            return
+        self._next = progress.fraction + 1 / _LOOKS
+        maps = self._recovery.maps(confidence=False)
+        self._iterations.append(progress.iteration_in_all)
+        for name, error in self._errors_of(maps).items():
+            self._errors.setdefault(name, []).append(error[self._rows, self._columns])
+
+    def picture(self, maps: Maps) -> np.ndarray:
+        """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""
+        normal = next(p for p in maps.model.parameters if p.is_normal)
+        image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
+        panels = [
+            Curves(name, np.array(self._iterations), np.stack(errors), self._unit(maps, name), log=True)
+            for name, errors in self._errors.items()
+        ]
+        marks = [(int(x), int(y)) for x, y in zip(self._columns, self._rows, strict=True)]
+        return convergence(image, marks, panels)
+
+    def _errors_of(self, maps: Maps) -> dict[str, np.ndarray]:
+        errors = {"residual": 100 * maps.residual}
+        for p in maps.model.parameters if self._truth else ():
+            if p.name in self._truth:
+                errors[p.name] = parameter_error(p, maps.values[p.name], self._truth[p.name])
+        return errors
+
+    def _unit(self, maps: Maps, name: str) -> str:
+        return "%" if name == "residual" else error_unit(maps.model.parameter(name))

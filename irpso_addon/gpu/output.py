@@ -1,0 +1,33 @@
+"""What Blender and drivers write from C past Python: catching it, for as long as something runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def caught_output() -> Iterator[Callable[[], str]]:
+    """Send the process's own standard output and error to a file meanwhile; yields what reads the text so far."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as log:
+        kept = [os.dup(stream) for stream in (1, 2)]
+        for stream in (1, 2):
+            os.dup2(log.fileno(), stream)
+
+        def text() -> str:
+            log.seek(0)
+            return log.read().decode("utf-8", "replace").strip()
+
+        try:
+            yield text
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
