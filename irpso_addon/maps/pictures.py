@@ -181,7 +181,9 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
     for tick in ticks:
         y = top + height - (level(tick) - bottom_level) / span * height
         canvas.lines([[(left, y), (left + width, y)]], 1.0, GRID)
-        canvas.text(left - 8, y + _SMALL / 2, _number(tick), _SMALL, FAINT, 1.0)
+        # "0.0001" would run into the axis's own label.
+        label = _number(tick) if tick == 0 or tick >= 0.01 else f"1e{round(math.log10(tick))}"
+        canvas.text(left - 8, y + _SMALL / 2, label, _SMALL, FAINT, 1.0)
     for color, series in reversed(list(zip(MARK_COLORS, errors.T, strict=False))):
         known = np.isfinite(series)
         series = series[known]

@@ -72,7 +72,15 @@ FILES = {
     "principled": {"base_color", "normal", "roughness", "specular"},
     "cook_torrance_two_lobe": {"base_color", "normal", "roughness_lobes"},
 }
-OTHERS = {"residual.exr", "confidence.exr", "maps.exr", "report.json", "preview.png", "material.blend"}
+OTHERS = {
+    "residual.exr",
+    "confidence.exr",
+    "maps.exr",
+    "report.json",
+    "preview.png",
+    "convergence.png",
+    "material.blend",
+}
 
 
 @pytest.mark.parametrize("name", FILES)
