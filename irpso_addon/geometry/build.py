@@ -66,9 +66,8 @@ def domain_from_mesh(
     }
     stack = np.zeros((len(capture.observations), height, width, 4), np.float32)
     for observation, out in zip(capture.observations, stack, strict=True):
-        image = _read(observation, capture)
-        weight = image[..., 3] * capture.masks[observation.camera]
-        out[:] = projectors[observation.camera].sample(np.concatenate([image[..., :3], weight[..., None]], axis=-1))
+        index = observation.camera
+        out[:] = projectors[index].sample(_read(observation, capture), np.asarray(capture.masks[index], bool))
     _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     return _domain(capture.observations, bake, stack, views, np.eye(4), card=False)

@@ -49,10 +49,10 @@ class Projector:
         visible.ravel()[self._texels] = True
         return visible
 
-    def sample(self, image: np.ndarray) -> np.ndarray:
+    def sample(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
         """Return (h, w, 4) float32: an image's radiance at the texels and its weight in alpha, 0 where it says nothing.
 
-        image: (H, W, 4) of the camera's size, weight in alpha. Between pixel centres both are interpolated; where one
+        image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel centres both are interpolated; where one
         of the pixels that count has no weight (clipped, outside the mask, not a number) the texel has none either.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
@@ -66,6 +66,8 @@ class Projector:
             for tap, weight in self._taps(block):
                 counts = weight > 0
                 values = pixels[tap]
+                if mask is not None:
+                    values[:, 3] *= mask.ravel()[tap]
                 usable &= ~counts | ((values[:, 3] > 0) & np.isfinite(values).all(axis=1))
                 total += np.where(counts[:, None], values * weight[:, None], 0)
             total[~usable] = 0
