@@ -52,8 +52,9 @@ class Projector:
     def sample(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
         """Return (h, w, 4) float32: an image's radiance at the texels and its weight in alpha, 0 where it says nothing.
 
-        image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel centres both are interpolated; where one
-        of the pixels that count has no weight (clipped, outside the mask, not a number) the texel has none either.
+        image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel
+        centres radiance and weight are interpolated; where one of the pixels that count has no weight (clipped,
+        outside the mask, not a number) the texel has none either.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
             raise ValueError(f"the image is {image.shape}, the camera {self.camera.height} × {self.camera.width} × 4")
