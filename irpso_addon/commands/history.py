@@ -11,6 +11,7 @@ from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..solver.recovery import Recovery
 
+_ITERATIONS = "iterations"
 _LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations
 
 
@@ -27,18 +28,34 @@ class History:
         self._rows, self._columns = rows[chosen], columns[chosen]
         self._iterations: list[int] = []
         self._errors: dict[str, list[np.ndarray]] = {}
-        self._next = 0.0
+
+    @property
+    def until_next(self) -> int:
+        """How many iterations may be made before the next look: looks come at the same ones however a run is sliced."""
+        progress = self._recovery.progress
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        return every - progress.iteration_in_all % every
 
     def look(self) -> None:
         """Note the errors, if it is time to."""
         progress = self._recovery.progress
-        if progress.fraction < self._next and not progress.done:
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        if progress.iteration_in_all % every and not progress.done:
             return
-        self._next = progress.fraction + 1 / _LOOKS
         maps = self._recovery.maps(confidence=False)
         self._iterations.append(progress.iteration_in_all)
         for name, error in self._errors_of(maps).items():
             self._errors.setdefault(name, []).append(error[self._rows, self._columns])
+
+    @property
+    def notes(self) -> dict[str, np.ndarray]:
+        """What has been noted, for a checkpoint."""
+        return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
+
+    def take(self, notes: Mapping[str, np.ndarray]) -> None:
+        """Take up what a checkpoint's notes hold."""
+        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ())]
+        self._errors = {name: list(errors) for name, errors in notes.items() if name != _ITERATIONS}
 
     def picture(self, maps: Maps) -> np.ndarray:
         """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""

@@ -134,7 +134,7 @@ def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshD
 def _solve(recovery: Recovery, history: History, job: _Job, options: Namespace) -> Maps:
     checkpoint = job.folder / CHECKPOINT
     if options.resume:
-        recovery.load(checkpoint)
+        history.take(recovery.load(checkpoint))
     bar = ProgressBar("recover", options.quiet or options.json)
     iterations = 1
     with held_back() as interrupted:
@@ -143,7 +143,7 @@ def _solve(recovery: Recovery, history: History, job: _Job, options: Namespace) 
         bar.show(progress.fraction, f"{progress.title}  placing the swarms")
         while not (progress.done or interrupted()):
             started = bar.seconds
-            progress = recovery.step(iterations)
+            progress = recovery.step(min(iterations, history.until_next))
             history.look()
             rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
@@ -152,7 +152,7 @@ def _solve(recovery: Recovery, history: History, job: _Job, options: Namespace) 
         bar.close()
         if not progress.done:
             job.folder.mkdir(parents=True, exist_ok=True)
-            recovery.save(checkpoint)
+            recovery.save(checkpoint, history.notes)
             raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume")
     job.seconds["solve"] = bar.seconds
     return recovery.maps()

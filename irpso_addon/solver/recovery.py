@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +30,7 @@ BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
+_NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 
 
@@ -36,8 +38,8 @@ _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reache
 class Progress:
     """How far a recovery is. iteration counts from 0 in the stage, negative while swarms are being placed.
 
-    iteration_in_all: over all stages so far. fraction: of all the work, 0 to 1. evaluations: renders of all
-    observations at one texel, so far.
+    iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1. evaluations:
+    renders of all observations at one texel, so far.
     """
 
     stage: int
@@ -46,6 +48,7 @@ class Progress:
     iteration: int
     iterations: int
     iteration_in_all: int
+    iterations_in_all: int
     fraction: float
     evaluations: int
     done: bool
@@ -129,7 +132,7 @@ class Recovery:
         iteration = self._stage.iteration if self._stage else running.iterations
         made = before + max(iteration, 0) if self._stage else total
         return Progress(
-            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made,
+            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made, total,
             made / total, self._evaluations, self._stage is None,
         )  # fmt: skip
 
@@ -168,17 +171,24 @@ class Recovery:
         self._finish_iteration()
         self._running().take_halo(bests)
 
-    def save(self, path: str | Path) -> None:
-        """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all."""
+    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
+        """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all.
+
+        notes: arrays of the caller's own, which ``load`` gives back.
+        """
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._stage is not None:
             arrays |= {name: self._stage.read(t) for name, t in self._stage.swarm.remembered.items()}
         iteration = self._stage.iteration if self._stage else 0
+        arrays |= {_NOTE + name: array for name, array in notes.items()}
         checkpoint.write(Path(path), self._identity(), self._index, iteration, self._evaluations, arrays)
 
-    def load(self, path: str | Path) -> None:
-        """Go on from a checkpoint of the same domain, model, schedule and seed. Raises InputError for another's."""
+    def load(self, path: str | Path) -> dict[str, np.ndarray]:
+        """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
+
+        Raises InputError for another's.
+        """
         saved = checkpoint.read(Path(path), self._identity())
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
@@ -188,6 +198,7 @@ class Recovery:
         if self._stage is not None:
             self._stage.swarm.restore(saved.arrays)
             self._stage.iteration = saved.iteration
+        return {name.removeprefix(_NOTE): a for name, a in saved.arrays.items() if name.startswith(_NOTE)}
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
