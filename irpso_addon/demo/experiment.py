@@ -102,15 +102,15 @@ def recover_stage(
     """Recover one stage from a random start with the other maps known, by the paper's fitness, mean |e|."""
     wanted = {p.name for p in subject.model.parameters if p.stage == stage}
     known = {name: value for name, value in subject.truth.items() if name not in wanted}
-    changed = schedule.replaced(search=[stage], iterations=iterations, seed="random", loss="l1")
+    changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, seed="random", loss="l1")
     return _recover(subject, changed, known, stage, seed, entry, report, **more)
 
 
 def recover_jointly(
     subject: Subject, schedule: Schedule, iterations: int, seed: int, entry: str, report: Report, **more
 ) -> Run:
-    """Recover everything with nothing known, in the preset's own stages: most presets have one, for all at once."""
-    changed = schedule.replaced(iterations=iterations)
+    """Recover everything with nothing known, in the preset's own stages and cycles, ``iterations`` over all of them."""
+    changed = schedule.replaced(iterations=max(1, iterations // (schedule.cycles * len(schedule.stages))))
     return _recover(subject, changed, {}, JOINT, seed, entry, report, **more)
 
 
