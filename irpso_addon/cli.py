@@ -147,7 +147,10 @@ def _add_common(add: argparse.ArgumentParser) -> None:
 
 def _seed(text: str) -> int:
     """Return a seed; shaders take it as a signed integer of 32 bits."""
-    number = int(text)
+    try:
+        number = int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text} is no whole number") from error
     if not -(2**31) <= number < 2**31:
         raise argparse.ArgumentTypeError(f"{text} does not fit 32 bits; give a whole number of up to nine digits")
     return number

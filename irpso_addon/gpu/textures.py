@@ -6,33 +6,29 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
+
 CHANNELS = {"R32F": 1, "RG32F": 2, "RGBA32F": 4, "RGBA16F": 4}
 _FORMATS = {1: "R32F", 2: "RG32F", 4: "RGBA32F"}
 
 
 def upload(array: np.ndarray) -> Any:
     """Return a float32 texture of an array (H, W) or (H, W, C) with C of 1, 2, 3 or 4 (3 gains a zero channel)."""
-    import gpu
-
     array = _padded(array[..., None] if array.ndim == 2 else array)
     height, width, channels = array.shape
-    return gpu.types.GPUTexture((width, height), format=_FORMATS[channels], data=_buffer(array))
+    return _texture(width, height, format=_FORMATS[channels], data=_buffer(array))
 
 
 def upload_layers(array: np.ndarray, texture_format: str = "RGBA32F") -> Any:
     """Return an array texture of (K, H, W, 4) float32: K layers, read in shaders as FLOAT_2D_ARRAY."""
-    import gpu
-
     layers, height, width, _ = array.shape
     array = np.ascontiguousarray(array, np.float32)
-    return gpu.types.GPUTexture((width, height), layers=layers, format=texture_format, data=_buffer(array))
+    return _texture(width, height, layers=layers, format=texture_format, data=_buffer(array))
 
 
 def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float | None = None) -> Any:
     """Return a texture, cleared to ``value`` where one is given, else with undefined contents."""
-    import gpu
-
-    texture = gpu.types.GPUTexture((width, height), format=texture_format)
+    texture = _texture(width, height, format=texture_format)
     if value is not None:
         texture.clear(format="FLOAT", value=(value,) * CHANNELS[texture_format])
     return texture
@@ -48,6 +44,20 @@ def download_rectangle(framebuffer: Any, x: int, y: int, width: int, height: int
     """Return a copy (height, width, 4) of a part of a frame buffer's first colour attachment."""
     with framebuffer.bind():  # its size is not known before
         return _array(framebuffer.read_color(x, y, width, height, 4, 0, "FLOAT"), (height, width, 4))
+
+
+def _texture(width: int, height: int, layers: int = 0, **properties: Any) -> Any:
+    """Return a new texture. Raises InputError where the GPU refuses it: settings can ask for more than it has."""
+    import gpu
+
+    try:
+        return gpu.types.GPUTexture((width, height), layers=layers, **properties)
+    except RuntimeError as error:
+        size = f"{width} × {height}" + (f" × {layers}" if layers else "")
+        raise InputError(
+            f"the GPU refuses a texture of {size} texels; choose a smaller --resolution, fewer particles, or smaller or"
+            " fewer images"
+        ) from error
 
 
 def _array(buffer: Any, shape: tuple[int, ...]) -> np.ndarray:
