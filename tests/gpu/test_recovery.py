@@ -25,7 +25,7 @@ recover = pytest.fixture(recoveries)
 def whole():
     """(domain on a mesh, two-stage schedule, the maps of an uninterrupted recovery of it, its evaluations)."""
     domain, _ = subject(card=False)
-    schedule = load_schedule("paper").replaced(iterations=12, neighbourhood=5, c3=0.3, particles=6)
+    schedule = load_schedule("paper").replaced(iterations=12, cycles=1, neighbourhood=5, c3=0.3, particles=6)
     with Recovery(domain, LAMBERT, schedule, 1, entry="fragment") as recovery:
         progress = recovery.step()
         assert progress.done and progress.fraction == 1
