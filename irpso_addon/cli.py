@@ -13,6 +13,11 @@ from typing import NoReturn
 from .errors import InputError, IrpsoError, ShaderError
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
+_REMEDIES = {  # of a module that is missing
+    "numpy": "install numpy (Debian's Blender takes it from the package python3-numpy)",
+    "OpenEXR": "install the extension from the zip that `make extension` builds, which holds it, or OpenEXR with pip",
+    "bpy": "install bpy with pip, or use an installed Blender",
+}
 _EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
 
 
@@ -33,12 +38,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, "--json" in argv)
     except SystemExit as stop:  # --help; Blender must not be ended from here
         return int(stop.code or 0)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    command = import_module(f".commands.{options.command}", __package__)
+    for number in (signal.SIGINT, signal.SIGTERM):  # Blender has a handler of its own for the first
+        signal.signal(number, signal.default_int_handler)
     try:
-        result = command.run(options)
+        result = import_module(f".commands.{options.command}", __package__).run(options)
     except IrpsoError as error:
         return _fail(error, options.json)
+    except ModuleNotFoundError as error:
+        if error.name not in _REMEDIES:
+            raise
+        return _fail(InputError(f"Python has no module {error.name}; {_REMEDIES[error.name]}"), options.json)
+    except MemoryError as error:
+        text = f"memory is full ({error}); choose a smaller --resolution, or smaller or fewer images"
+        return _fail(InputError(text), options.json)
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\nirpso: interrupted{f'; {stop}' if str(stop) else ''}\n")
         return INTERRUPTED

@@ -13,6 +13,8 @@ import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
+from own_symbols import make_symbolic
+
 ROOT = Path(__file__).resolve().parent.parent
 # The Pythons inside the supported versions of Blender: 3.11 up to 5.0, 3.13 after it; and the systems they run on.
 PYTHONS = ("3.11", "3.13")
@@ -46,6 +48,8 @@ def add_wheels(package: Path) -> None:
         for platform in PLATFORMS:
             wanted = [f"OpenEXR=={version('OpenEXR')}", "--python-version", python, "--platform", platform]
             subprocess.run([*pip, *wanted], check=True)
+    for wheel in wheels.glob("*linux*.whl"):
+        make_symbolic(wheel)
     names = ", ".join(f'"./wheels/{wheel.name}"' for wheel in sorted(wheels.iterdir()))
     manifest = package / "blender_manifest.toml"
     manifest.write_text(f"wheels = [{names}]\n{manifest.read_text(encoding='utf-8')}", encoding="utf-8")

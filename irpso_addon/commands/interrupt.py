@@ -27,4 +27,5 @@ def held_back() -> Iterator[Callable[[], bool]]:
         yield lambda: came
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # None is a handler from outside Python, as Blender's own, which Python cannot put back.
+            signal.signal(number, signal.default_int_handler if handler is None else handler)

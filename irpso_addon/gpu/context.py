@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from contextlib import nullcontext
+from pathlib import Path
 
 from ..errors import GpuUnavailableError
 from .output import caught_output
@@ -67,8 +69,13 @@ def exit_process(code: int) -> None:
     """End the process now with ``code``, buffers flushed.
 
     Interpreter shutdown is skipped on purpose: bpy 4.5 never returns from it once a GPU context exists, and 4.2
-    crashes in it when GPU objects outlive the context.
+    crashes in it when GPU objects outlive the context. What it would tidy up, Blender's folder for temporary files, is
+    removed here.
     """
+    if bpy := sys.modules.get("bpy"):
+        temporary = Path(bpy.app.tempdir)
+        if temporary.name.startswith("blender_"):  # else Blender could make none and uses the system's own
+            shutil.rmtree(temporary, ignore_errors=True)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)

@@ -1,0 +1,70 @@
+"""Makes the libraries in a Linux wheel find their own functions before those of the process that loads them.
+
+Blender has its own OpenEXR, of another version, among the libraries of its process. The wheel of OpenEXR exports the
+functions of its C core under the same names and calls them by name, so inside Blender it would reach Blender's and
+crash (seen with the libraries of 4.2, 4.3, 4.5, 5.0 and 5.2; the bpy wheel keeps its libraries to itself). DF_SYMBOLIC
+in a library's dynamic section, what `ld -Bsymbolic` sets, has the loader look into the library first. RTLD_DEEPBIND
+would do so too, but also for malloc, which Blender replaces: that crashes as well.
+"""
+
+import base64
+import csv
+import hashlib
+import io
+import struct
+import zipfile
+from pathlib import Path
+
+# Names and layout: System V ABI, ELF-64 object files; <elf.h>.
+PT_DYNAMIC, DT_NULL, DT_FLAGS, DF_SYMBOLIC = 2, 0, 30, 2
+HEADER_OFFSETS, PROGRAM_HEADER, ENTRY = (32, 54), struct.Struct("<IIQQQQQQ"), struct.Struct("<QQ")
+
+
+def symbolic(library: bytes) -> bytes:
+    """Return a little-endian ELF-64 library with DF_SYMBOLIC set; raise ValueError where there is no room for it."""
+    if library[:6] != b"\x7fELF\x02\x01":
+        raise ValueError("no little-endian ELF-64 library")
+    (table,) = struct.unpack_from("<Q", library, HEADER_OFFSETS[0])
+    size, count = struct.unpack_from("<HH", library, HEADER_OFFSETS[1])
+    headers = [PROGRAM_HEADER.unpack_from(library, table + i * size) for i in range(count)]
+    start, length = next((header[2], header[5]) for header in headers if header[0] == PT_DYNAMIC)
+    entries = [ENTRY.unpack_from(library, start + at) for at in range(0, length, ENTRY.size)]
+    tags = [tag for tag, _ in entries]
+    end = tags.index(DT_NULL)
+    flags = 0
+    if DT_FLAGS in tags[:end]:
+        place = tags.index(DT_FLAGS)
+        flags = entries[place][1]
+    elif end + 1 < len(entries):  # linkers leave spare entries behind the last; one has to stay, as the end
+        place = end
+    else:
+        raise ValueError("the dynamic section has no spare entry")
+    changed = bytearray(library)
+    ENTRY.pack_into(changed, start + place * ENTRY.size, DT_FLAGS, flags | DF_SYMBOLIC)
+    return bytes(changed)
+
+
+def make_symbolic(wheel: Path) -> None:
+    """Rewrite a wheel in place: its shared libraries symbolic, its RECORD with their new hashes."""
+    with zipfile.ZipFile(wheel) as archive:
+        files = {item: archive.read(item) for item in archive.infolist()}
+    changed = {item.filename: symbolic(data) for item, data in files.items() if item.filename.endswith(".so")}
+    if not changed:
+        raise ValueError(f"{wheel.name} holds no shared library")
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        for item, data in files.items():
+            if item.filename.endswith(".dist-info/RECORD"):
+                data = _record(data, changed)
+            archive.writestr(item, changed.get(item.filename, data))
+
+
+def _record(record: bytes, changed: dict[str, bytes]) -> bytes:
+    """Return a wheel's list of files with the hashes of those that have changed (PyPA, binary distribution format)."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    for name, digest, size in csv.reader(io.StringIO(record.decode())):
+        if name in changed:
+            sha = base64.urlsafe_b64encode(hashlib.sha256(changed[name]).digest()).rstrip(b"=").decode()
+            digest, size = f"sha256={sha}", str(len(changed[name]))
+        lines.writerow((name, digest, size))
+    return text.getvalue().encode()

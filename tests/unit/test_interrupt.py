@@ -1,0 +1,48 @@
+"""Ctrl-C, put off until what is under way is whole."""
+
+import signal
+
+import pytest
+
+from irpso_addon.commands import interrupt
+
+
+@pytest.fixture(autouse=True)
+def handlers_put_back():
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_the_first_signal_is_only_noted():
+    with interrupt.held_back() as interrupted:
+        assert not interrupted()
+        signal.raise_signal(signal.SIGINT)
+        assert interrupted()
+
+
+def test_the_second_signal_interrupts_at_once():
+    with pytest.raises(KeyboardInterrupt), interrupt.held_back():
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_the_former_handlers_are_back_afterwards():
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with interrupt.held_back():
+        pass
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_handler_of_blenders_own_gives_way_to_pythons(monkeypatch):
+    real = signal.signal
+
+    def from_outside(number, handler):
+        former = real(number, handler)
+        return None if handler.__name__ == "note" else former  # what Python says of a handler set from C
+
+    monkeypatch.setattr(interrupt.signal, "signal", from_outside)
+    with interrupt.held_back():
+        pass
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
