@@ -33,6 +33,12 @@ def serves(python: Path) -> bool:
     return probe.stdout.strip() == sys.version.strip()
 
 
+def link(environment: Path) -> None:
+    """Let an environment's Python find the program from any folder."""
+    for packages in [*environment.glob("lib/python3*/site-packages"), *environment.glob("Lib/site-packages")]:
+        (packages / "irpso.pth").write_text(f"{ROOT}\n", encoding="utf-8")
+
+
 def main() -> int:
     """Make the environment; return pip's exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -45,6 +51,7 @@ def main() -> int:
     # A stamp a set of groups: `make demo` after `make test` finds its own or adds nothing.
     stamp = options.environment / f"installed-{'-'.join(sorted(options.groups))}"
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == stamp_text(wanted):
+        link(options.environment)
         return 0
     python = options.environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     if not serves(python):
@@ -54,6 +61,7 @@ def main() -> int:
     install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted]
     code = subprocess.run(install).returncode
     if code == 0:
+        link(options.environment)
         stamp.write_text(stamp_text(wanted), encoding="utf-8")
     return code
 

@@ -22,7 +22,7 @@ from ..gpu import context, probe
 from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.read import read_maps
-from ..maps.report import build_report
+from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
@@ -36,6 +36,7 @@ from .progress import ProgressBar, unseen_reports
 
 CHECKPOINT = "checkpoint.npz"
 BLEND = "material.blend"
+_RESOLUTION = "512"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
 _SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
 
@@ -78,7 +79,7 @@ def run(options: Namespace) -> dict:
         gpu=context.describe()["renderer"], iterations=progress.iterations * progress.stages,
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
-    report |= relighting
+    report |= relighting | {"warnings": limit_warnings(maps, job.known)}
     pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
     written = maps
     if mesh is not None:
@@ -93,11 +94,13 @@ def run(options: Namespace) -> dict:
 
 def _check(options: Namespace) -> _Job:
     folder = check_output_folder(options.output)
-    resolution = size_option("--resolution", options.resolution)
+    resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
     schedule = schedule_from_options(options)
     if options.object and not options.blend:
         raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
+    if options.resolution and not options.blend:
+        raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
     if options.resume and not (folder / CHECKPOINT).is_file():
         raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
     known = known_from_options(options.known, model)
@@ -195,4 +198,5 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         )
     for name, psnr in report.get("relighting_psnr_db", {}).items():
         lines.append(f"relit {name}: {psnr:.2f} dB")
+    lines += [f"warning: {text}" for text in report["warnings"]]
     return "\n".join(lines) + "\n"

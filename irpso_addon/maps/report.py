@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from ..paths import ROOT
 from ..reflectance.model import Parameter
 from .result import Maps
+
+_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative; of the covered texels
 
 
 def build_report(
@@ -53,6 +55,26 @@ def build_report(
     if ground_truth is not None:
         report["ground_truth"] = ground_truth_errors(maps, ground_truth, texels)
     return report
+
+
+def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
+    """Return a line for each linear weight, of those not ``given``, that is at its upper limit on many of the texels.
+
+    Nothing reflects more than all light: a capture without intensities or with wrong ones is often brighter than a
+    white surface under them, and then normals bend to make up for it (37° in the mean at five times the brightness).
+    """
+    lines = []
+    for parameter in maps.model.parameters:
+        if parameter.kind != "linear" or parameter.name in given or not maps.covered.any():
+            continue
+        high = parameter.range[1]
+        share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= high * (1 - _LIMIT_NEAR)).mean())
+        if share > _LIMIT_SHARE:
+            lines.append(
+                f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
+                " the lights allow, and normals suffer; give the lights greater intensities"
+            )
+    return lines
 
 
 def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:

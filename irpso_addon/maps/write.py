@@ -28,6 +28,8 @@ def check_output_folder(folder: str | Path) -> Path:
 
     Nothing is left behind: the trial file has no name or is removed at once.
     """
+    if not str(folder):
+        raise InputError("the output folder's name is empty; give one with -o")
     folder = Path(folder)
     place = folder
     while not place.exists() and place != place.parent:

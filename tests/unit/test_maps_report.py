@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.maps.report import build_report, parameter_error, plain, quantiles
+from irpso_addon.maps.report import build_report, limit_warnings, parameter_error, plain, quantiles
 from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 
@@ -35,6 +35,25 @@ def test_quantiles_leave_out_what_is_not_a_number():
     numbers = quantiles(np.array([np.nan, *range(101)]))
     assert numbers == {"mean": 50.0, "median": 50.0, "p90": 90.0, "p99": 99.0, "max": 100.0, "count": 101}
     assert quantiles(np.array([np.nan]))["mean"] is None
+
+
+def albedo_maps(share: float) -> Maps:
+    """Return maps of 100 covered texels, that share of which has a channel at the limit, beside 100 others at it."""
+    albedo = Parameter("albedo", 3, (0.0, 1.0), (0.5, 0.5, 0.5), kind="linear", map="albedo")
+    values = np.full((2, 100, 3), (0.2, 0.5, 0.1))
+    values[0, : round(100 * share), 1] = values[1] = 1
+    covered = np.repeat([[True], [False]], 100, axis=1)
+    return Maps(ReflectanceModel("mine", "Mine", Path("mine.glsl"), (NORMAL, albedo)), {"albedo": values}, covered)
+
+
+def test_an_albedo_at_its_limit_is_warned_of_with_its_share_of_the_covered_texels():
+    (line,) = limit_warnings(albedo_maps(0.4))
+    assert "albedo is at its limit 1 on 40% of the texels" in line
+
+
+def test_few_texels_at_the_limit_or_a_given_albedo_are_nothing_to_warn_of():
+    assert limit_warnings(albedo_maps(0.05)) == []
+    assert limit_warnings(albedo_maps(0.4), given={"albedo"}) == []
 
 
 @pytest.fixture
