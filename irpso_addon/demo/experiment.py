@@ -87,7 +87,7 @@ def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Su
     capture = rendered_capture(
         "demo", [renderer], [camera], [view.coverage], lights, lambda done: report("photograph", done)
     )
-    domain = domain_from_mesh(capture, mesh, *size.texels, grazing=0.0)
+    domain = domain_from_mesh(capture, mesh, *size.texels)
     renderer.close()
     bake = bake_uv(mesh, *size.texels)
     truth = material_at(bake)

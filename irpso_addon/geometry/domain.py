@@ -57,8 +57,14 @@ class Domain:
 
     @property
     def solvable(self) -> np.ndarray:
-        """(H, W) bool: covered texels that at least one observation says something about."""
-        return self.bake.coverage & (self.stack[..., 3] > 0).any(axis=0)
+        """(H, W) bool: covered texels that at least one observation sees lit.
+
+        A texel that is black under every light says nothing: any normal that faces no light would do for it.
+        """
+        lit = np.zeros(self.shape, bool)
+        for layer in self.stack:
+            lit |= (layer[..., 3] > 0) & (layer[..., :3] > 0).any(axis=-1)
+        return self.bake.coverage & lit
 
 
 def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
