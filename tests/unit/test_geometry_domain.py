@@ -55,6 +55,16 @@ def test_outside_the_mask_and_at_clipped_pixels_the_stack_is_zero():
     assert (domain.bake.coverage == mask).all() and domain.solvable.sum() == 28
 
 
+def test_a_texel_that_is_black_under_every_light_is_not_solvable():
+    taken, pictures = capture()
+    for picture in pictures:
+        picture[2, 2, :3] = picture[4, 1, :3] = 0
+    pictures[1][4, 1, 2] = 1e-6  # one channel of one frame is enough
+    expected = np.ones((5, 7), bool)
+    expected[2, 2] = False
+    np.testing.assert_array_equal(domain_from_card(taken).solvable, expected)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
