@@ -94,6 +94,9 @@ def run(options: Namespace) -> dict:
 
 def _check(options: Namespace) -> _Job:
     folder = check_output_folder(options.output)
+    source = Path(options.capture)
+    if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
+        raise InputError(f"{folder}: holds the capture, whose images a result could replace; choose another with -o")
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
     schedule = schedule_from_options(options)

@@ -277,6 +277,9 @@ OPTIONS = {
     "a resolution of text": (recover("--resolution", "big"), r"--resolution big: give a whole number"),
     "a resolution of zero": (recover("--resolution", "0x8"), r"--resolution 0x8"),
     "a resolution past all limits": (recover("--resolution", "99999"), r"--resolution 99999"),
+    "a resolution of a card": (recover("--resolution", "64"), r"--resolution is of a mesh"),
+    "a seed of text": (recover("--seed", "seven"), r"--seed: seven is no whole number"),
+    "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
     "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
     "too many held out": (recover("--hold-out", "0,1,2,3"), r"needs 3 lights"),
@@ -289,6 +292,10 @@ OPTIONS = {
     "an output that is a file": (with_file(OUT, "mine", "--seed", 1), r"out: is a file"),
     "an output below a file": (
         lambda f: recover("-o", f / "scene.blend" / "deep")(f), r"scene.blend: is a file.*-o"),
+    "an output into the capture": (lambda f: recover("-o", f / "card")(f), r"card: holds the capture"),
+    "an output beside a list of lights": (
+        lambda f: recover("-o", f / "lists", capture="lists/filenames.txt")(f), r"lists: holds the capture"),
+    "an output without a name": (recover("-o", ""), r"output folder's name is empty"),
     "nothing to resume": (recover("--resume"), r"out holds no checkpoint"),
     "a damaged checkpoint": (prepared(damaged_checkpoint, recover("--resume")), r"checkpoint.npz: is no checkpoint"),
     "an unknown colour space": (recover("--colour-space", "acescg"), r"--colour-space.*acescg"),

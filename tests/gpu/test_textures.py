@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from irpso_addon.errors import InputError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.solver.kernels import copy_pass
@@ -103,3 +104,9 @@ def test_a_rectangle_of_a_frame_buffer_is_that_of_the_array():
     found = textures.download_rectangle(copy.framebuffer([target]), 3, 5, 11, 2)
     np.testing.assert_array_equal(found, array[5:7, 3:14])
     copy.close()
+
+
+def test_a_texture_that_the_gpu_refuses_says_its_size_and_what_to_do():
+    width = 2 * context.max_texture_size()
+    with pytest.raises(InputError, match=rf"refuses a texture of {width} × 4 texels; choose a smaller --resolution"):
+        textures.empty(width, 4)
