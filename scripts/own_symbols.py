@@ -2,7 +2,7 @@
 
 Blender has its own OpenEXR, of another version, among the libraries of its process. The wheel of OpenEXR exports the
 functions of its C core under the same names and calls them by name, so inside Blender it would reach Blender's and
-crash (seen with the libraries of 4.2, 4.3, 4.5, 5.0 and 5.2; the bpy wheel keeps its libraries to itself). DF_SYMBOLIC
+crash (seen with the libraries of 4.2, 4.3, 4.5 and 5.0; the bpy wheel keeps its libraries to itself). DF_SYMBOLIC
 in a library's dynamic section, what `ld -Bsymbolic` sets, has the loader look into the library first. RTLD_DEEPBIND
 would do so too, but also for malloc, which Blender replaces: that crashes as well.
 """

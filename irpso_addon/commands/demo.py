@@ -10,7 +10,6 @@ from pathlib import Path
 
 from ..capture.types import Light
 from ..demo import experiment, pictures, subject
-from ..errors import InputError
 from ..geometry.frames import to_blender, turned_normals
 from ..geometry.mesh import extract_mesh
 from ..gpu import context, probe
@@ -31,8 +30,6 @@ def run(options: Namespace) -> dict:
     started = time.perf_counter()
     folder = check_output_folder(options.output)
     schedule = load_schedule(options.preset)
-    if options.seed < 0:
-        raise InputError(f"--seed {options.seed}: give a whole number from 0")
     probe.probe()
     context.ensure()
     size = experiment.QUICK if options.quick else experiment.PAPER

@@ -135,5 +135,7 @@ def _check_masks(capture: Capture) -> None:
 
 
 def _check_seen(capture: Capture, stack: np.ndarray, what: str) -> None:
-    if not any((layer[..., 3] > 0).any() for layer in stack):
-        raise InputError(f"no image of capture '{capture.name}' shows {what}; check its cameras, masks and exposure")
+    if not any(((layer[..., 3] > 0) & (layer[..., :3] > 0).any(axis=-1)).any() for layer in stack):
+        raise InputError(
+            f"no image of capture '{capture.name}' shows {what} lit; check its cameras, masks and exposure"
+        )

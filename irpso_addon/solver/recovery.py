@@ -218,8 +218,7 @@ class Recovery:
 
     def _begin(self, index: int) -> RunningStage:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
-        # As the signed 32 bits that a push constant has.
-        seed = (self.seed + _SEED_STEP * index + 2**31) % 2**32 - 2**31
+        seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
         return RunningStage(
             self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry
         )

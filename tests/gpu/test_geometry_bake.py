@@ -194,7 +194,7 @@ def test_a_mesh_that_no_image_shows_is_refused():
         domain_from_mesh(taken, mesh, 8, 8)
     facing = replace(taken, cameras=(Camera.from_fov(8, 8, 40, looking((0, 0, 3))),))
     assert domain_from_mesh(facing, mesh, 8, 8).solvable.sum() > 30
-    with pytest.raises(InputError, match="shows mesh 'test'; check its cameras, masks"):
+    with pytest.raises(InputError, match="shows mesh 'test' lit; check its cameras, masks"):
         domain_from_mesh(replace(facing, masks=(~mask,)), mesh, 8, 8)
     with pytest.raises(InputError, match="no texel of 2 × 2 lies on 'test'"):
         domain_from_mesh(facing, replace(mesh, uvs=mesh.uvs * np.float32(0.1)), 2, 2)
