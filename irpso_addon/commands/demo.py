@@ -18,8 +18,8 @@ from ..maps.report import build_report, ground_truth_errors, quantiles
 from ..maps.result import Maps
 from ..maps.write import check_output_folder, write_maps
 from ..solver.schedule import load_schedule
-from .progress import ProgressBar
-from .recover import BLEND, unseen_reports
+from .progress import ProgressBar, unseen_reports
+from .recover import BLEND
 
 _VIEW_HEIGHT = 250  # pixels of the head in the figures
 _PHASES = ("photograph", *experiment.STAGES, experiment.JOINT)

@@ -15,7 +15,7 @@ def run(options: Namespace) -> dict:
     """Probe the GPU in a child process and print what it is. Raises GpuUnavailableError."""
     found = probe.probe()
     ratio = found["fragment_seconds"] / found["compute_seconds"]
-    entry = "compute" if ratio > probe.COMPUTE_WORTHWHILE else "fragment"
+    entry = probe.chosen_entry(found)
     facts = {
         **{f"version of {name}": value for name, value in versions().items()},
         "GPU": found["renderer"],

@@ -20,7 +20,7 @@ LARGEST_SIDE = 16384
 def size_option(option: str, text: str) -> tuple[int, int]:
     """Return (width, height) of "N" or "WxH". Raises InputError naming the option."""
     parts = text.lower().split("x")
-    if len(parts) not in (1, 2) or not all(part.isdigit() and 1 <= int(part) <= LARGEST_SIDE for part in parts):
+    if len(parts) not in (1, 2) or not all(part.isdecimal() and 1 <= int(part) <= LARGEST_SIDE for part in parts):
         raise InputError(f"{option} {text}: give a whole number N, or WxH, each from 1 to {LARGEST_SIDE}")
     numbers = [int(part) for part in parts]
     return numbers[0], numbers[-1]
@@ -93,9 +93,10 @@ def index_list(option: str, text: str | None, count: int) -> list[int]:
     if not text:
         return []
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdigit() and int(part) < count for part in parts) or len(set(parts)) != len(parts):
+    numbers = [int(part) for part in parts if part.isdecimal()]
+    if len(set(numbers)) != len(parts) or max(numbers) >= count:
         raise InputError(f"{option} {text}: give different numbers from 0 to {count - 1}, separated by commas")
-    return [int(part) for part in parts]
+    return numbers
 
 
 def _numbers(text: str) -> list[float] | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import ShaderError
 from . import context
 from .compiler import compile_shader
 from .library import read_source
@@ -176,6 +175,3 @@ def _has_uniform(shader: Any, name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-__all__ = ["Entry", "Kernel", "Output", "Pass", "ShaderError"]

@@ -8,6 +8,7 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -88,7 +89,11 @@ def check() -> dict[str, float]:
 @functools.cache
 def faster_entry() -> Entry:
     """Return "compute" where it is worth it on this device, else "fragment"."""
-    seconds = check()
+    return chosen_entry(check())
+
+
+def chosen_entry(seconds: Mapping[str, float]) -> Entry:
+    """Return the entry that what ``check`` measured speaks for."""
     return "compute" if seconds["fragment_seconds"] > COMPUTE_WORTHWHILE * seconds["compute_seconds"] else "fragment"
 
 

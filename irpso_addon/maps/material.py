@@ -191,7 +191,10 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
 
 def _principled(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
     """Make the Principled BSDF; return its output and parameter name → the socket it names, if there is one."""
-    table = dict(model.material.get("settings", {}))
+    table = model.material.get("settings", {})
+    if not isinstance(table, dict):
+        raise InputError(f"model {model.name}: settings is a table, written [material.settings], not {table!r}")
+    table = dict(table)
     distribution = table.pop("distribution", "GGX")
     if distribution not in ("GGX", "MULTI_GGX"):
         raise InputError(f"model {model.name}: [material.settings] distribution must be GGX or MULTI_GGX")

@@ -65,9 +65,10 @@ def _settings(model: ReflectanceModel) -> _Settings:
     table = model.material
     distribution = table.get("distribution", "BECKMANN")
     width = "alpha" if distribution == "BECKMANN" else "perceptual"
-    settings = _Settings(
-        distribution, float(table.get("f0", _F0)), table.get("fresnel", "schlick"), table.get("roughness", width)
-    )
+    f0 = table.get("f0", _F0)
+    if not isinstance(f0, int | float) or not 0 <= f0 < 1:
+        raise InputError(f"model {model.name}: [material] f0 must be a number from 0 to below 1, not {f0!r}")
+    settings = _Settings(distribution, float(f0), table.get("fresnel", "schlick"), table.get("roughness", width))
     allowed = {
         "distribution": ("BECKMANN", "GGX"),
         "fresnel": ("schlick", "dielectric"),

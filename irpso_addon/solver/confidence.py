@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,7 @@ class Confidence:
         self.model, self._known = model, frozenset(known)
         unknowns = build_unknowns(model, self._known)
         self._pass = confidence_pass(model, unknowns.source, {**domain_defines, **unknowns.defines})
+        self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
 
     def deviations(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
@@ -74,7 +76,9 @@ class Confidence:
         A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
         seconds: about how long one draw may take.
         """
-        targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+        if not self._targets:
+            self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+        targets = self._targets
         inputs = {**domain.textures, **estimates.bindings(resolved)}
         constants = {"u_observations": domain.domain.observations}
         for _ in bands.run(
@@ -93,5 +97,6 @@ class Confidence:
         return deviations
 
     def close(self) -> None:
-        """Free the shader."""
+        """Free the shader and its targets."""
         self._pass.close()
+        self._targets = []

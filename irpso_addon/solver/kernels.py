@@ -52,23 +52,10 @@ def build_stage_passes(
     entry: Entry,
 ) -> StagePasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
-    swarm = schedule.swarm
     estimates = estimate_samplers(model)
     given = {**model_includes(model), "codec.glsl": codec.source}
-    defines = {
-        **domain_defines,
-        **codec.defines,
-        **estimate_defines(model),
-        "PARTICLES": particles,
-        "TILES_X": across,
-        "REACH": swarm.neighbourhood // 2,
-        "FITNESS": _LOSSES[schedule.fitness.loss],
-        "WALLS": _WALLS[swarm.walls],
-        "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
-        "NEIGHBOUR_EVERY": swarm.neighbour_every,
-        "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
-        "START_SPEED": f"{swarm.start_speed:.9f}",
-    }
+    tiling = {"PARTICLES": particles, "TILES_X": across}
+    defines = {**domain_defines, **codec.defines, **estimate_defines(model), **tiling, **_schedule_defines(schedule)}
     blocks = range(codec.blocks)
     bests = {f"u_best_{b}": _2D for b in blocks}
     particle = {f"u_particle_{name}": _2D for name in ("position", "velocity", "best", "fitness")}
@@ -102,6 +89,19 @@ def build_stage_passes(
             "take_halo", best_outputs, {**{f"u_given_{b}": _2D for b in blocks}, **_GEOMETRY}, _SIZE, how="fragment"
         ),
     )
+
+
+def _schedule_defines(schedule: Schedule) -> dict[str, str | int]:
+    swarm = schedule.swarm
+    return {
+        "REACH": swarm.neighbourhood // 2,
+        "FITNESS": _LOSSES[schedule.fitness.loss],
+        "WALLS": _WALLS[swarm.walls],
+        "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
+        "NEIGHBOUR_EVERY": swarm.neighbour_every,
+        "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
+        "START_SPEED": f"{swarm.start_speed:.9f}",
+    }
 
 
 def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:

@@ -1,6 +1,6 @@
 // Eq. 4 of the paper: the mean of the global bests in an H×H window around a texel, in the coordinates of its search.
-// Reads u_best_0, u_best_1 and the packing. Uncovered neighbours do not count. On a mesh a neighbour's normal is first turned from its
-// own tangent frame into this texel's.
+// Reads u_best_0, u_best_1 and the packing. Uncovered neighbours do not count. On a mesh a neighbour's normal is first
+// turned from its own tangent frame into this texel's.
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"
