@@ -28,8 +28,9 @@ class Output:
 
 @dataclass(frozen=True)
 class Kernel:
-    """A kernel: the file with ``bool kernel(ivec2 texel)``, which returns false to leave a texel as it was.
+    """A kernel: the file with ``bool texel_kernel(ivec2 texel)``, which returns false to leave a texel as it was.
 
+    The function is not called kernel because that is a keyword of Metal, into which Blender translates it on macOS.
     source: path under shaders/ or of the user's own. outputs: at most 6, all targets of one size. samplers: name →
     FLOAT_2D or FLOAT_2D_ARRAY. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given: what
     an #include of that name brings, as text (generated declarations) or as the path of a file (a model).

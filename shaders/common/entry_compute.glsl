@@ -6,7 +6,7 @@ void main()
     if (texel.x >= u_columns || texel.y >= u_last_row) {
         return;
     }
-    if (!kernel(texel)) {
+    if (!texel_kernel(texel)) {
         return;
     }
 #ifdef OUTPUT_0

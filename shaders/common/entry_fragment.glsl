@@ -2,7 +2,7 @@
 
 void main()
 {
-    if (!kernel(ivec2(gl_FragCoord.xy))) {
+    if (!texel_kernel(ivec2(gl_FragCoord.xy))) {
         discard;
     }
 }

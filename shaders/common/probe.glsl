@@ -1,6 +1,6 @@
 // The probe's kernel: arithmetic like that of a fitness, with a value that numpy can check.
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     float value = float(texel.x + 256 * texel.y) / 65536.0;
     for (int i = 0; i < u_rounds; i++) {

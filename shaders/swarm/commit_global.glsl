@@ -1,7 +1,7 @@
 // Pass C, over W×H texels, in place: takes the candidate as global best where it is one. All swarms do so at once,
 // after all have moved, so that Eq. 4 always sees the bests of the iteration before.
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     vec4 verdict = texelFetch(u_verdict, texel, 0);
     if (verdict.w < 0.0 || verdict.z == 0.0) {

@@ -3,7 +3,7 @@
 
 #include "swarm/atlas.glsl"
 
-bool kernel(ivec2 place)
+bool texel_kernel(ivec2 place)
 {
     ivec2 texel;
     int block;

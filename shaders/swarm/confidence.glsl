@@ -185,7 +185,7 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
     }
 }
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     float sigma[12];
     for (int i = 0; i < 12; i++) {

@@ -127,7 +127,7 @@ void order_lobes(inout float x[8], inout float v[8])
 #endif
 }
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     o_position_0 = vec4(0.0);
     o_velocity_0 = vec4(0.0);

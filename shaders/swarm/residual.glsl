@@ -5,7 +5,7 @@
 #include "common/observation.glsl"
 #include "model.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     o_residual = vec4(0.0);
     if (state_at(texel) != TEXEL_SOLVED) {

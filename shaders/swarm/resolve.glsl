@@ -5,7 +5,7 @@
 #include "swarm/neighbours.glsl"
 #include "codec.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     Material s = estimate_at(texel);
     if (state_at(texel) != TEXEL_OUTSIDE) {

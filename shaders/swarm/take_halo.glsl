@@ -2,7 +2,7 @@
 
 #include "common/frame.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     if (state_at(texel) != TEXEL_HALO) {
         return false;

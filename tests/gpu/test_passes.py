@@ -142,7 +142,7 @@ def write(folder, **files):
     return folder / f"{next(iter(files))}.glsl"
 
 
-KERNEL = "bool kernel(ivec2 texel)\n{\n    o_value = vec4(half_of(1.0));\n    return true;\n}\n"
+KERNEL = "bool texel_kernel(ivec2 texel)\n{\n    o_value = vec4(half_of(1.0));\n    return true;\n}\n"
 
 
 def test_an_include_is_found_beside_the_file_then_among_what_ships_and_stands_once(tmp_path):

@@ -2,7 +2,7 @@
 
 #include "brdf/angles.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     vec3 n = texelFetch(u_normal_in, texel, 0).xyz;
     vec3 l = texelFetch(u_light_in, texel, 0).xyz;

@@ -10,7 +10,7 @@
 #include "brdf/horizon.glsl"
 #include "brdf/v_smith_ggx.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     vec4 x = texelFetch(u_arguments, texel, 0);
     o_value = vec4(TERM, 0.0, 0.0, 1.0);

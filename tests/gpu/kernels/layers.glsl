@@ -1,6 +1,6 @@
 // Writes texel (x, y) of layer u_layer of an array texture.
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     o_value = texelFetch(u_layers, ivec3(texel, u_layer), 0);
     return true;

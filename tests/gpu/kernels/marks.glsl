@@ -1,7 +1,7 @@
 // Writes where it runs: (x, y, u_mark, u_scale) to o_0, and OUTPUTS − 1 further outputs that name themselves.
 // Leaves texels as they are where (x + y) is a multiple of u_skip.
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     o_0 = vec4(texel, u_mark, u_scale);
 #if OUTPUTS > 1

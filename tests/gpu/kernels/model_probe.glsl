@@ -4,7 +4,7 @@
 #include "material.glsl"
 #include "model.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     vec4 c0 = texelFetch(u_components_0, texel, 0);
     vec4 c1 = texelFetch(u_components_1, texel, 0);

@@ -3,7 +3,7 @@
 
 #include "common/random.glsl"
 
-bool kernel(ivec2 texel)
+bool texel_kernel(ivec2 texel)
 {
     ivec2 at = texel + ivec2(u_origin_x, u_origin_y);
     o_uniform = random_uniform(u_seed, u_iteration, at, u_particle, u_purpose);
