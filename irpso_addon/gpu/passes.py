@@ -79,10 +79,7 @@ class Pass:
             if self.entry == "compute":
                 self._dispatch(targets, first, last)
             else:
-                framebuffer = self.framebuffer(targets)
-                with framebuffer.bind():
-                    gpu.state.viewport_set(0, first, targets[0].width, last - first)
-                    self._triangle.draw(shader)
+                self._draw(targets, first, last)
         finally:
             gpu.shader.unbind()
 
@@ -155,6 +152,19 @@ class Pass:
             info.push_constant("INT", name)
         info.local_group_size(*_GROUP, 1)
         return info
+
+    def _draw(self, targets: Sequence[Any], first: int, last: int) -> None:
+        import gpu
+
+        framebuffer = self.framebuffer(targets)
+        blend = gpu.state.blend_get()
+        gpu.state.blend_set("NONE")  # a draw callback is called with whatever its window blends with
+        try:
+            with framebuffer.bind():
+                gpu.state.viewport_set(0, first, targets[0].width, last - first)
+                self._triangle.draw(self._shader)
+        finally:
+            gpu.state.blend_set(blend)
 
     def _dispatch(self, targets: Sequence[Any], first: int, last: int) -> None:
         import gpu

@@ -74,6 +74,18 @@ def test_a_band_of_rows_leaves_the_other_rows_alone(entry, rows):
     np.testing.assert_array_equal(found, wanted)
 
 
+def test_what_a_draw_callback_blends_with_does_not_touch_a_pass(entry):
+    import gpu
+
+    gpu.state.blend_set("ALPHA")
+    try:
+        found = marks(entry, 17, 13)[0]
+        assert gpu.state.blend_get() == "ALPHA"
+    finally:
+        gpu.state.blend_set("NONE")
+    np.testing.assert_array_equal(found, expected(17, 13))
+
+
 def test_bands_one_after_the_other_make_the_whole(entry):
     found = marks(entry, 17, 13, rows=[(0, 3), (3, 4), (4, 12), (12, 13)])[0]
     np.testing.assert_array_equal(found, expected(17, 13))
