@@ -30,7 +30,7 @@ RANGES = {
 }
 OWN = {"ward", "oren_nayar"}
 # Swarms of seven and eight dimensions are far from done after the preset's 1500 iterations.
-ITERATIONS = {"lambert": 1000, "principled": 3000, "cook_torrance_two_lobe": 3000, "ward": 2000, "oren_nayar": 2000}
+ITERATIONS = {"lambert": 1000, "principled": 3000, "cook_torrance_two_lobe": 3000, "ward": 3000, "oren_nayar": 2000}
 # Seen along the normal, σ and the albedo make up for each other to within 0.1 % of the radiance: the albedo is given.
 KNOWN = {"oren_nayar": "base_color"}
 ROOT = Path(__file__).resolve().parents[2]
