@@ -216,7 +216,8 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
         elif settings.loss == "l2":
             loss = error**2
         else:
-            loss = np.log1p((error / (settings.delta * problem.scale[..., None])) ** 2)
+            unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
+            loss = np.log1p((error / (settings.delta * unit * problem.scale[..., None])) ** 2)
         total += weight * loss.sum(axis=-1)
         weights += weight
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), UNFIT)

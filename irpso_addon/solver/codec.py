@@ -52,7 +52,7 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
     clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
-         "void decode(float x[8], float reach, inout Material s) {", *decode, "}",
+         "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
          "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
     return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2})

@@ -283,7 +283,7 @@ class Recovery:
             for p in self.model.parameters:
                 if p.is_normal:
                     guess[p.name] = normal
-                elif p.map == "base_color" and p.components == 3:
+                elif p.kind == "linear" and p.components == 3:  # an albedo, whatever the model calls it
                     guess[p.name] = np.clip(albedo, *p.range)
         return guess
 

@@ -97,7 +97,8 @@ class RunningStage:
             "u_c3": neighbour_constant(self.schedule, self.iteration, self.stage.iterations),
             "u_v_max": swarm.v_max,
             "u_threshold": self.schedule.threshold,
-            "u_delta": self.schedule.fitness.delta,
+            # Errors are radiances, a texel's scale is radiance over intensity: the unit of the lights must not matter.
+            "u_delta": self.schedule.fitness.delta * float(self._domain.domain.intensities.mean()),
         }
 
     def resolve(self) -> None:

@@ -24,8 +24,13 @@
 #define SINGULAR (1.0 / 262144.0)
 
 // The material, changed by moving unknown u by a fraction of its range; it stays inside, as everything that is tried.
-Material moved(float c[12], int u, float by)
+Material moved(inout float given[12], int u, float by)
 {
+    // A copy: arrays go by reference everywhere in these shaders, since Metal has no arrays by value.
+    float c[12];
+    for (int i = 0; i < 12; i++) {
+        c[i] = given[i];
+    }
     int at;
     float low;
     float width;
@@ -50,7 +55,7 @@ Material moved(float c[12], int u, float by)
 }
 
 // Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward.
-vec2 steps_of(float c[12], int u)
+vec2 steps_of(inout float c[12], int u)
 {
     int at;
     float low;
@@ -66,8 +71,8 @@ vec2 steps_of(float c[12], int u)
 }
 
 // Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights.
-void accumulate(ivec2 texel, float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors, out float energy,
-                out float weights)
+void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors,
+                out float energy, out float weights)
 {
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
         a[i] = 0.0;

@@ -36,6 +36,21 @@ def test_what_weighs_nothing_may_be_nan_and_changes_nothing(recover):
     assert found[0] == found[1]
 
 
+def test_the_unit_of_the_lights_does_not_matter(recover):
+    domain, _ = subject()
+    # A power of two, so that float32 has nothing to round.
+    brighter = dataclasses.replace(
+        domain, stack=domain.stack * np.float32([4, 4, 4, 1]), intensities=domain.intensities * np.float32(4)
+    )
+    found = []
+    for given in (domain, brighter):
+        recovery = recover(given, schedule=SHORT.replaced(iterations=200, loss="robust"))
+        recovery.step()
+        found.append(recovery.maps(confidence=False).values)
+    for name in found[0]:
+        np.testing.assert_array_equal(found[0][name], found[1][name])
+
+
 def test_a_texel_that_nothing_is_known_of_stays_at_the_default(recover):
     domain, _ = subject()
     unseen = ~domain.solvable
