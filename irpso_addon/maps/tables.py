@@ -12,7 +12,7 @@ from ..reflectance.model import Parameter, ReflectanceModel
 from .encode import FLAT_NORMAL, encode_normal, fill_margin, srgb_from_linear
 from .result import Maps
 
-_CHANNELS = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}
+CHANNELS = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
 _RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip"}
 
@@ -32,7 +32,7 @@ class MapTable:
     @property
     def channels(self) -> str:
         """Channel names in an EXR: Y, RG, RGB or RGBA, which every reader takes for a picture."""
-        return _CHANNELS[self.components]
+        return CHANNELS[self.components]
 
     @property
     def is_normal(self) -> bool:

@@ -17,7 +17,7 @@ from ..errors import InputError
 from .blender_images import encode_png
 from .report import plain
 from .result import Maps
-from .tables import MapTable, encoded_values, encoding_text, map_tables, map_values
+from .tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
 
 REPORT = "report.json"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+\.(png|exr)$")
@@ -109,7 +109,7 @@ def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[
 
 def _channels(values: np.ndarray) -> dict[str, np.ndarray]:
     """Name the channels of (H, W, C) values: Y, RG, RGB or RGBA."""
-    names = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}[values.shape[-1]]
+    names = CHANNELS[values.shape[-1]]
     return {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate(names)}
 
 
