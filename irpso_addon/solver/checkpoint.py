@@ -23,12 +23,12 @@ from ..reflectance.model import ReflectanceModel
 from .kernels import model_includes
 from .schedule import Schedule
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """stage: index of the running stage. iteration: as RunningStage counts. arrays: texture contents by name."""
+    """stage: index of the running stage. iteration: as the phase counts. arrays: texture contents by name."""
 
     stage: int
     iteration: int

@@ -22,6 +22,7 @@ from . import checkpoint, prepare
 from .confidence import Confidence
 from .kernels import residual_pass
 from .packing import Packing
+from .phase import Phase
 from .schedule import Schedule, resolve
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
@@ -31,6 +32,7 @@ BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers ki
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
+_PHASE = "phase_"  # before those that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 
 
@@ -87,8 +89,7 @@ class Recovery:
         stack = self._packing.pack_layers(domain.stack)
         prepare.drop_shadow(stack, domain.intensities, scale, schedule.fitness)
         self._textures = DomainTextures(domain, self._packing, stack, scale)
-        self._moved = texel_states(domain) == SOLVED
-        self._solved = int(self._moved.sum())
+        self._solved = int((texel_states(domain) == SOLVED).sum())
         guess = {**self._first_guess(), **known}
         self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
         self._known = known
@@ -99,7 +100,8 @@ class Recovery:
         self._work: Iterator[None] | None = None
         self._index = 0
         self._evaluations = 0
-        self._stage: RunningStage | None = self._begin(0)
+        self._cost = 0  # evaluations of the iteration under way
+        self._phase: Phase | None = self._begin(0)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, or for about so long, or to the end; return the progress.
@@ -110,15 +112,16 @@ class Recovery:
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         seconds = BACKGROUND_BAND_SECONDS if deadline is None else min(BAND_SECONDS, time_budget_s)
         left = iterations
-        while self._stage is not None and (left is None or left > 0 or self._stage.iteration < 0):
+        while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._work = self._stage.advance(self._bands, seconds)
+                self._cost = self._solved * self._phase.evaluations
+                self._work = self._phase.advance(self._bands, seconds)
             for _ in self._work:
                 if deadline is not None:
-                    self._wait()
+                    self._phase.fence()
                     if time.perf_counter() >= deadline:
                         return self.progress
-            left = left - 1 if left is not None and self._stage.iteration > 0 else left
+            left = left - 1 if left is not None and self._phase.iteration > 0 else left
             self._count_iteration()
         return self.progress
 
@@ -129,11 +132,11 @@ class Recovery:
         total = sum(stage.iterations for stage in stages)
         before = sum(stage.iterations for stage in stages[: self._index])
         running = stages[min(self._index, len(stages) - 1)]
-        iteration = self._stage.iteration if self._stage else running.iterations
-        made = before + max(iteration, 0) if self._stage else total
+        iteration = self._phase.iteration if self._phase else running.iterations
+        made = before + max(iteration, 0) if self._phase else total
         return Progress(
             min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made, total,
-            made / total, self._evaluations, self._stage is None,
+            made / total, self._evaluations, self._phase is None,
         )  # fmt: skip
 
     def maps(self, confidence: bool = True) -> Maps:
@@ -162,14 +165,19 @@ class Recovery:
         yield {**self._textures.textures, **self._estimates.bindings(self._resolve())}
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n): the global bests of this tile's swarms, which neighbouring tiles need; NaN elsewhere."""
+        """Return (H, W, n): what this tile's texels have found, which neighbouring tiles need; NaN elsewhere."""
         self._finish_iteration()
-        return self._running().global_bests()
+        return self._running().halo()
 
-    def set_halo(self, bests: np.ndarray) -> None:
-        """Take (H, W, n) global bests for the texels that neighbouring tiles solve; others are left alone."""
+    def set_halo(self, values: np.ndarray) -> None:
+        """Take (H, W, n) of what neighbouring tiles have found at their texels; others are left alone."""
         self._finish_iteration()
-        self._running().take_halo(bests)
+        self._running().take_halo(values)
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the next iteration reads what others have found; 0 where no halo is needed before it."""
+        return self._phase.reach if self._phase else 0
 
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all.
@@ -178,9 +186,9 @@ class Recovery:
         """
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
-        if self._stage is not None:
-            arrays |= {name: self._stage.read(t) for name, t in self._stage.swarm.remembered.items()}
-        iteration = self._stage.iteration if self._stage else 0
+        if self._phase is not None:
+            arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
+        iteration = self._phase.iteration if self._phase else 0
         arrays |= {_NOTE + name: array for name, array in notes.items()}
         checkpoint.write(Path(path), self._identity(), self._index, iteration, self._evaluations, arrays)
 
@@ -192,23 +200,22 @@ class Recovery:
         saved = checkpoint.read(Path(path), self._identity())
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
-        if self._stage is not None:
-            self._stage.close()
-        self._stage = self._begin(self._index) if self._index < len(self._stages) else None
-        if self._stage is not None:
-            self._stage.swarm.restore(saved.arrays)
-            self._stage.iteration = saved.iteration
-        return {name.removeprefix(_NOTE): a for name, a in saved.arrays.items() if name.startswith(_NOTE)}
+        if self._phase is not None:
+            self._phase.close()
+        self._phase = self._begin(self._index) if self._index < len(self._stages) else None
+        if self._phase is not None:
+            self._phase.restore(_named(saved.arrays, _PHASE), saved.iteration)
+        return _named(saved.arrays, _NOTE)
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
-        if self._stage is not None:
-            self._stage.close()
+        if self._phase is not None:
+            self._phase.close()
         if self._residual is not None:
             self._residual.close()
         if self._confidence is not None:
             self._confidence.close()
-        self._stage = self._textures = self._estimates = self._residual = self._error = self._confidence = None
+        self._phase = self._textures = self._estimates = self._residual = self._error = self._confidence = None
 
     def __enter__(self) -> Recovery:
         return self
@@ -216,7 +223,7 @@ class Recovery:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, index: int) -> RunningStage:
+    def _begin(self, index: int) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
         return RunningStage(
@@ -224,11 +231,11 @@ class Recovery:
         )
 
     def _finish_stage(self) -> None:
-        self._stage.resolve()
+        self._phase.resolve()
         self._estimates.accept()
-        self._stage.close()
+        self._phase.close()
         self._index += 1
-        self._stage = self._begin(self._index) if self._index < len(self._stages) else None
+        self._phase = self._begin(self._index) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
         if self._work is not None:
@@ -238,15 +245,15 @@ class Recovery:
 
     def _count_iteration(self) -> None:
         self._work = None
-        self._evaluations += self._solved
-        if self._stage.done or self._reached_threshold():
+        self._evaluations += self._cost
+        if self._phase.done or self._reached_threshold():
             self._finish_stage()
 
     def _resolve(self) -> bool:
         """Resolve what the running stage has found; return whether the resolved textures are the ones to look at."""
-        if self._stage is None:
+        if self._phase is None:
             return False
-        self._stage.resolve()
+        self._phase.resolve()
         return True
 
     def _deviations(self, resolved: bool) -> dict[str, np.ndarray]:
@@ -258,19 +265,15 @@ class Recovery:
         return {name: self._packing.unpack(deviation) for name, deviation in found.items()}
 
     def _reached_threshold(self) -> bool:
-        threshold, stage = self.schedule.threshold, self._stage
-        if threshold == 0 or stage.iteration <= 0 or stage.iteration % _THRESHOLD_EVERY:
+        threshold, phase = self.schedule.threshold, self._phase
+        if threshold == 0 or phase.iteration <= 0 or phase.iteration % _THRESHOLD_EVERY:
             return False
-        return bool((stage.global_fitness()[self._moved] <= threshold).all())
+        return phase.reached(threshold)
 
-    def _running(self) -> RunningStage:
-        if self._stage is None:
+    def _running(self) -> Phase:
+        if self._phase is None:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
-        return self._stage
-
-    def _wait(self) -> None:
-        swarm = self._stage.swarm
-        self._stage.passes.commit_global.fence([*swarm.global_best, swarm.global_fitness])
+        return self._phase
 
     def _first_guess(self) -> dict[str, np.ndarray]:
         height, width = self.domain.shape
@@ -289,6 +292,10 @@ class Recovery:
 
     def _identity(self) -> dict[str, Any]:
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
+
+
+def _named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _full(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -15,11 +15,13 @@ from ..reflectance.model import ReflectanceModel
 from .codec import build_codec
 from .kernels import build_stage_passes, copy_pass
 from .schedule import ResolvedStage, Schedule
-from .state import DomainTextures, Estimates, SwarmTextures
+from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_states
 
 
 class RunningStage:
-    """The swarms of a stage. ``iteration`` counts from −particles (placing one particle of each swarm at a time)."""
+    """The swarms of a stage, a Phase. ``iteration`` counts from −particles, while it places one particle of each."""
+
+    evaluations = 1  # one particle of each swarm moves
 
     def __init__(
         self,
@@ -32,6 +34,7 @@ class RunningStage:
         entry: Entry,
     ):
         self.stage, self.schedule, self.seed = stage, schedule, seed
+        self.title, self.iterations = stage.title, stage.iterations
         self._domain, self._estimates = domain, estimates
         self.codec = build_codec(model, stage, schedule.swarm.normal)
         self.particles = particle_count(schedule, self.codec.dimensions)
@@ -48,7 +51,17 @@ class RunningStage:
     @property
     def done(self) -> bool:
         """Whether all iterations have been made."""
-        return self.iteration >= self.stage.iterations
+        return self.iteration >= self.iterations
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the iteration that is next reads global bests."""
+        swarm = self.schedule.swarm
+        if self.iteration < 0:
+            return 0
+        tries = swarm.neighbour_every > 0 and (self.iteration + 1) % swarm.neighbour_every == 0
+        averages = neighbour_constant(self.schedule, self.iteration, self.iterations) != 0
+        return max(swarm.neighbourhood // 2 if averages else 0, 1 if tries else 0)
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
@@ -94,7 +107,7 @@ class RunningStage:
             "u_constriction": swarm.constriction,
             "u_c1": swarm.c1,
             "u_c2": swarm.c2,
-            "u_c3": neighbour_constant(self.schedule, self.iteration, self.stage.iterations),
+            "u_c3": neighbour_constant(self.schedule, self.iteration, self.iterations),
             "u_v_max": swarm.v_max,
             "u_threshold": self.schedule.threshold,
             # Errors are radiances, a texel's scale is radiance over intensity: the unit of the lights must not matter.
@@ -106,7 +119,16 @@ class RunningStage:
         inputs = {**self.swarm.best_bindings(), **self._estimates.bindings(), **self._domain.textures}
         self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
 
-    def global_bests(self) -> np.ndarray:
+    def fence(self) -> None:
+        """Wait until the last pass of an iteration is done."""
+        self.passes.commit_global.fence([*self.swarm.global_best, self.swarm.global_fitness])
+
+    def reached(self, threshold: float) -> bool:
+        """Return whether every swarm of this tile has a fitness at or under the threshold h."""
+        moved = texel_states(self._domain.domain) == SOLVED
+        return bool((self.global_fitness()[moved] <= threshold).all())
+
+    def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
         packed = np.concatenate([self.read(t) for t in self.swarm.global_best], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
@@ -121,6 +143,15 @@ class RunningStage:
         packed[..., : self.codec.dimensions] = self._domain.packing.pack(bests)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
         self.passes.take_halo.run(self.swarm.global_best, {**given, **self._domain.textures}, self.constants())
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the swarms remember."""
+        return {name: self.read(texture) for name, texture in self.swarm.remembered.items()}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Go on from what ``state`` returned at an iteration."""
+        self.swarm.restore(arrays)
+        self.iteration = iteration
 
     def read(self, texture: Any) -> np.ndarray:
         """Return a texture's contents, whichever entry wrote it."""

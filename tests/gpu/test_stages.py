@@ -73,7 +73,7 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     domain.stack[3, 6, 7, 1] = np.inf
     recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
     recovery.step(iterations=8)
-    stage = recovery._stage
+    stage = recovery._phase
     fitness = stage.global_fitness()
     bad = np.zeros(domain.shape, bool)
     bad[4, 5] = bad[6, 7] = True
@@ -152,11 +152,11 @@ def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
     schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
     recovery = recover(domain, schedule=schedule, known={"normal": np.array([0, 0, 1.0])})
     recovery.step(iterations=60)
-    before = recovery._stage.global_fitness(), recovery.halo()
+    before = recovery._phase.global_fitness(), recovery.halo()
     reached = before[0] <= 0.08
     assert 0 < reached.sum() < reached.size
     recovery.step(iterations=20)
-    np.testing.assert_array_equal(recovery._stage.global_fitness()[reached], before[0][reached])
+    np.testing.assert_array_equal(recovery._phase.global_fitness()[reached], before[0][reached])
     np.testing.assert_array_equal(recovery.halo()[reached], before[1][reached])
     easy = recover(domain, schedule=schedule.replaced(threshold=0.5))
     progress = easy.step()
@@ -206,7 +206,7 @@ def test_looking_at_maps_often_keeps_nothing(recover):
         recovery.maps()
         recovery.halo()
     assert len(recovery._residual._framebuffers) == 1
-    assert len(recovery._stage._copy._framebuffers) <= 2
+    assert len(recovery._phase._copy._framebuffers) <= 2
 
 
 # ---- interchangeable lobes ---------------------------------------------------------------------------------------
@@ -216,10 +216,10 @@ def test_looking_at_maps_often_keeps_nothing(recover):
 def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search):
     domain, _ = subject(7, 5, "cook_torrance_two_lobe", observations=12)
     recovery = recover(domain, TWO_LOBES, SHORT.replaced(search=search, iterations=60, walls="reflect", v_max=1.0))
-    at = recovery._stage.codec.defines
+    at = recovery._phase.codec.defines
     for steps in (0, 1, 1, 5, 40):
         recovery.step(iterations=steps)
-        stage = recovery._stage
+        stage = recovery._phase
         tiles = {name: stage.read(texture) for name, texture in stage.swarm.remembered.items()}
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):

@@ -88,8 +88,8 @@ def text(value) -> np.ndarray:
         npz(position=np.ones(3)),
         npz(about=text({})),
         npz(about=text([])),
-        npz(about=text({"version": 1})),
-        npz(about=text({"version": 1, "identity": WHO, "arrays": {}, "stage": 0})),
+        npz(about=text({"version": checkpoint._VERSION})),
+        npz(about=text({"version": checkpoint._VERSION, "identity": WHO, "arrays": {}, "stage": 0})),
         npz(about=np.ones(3)),
     ],
 )

@@ -1,0 +1,60 @@
+"""What a recovery asks of each of its phases, whatever searches in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from ..gpu.bands import Bands
+
+
+class Phase(Protocol):
+    """One phase under way: it reads the current estimates and puts what it finds into the resolved ones.
+
+    title: what is searched, for people. iteration: how many were made, negative while swarms are being placed.
+    iterations: how many there will be. done: whether all were made. evaluations: renders of all observations that the
+    iteration that is next makes at each texel. reach: how many texels away it reads what others have found (0: none),
+    which is the halo that tiles must have exchanged before it.
+    """
+
+    title: str
+    iteration: int
+    iterations: int
+
+    @property
+    def done(self) -> bool: ...  # noqa: D102
+
+    @property
+    def evaluations(self) -> int: ...  # noqa: D102
+
+    @property
+    def reach(self) -> int: ...  # noqa: D102
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yield after each. Counts up when it is whole."""
+
+    def resolve(self) -> None:
+        """Put what has been found so far into the resolved estimates."""
+
+    def fence(self) -> None:
+        """Wait until all that was drawn is there."""
+
+    def reached(self, threshold: float) -> bool:
+        """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
+
+    def take_halo(self, values: np.ndarray) -> None:
+        """Take (H, W, n) for the texels that belong to neighbouring tiles; others are left alone."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that outlives an iteration, by name."""
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Go on from what ``state`` returned at an iteration."""
+
+    def close(self) -> None:
+        """Free shaders and textures."""
