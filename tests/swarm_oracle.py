@@ -145,9 +145,11 @@ class Problem:
         return 4 if self.dimensions <= 4 else 8
 
     def width_of(self, p: Parameter) -> np.ndarray | float:
-        """Return how much of a parameter's range is searched: of a linear one what the texel's brightness allows."""
+        """Return how much of a parameter's range is searched: of a linear colour what its brightness allows."""
         reach = self.schedule.swarm.linear_reach
-        share = np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and reach else 1.0
+        share = (
+            np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and p.components == 3 and reach else 1.0
+        )
         return (p.range[1] - p.range[0]) * share
 
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ from ..paths import MODELS
 
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
+_BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
 _KINDS = ("search", "linear")
 _COLOR_SPACES = ("Non-Color", "sRGB")
 # What the keys of the TOML hold, where it is no number.
@@ -44,20 +45,27 @@ class Parameter:
     stage: str = ""
     is_normal: bool = False
 
+    @property
+    def is_albedo(self) -> bool:
+        """Whether it is a colour that radiance is proportional to: bounded by a texel's brightness, told by a seed."""
+        return self.kind == "linear" and self.components == 3
+
 
 @dataclass(frozen=True)
 class ReflectanceModel:
     """A reflectance model: what there is to find, and the shader that says how it looks.
 
-    ordered: names of scalar parameters kept in rising order while searching (interchangeable lobes). complement: names
-    of scalars that become 1 − value when the lobes are exchanged. material: the table [material] of the TOML, read by
-    maps.material: ``shader`` names a builder there.
+    bases: names of the linear parameters whose basis the shader defines, and "fixed" where it defines what is left
+    without them (shaders/README.md). ordered: names of scalar parameters kept in rising order while searching
+    (interchangeable lobes). complement: names of scalars that become 1 − value when the lobes are exchanged. material:
+    the table [material] of the TOML, read by maps.material: ``shader`` names a builder there.
     """
 
     name: str
     title: str
     shader: Path
     parameters: tuple[Parameter, ...]
+    bases: frozenset[str] = frozenset()
     ordered: tuple[str, ...] = ()
     complement: tuple[str, ...] = ()
     material: dict[str, Any] = field(default_factory=dict)
@@ -125,8 +133,9 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     if any(parameters[names.index(n)].range != (0.0, 1.0) for n in complement):
         raise InputError(f"{path}: a complement must have the range [0, 1]")
     name = table.get("name", path.stem)
+    bases = frozenset(_BASIS.findall(shader.read_text(encoding="utf-8")))
     return ReflectanceModel(
-        name, table.get("title", name), shader, parameters, ordered, complement, dict(table.get("material", {}))
+        name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {}))
     )
 
 

@@ -10,11 +10,15 @@ from .schedule import NormalSearch, ResolvedStage
 
 @dataclass(frozen=True)
 class Codec:
-    """dimensions: n of 1 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'."""
+    """dimensions: n of 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
+
+    lambert_tells: a bit for every dimension of which a Lambertian seed knows something: the normal and the albedo.
+    """
 
     dimensions: int
     source: str
     defines: dict[str, int]
+    lambert_tells: int
 
     @property
     def blocks(self) -> int:
@@ -26,9 +30,11 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
     """Return the codec of a stage: its parameters one after the other, each component scaled to its range."""
     decode, encode, places = [], [], {}
     defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
-    at = 0
+    at = tells = 0
     for p in stage.parameters:
         places[p.name] = at
+        if p.is_normal or p.is_albedo:
+            tells |= (1 << stage.size(p, normal)) - 1 << at
         if p.is_normal:
             size = 2 if normal == "hemisphere" else 3
             arguments = ", ".join(f"x[{at + i}]" for i in range(size))
@@ -39,7 +45,7 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
             at += size
             continue
         low, width = p.range[0], p.range[1] - p.range[0]
-        span = f"{width!r} * reach" if p.kind == "linear" else repr(width)
+        span = f"{width!r} * reach" if p.is_albedo else repr(width)
         for i in range(p.components):
             field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
             decode.append(f"{field} = {low!r} + {span} * x[{at}];")
@@ -55,4 +61,4 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
          "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
          "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
-    return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2})
+    return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2}, tells)

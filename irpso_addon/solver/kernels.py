@@ -10,12 +10,12 @@ from ..reflectance.model import ReflectanceModel
 from .codec import Codec
 from .schedule import Schedule
 
-_2D = "FLOAT_2D"
-_GEOMETRY = {"u_position": _2D, "u_normal": _2D, "u_tangent": _2D}
-_PACKING = {"u_place": _2D, "u_packed": _2D}
-_OBSERVATIONS = {**_GEOMETRY, "u_observation_table": _2D, "u_stack": "FLOAT_2D_ARRAY"}
+FLOAT_2D = "FLOAT_2D"
+GEOMETRY = {"u_position": FLOAT_2D, "u_normal": FLOAT_2D, "u_tangent": FLOAT_2D}
+PACKING = {"u_place": FLOAT_2D, "u_packed": FLOAT_2D}
+OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": "FLOAT_2D_ARRAY"}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
-_MOVE = {
+MOVE = {
     **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
@@ -55,24 +55,31 @@ def build_stage_passes(
     estimates = estimate_samplers(model)
     given = {**model_includes(model), "codec.glsl": codec.source}
     tiling = {"PARTICLES": particles, "TILES_X": across}
-    defines = {**domain_defines, **codec.defines, **estimate_defines(model), **tiling, **_schedule_defines(schedule)}
+    defines = {
+        **domain_defines,
+        **codec.defines,
+        **estimate_defines(model),
+        **tiling,
+        **schedule_defines(schedule),
+        "SEED_TELLS": 255,
+    }
     blocks = range(codec.blocks)
-    bests = {f"u_best_{b}": _2D for b in blocks}
-    particle = {f"u_particle_{name}": _2D for name in ("position", "velocity", "best", "fitness")}
-    candidates = {f"u_candidate_position_{b}": _2D for b in blocks}
-    speeds = {f"u_candidate_velocity_{b}": _2D for b in blocks}
+    bests = {f"u_best_{b}": FLOAT_2D for b in blocks}
+    particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
+    candidates = {f"u_candidate_position_{b}": FLOAT_2D for b in blocks}
+    speeds = {f"u_candidate_velocity_{b}": FLOAT_2D for b in blocks}
     moved = tuple(Output(f"o_{kind}_{b}") for kind in ("position", "velocity") for b in blocks)
     best_outputs = tuple(Output(f"o_best_{b}") for b in blocks)
-    verdict = {"u_verdict": _2D}
+    verdict = {"u_verdict": FLOAT_2D}
 
     def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
         kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
-    read = {**particle, "u_best_fitness": _2D, **bests, **estimates, **_OBSERVATIONS, **_PACKING}
+    read = {**particle, "u_best_fitness": FLOAT_2D, **bests, **estimates, **OBSERVATIONS, **PACKING}
     return StagePasses(
-        start=make("move", (*moved, Output("o_verdict")), read, _MOVE, START=1),
-        move=make("move", (*moved, Output("o_verdict")), read, _MOVE),
+        start=make("move", (*moved, Output("o_verdict")), read, MOVE, START=1),
+        move=make("move", (*moved, Output("o_verdict")), read, MOVE),
         commit_state=make(
             "commit_state", (Output("o_position"), Output("o_velocity")), {**candidates, **speeds, **verdict}, _SIZE
         ),
@@ -83,15 +90,21 @@ def build_stage_passes(
             "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
         ),
         resolve=make(
-            "resolve", estimate_outputs(model), {**bests, **estimates, **_GEOMETRY, **_PACKING}, _SIZE, how="fragment"
+            "resolve", estimate_outputs(model), {**bests, **estimates, **GEOMETRY, **PACKING}, _SIZE, how="fragment"
         ),
-        take_halo=make(
-            "take_halo", best_outputs, {**{f"u_given_{b}": _2D for b in blocks}, **_GEOMETRY}, _SIZE, how="fragment"
-        ),
+        take_halo=take_halo_pass(codec, defines),
     )
 
 
-def _schedule_defines(schedule: Schedule) -> dict[str, str | int]:
+def take_halo_pass(codec: Codec, defines: dict[str, int]) -> Pass:
+    """Compile the pass that takes given bests at the texels of neighbouring tiles."""
+    outputs = tuple(Output(f"o_best_{b}") for b in range(codec.blocks))
+    samplers = {**{f"u_given_{b}": FLOAT_2D for b in range(codec.blocks)}, **GEOMETRY}
+    return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
+
+
+def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
+    """Return the constants of a schedule that are compiled in."""
     swarm = schedule.swarm
     return {
         "REACH": swarm.neighbourhood // 2,
@@ -117,7 +130,7 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
 def confidence_pass(model: ReflectanceModel, unknowns: str, defines: dict[str, int]) -> Pass:
     """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what unknowns.glsl brings."""
     outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
-    samplers = {**estimate_samplers(model), **_OBSERVATIONS}
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
     given = {**model_includes(model), "unknowns.glsl": unknowns}
     defines = {**defines, **estimate_defines(model)}
     return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, given))
@@ -125,11 +138,11 @@ def confidence_pass(model: ReflectanceModel, unknowns: str, defines: dict[str, i
 
 def copy_pass() -> Pass:
     """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
-    return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": _2D}, {}, {}))
+    return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
 
 
 def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:
-    samplers = {**estimate_samplers(model), **_OBSERVATIONS}
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
     defines = {**defines, **estimate_defines(model)}
     return Pass(Kernel(source, (Output(output),), samplers, constants, defines, model_includes(model)))
 
@@ -146,7 +159,7 @@ def estimate_defines(model: ReflectanceModel) -> dict[str, int]:
 
 def estimate_samplers(model: ReflectanceModel) -> dict[str, str]:
     """Return the samplers of a model's estimates."""
-    return {f"u_estimate_{i}": _2D for i in range(estimate_defines(model)["ESTIMATES"])}
+    return {f"u_estimate_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
 
 
 def estimate_outputs(model: ReflectanceModel) -> tuple[Output, ...]:

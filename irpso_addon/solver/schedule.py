@@ -17,12 +17,17 @@ Walls = Literal["clamp", "stop", "reflect"]
 Loss = Literal["l1", "l2", "robust"]
 Seed = Literal["random", "lambert"]
 NormalSearch = Literal["hemisphere", "cartesian"]
+Update = Literal["one", "all"]
+LinearKind = Literal["search", "solve"]
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # what no stage of the schedule names
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 _TOP_KEYS = ("name", "title", "cycles", "threshold")
-_CHOICES = {"walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch)}
+_CHOICES = {
+    "walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch),
+    "update": get_args(Update), "linear": get_args(LinearKind),
+}  # fmt: skip
 _WHOLE = ("particles", "neighbourhood", "cycles")
 _POSITIVE = ("v_max", "delta", "percentile")
 _MOST = {"seeded": 1, "c3_until": 1, "percentile": 100}
@@ -32,6 +37,8 @@ _MOST = {"seeded": 1, "c3_until": 1, "percentile": 100}
 class Swarm:
     """Constants of the update (Eq. 2–4); places are in [0, 1], so speeds are fractions of a parameter's range.
 
+    update: whether an iteration moves one random particle of every swarm, as in the paper, or all of them. linear:
+    whether linear parameters are searched like the others, or solved in closed form for every particle (update "all").
     particles: m to a texel, or particles_per_dimension · n where that is more. inertia (Shi & Eberhart 1998) and
     constriction (Clerc & Kennedy 2002) are 1 in the paper. c1, c2, c3: Eq. 2; c3 falls to 0 over the fraction
     c3_until of the iterations, and stays where c3_until is 0. neighbourhood: the odd H of Eq. 4.
@@ -43,6 +50,8 @@ class Swarm:
     normal: two numbers on the hemisphere, or the paper's three that are normalised.
     """
 
+    update: Update
+    linear: LinearKind
     particles: int
     particles_per_dimension: float
     inertia: float
@@ -185,6 +194,8 @@ def _check(schedule: Schedule, where: str = "") -> None:
             raise InputError(f"{where}: {name} must be above 0")
         elif value > _MOST.get(name, value):
             raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
+    if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
+        raise InputError(f'{where}: linear = "solve" needs update = "all"')
     if schedule.swarm.neighbourhood % 2 == 0:
         raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
 
@@ -196,20 +207,29 @@ def _check_whole(name: str, value: Any, where: str) -> None:
 
 @dataclass(frozen=True)
 class ResolvedStage:
-    """A stage for one model: the parameters that are searched, in the table's order, and for how long."""
+    """A stage for one model: the parameters that are searched, in the table's order, and for how long.
+
+    solved: those that are found in closed form for every particle instead.
+    """
 
     parameters: tuple[Parameter, ...]
     iterations: int
     cycle: int = 0
+    solved: tuple[Parameter, ...] = ()
 
     @property
     def title(self) -> str:
         """What is searched, for people."""
-        return " + ".join(p.name for p in self.parameters)
+        return " + ".join(p.name for p in (*self.parameters, *self.solved))
 
     def dimensions(self, normal: NormalSearch) -> int:
         """Return n, the number of dimensions that a particle has."""
-        return sum((2 if normal == "hemisphere" else 3) if p.is_normal else p.components for p in self.parameters)
+        return sum(self.size(p, normal) for p in self.parameters)
+
+    @staticmethod
+    def size(parameter: Parameter, normal: NormalSearch) -> int:
+        """Return how many dimensions a parameter is searched in."""
+        return (2 if normal == "hemisphere" else 3) if parameter.is_normal else parameter.components
 
 
 def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tuple[ResolvedStage, ...]:
@@ -222,13 +242,17 @@ def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tup
     resolved = []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
+            wanted = [p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)]
+            if not wanted:
+                continue
+            closed = {p.name for p in wanted if p.kind == "linear" and p.name in model.bases}
+            closed = closed if schedule.swarm.linear == "solve" else set()
             result = ResolvedStage(
-                tuple(p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)),
+                tuple(p for p in wanted if p.name not in closed),
                 stage.iterations,
                 cycle,
+                tuple(p for p in wanted if p.name in closed),
             )
-            if not result.parameters:
-                continue
             if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
                 raise InputError(
                     f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"

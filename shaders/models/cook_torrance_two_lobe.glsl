@@ -18,9 +18,36 @@ vec3 basis_base_color(Material s, vec3 l, vec3 v)
     return vec3(above_horizon(NoL, dot(s.normal, v)) ? Fd_Lambert(NoL) : 0.0);
 }
 
-// π f_r n·l with f_r = D F G / (4 n·l n·v). Cook & Torrance's Eq. 1 has π where this has 4; their D lacks the 1/π that
-// this one has, so that ∫ D (n·h) dω = 1.
+// π f_r n·l of one lobe, with f_r = D F G / (4 n·l n·v), all but its D. Cook & Torrance's Eq. 1 has π where this has 4;
+// their D lacks the 1/π that this one has, so that ∫ D (n·h) dω = 1.
+float cook_torrance_over_D(Angles a)
+{
+    // n·l cancels. G is proportional to n·v near the view's horizon, so that G / n·v has a finite limit.
+    float G = G_VCavity(a.NoL, a.NoV, a.NoH, a.VoH);
+    return 0.25 * 3.14159265358979 * F_Schlick(a.VoH, F0_SKIN) * (G / a.NoV);
+}
+
+// w moves radiance from the second lobe to the first.
+vec3 basis_w(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    float D = D_Beckmann(a.NoH, a.sin2_h, s.r1) - D_Beckmann(a.NoH, a.sin2_h, s.r2);
+    return vec3(D * cook_torrance_over_D(a));
+}
+
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    return vec3(D_Beckmann(a.NoH, a.sin2_h, s.r2) * cook_torrance_over_D(a));
+}
+
+vec3 reflectance(Material s, vec3 l, vec3 v)
 {
     if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
         return vec3(0.0);
@@ -28,12 +55,5 @@ vec3 basis_fixed(Material s, vec3 l, vec3 v)
     Angles a = angles_of(s.normal, l, v);
     // Not mix(), which compilers turn into x + w (y − x): where w = 1 the tail of y would drown in the rounding of x.
     float D = s.w * D_Beckmann(a.NoH, a.sin2_h, s.r1) + (1.0 - s.w) * D_Beckmann(a.NoH, a.sin2_h, s.r2);
-    float G = G_VCavity(a.NoL, a.NoV, a.NoH, a.VoH);
-    // n·l cancels. G is proportional to n·v near the view's horizon, so that G / n·v has a finite limit.
-    return vec3(0.25 * 3.14159265358979 * D * F_Schlick(a.VoH, F0_SKIN) * (G / a.NoV));
-}
-
-vec3 reflectance(Material s, vec3 l, vec3 v)
-{
-    return s.base_color * basis_base_color(s, l, v) + basis_fixed(s, l, v);
+    return s.base_color * Fd_Lambert(a.NoL) + D * cook_torrance_over_D(a);
 }

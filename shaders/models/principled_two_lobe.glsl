@@ -23,7 +23,27 @@ float lobe_GGX(Angles a, float roughness)
     return D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha);
 }
 
+// w moves radiance from the second lobe to the first.
+vec3 basis_w(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    float DV = lobe_GGX(a, s.r1) - lobe_GGX(a, s.r2);
+    return vec3(3.14159265358979 * DV * F_Schlick(a.VoH, F0_SKIN) * a.NoL);
+}
+
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    return vec3(3.14159265358979 * lobe_GGX(a, s.r2) * F_Schlick(a.VoH, F0_SKIN) * a.NoL);
+}
+
+vec3 reflectance(Material s, vec3 l, vec3 v)
 {
     if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
         return vec3(0.0);
@@ -31,10 +51,5 @@ vec3 basis_fixed(Material s, vec3 l, vec3 v)
     Angles a = angles_of(s.normal, l, v);
     // Not mix(), which compilers turn into x + w (y − x): where w = 1 the tail of y would drown in the rounding of x.
     float DV = s.w * lobe_GGX(a, s.r1) + (1.0 - s.w) * lobe_GGX(a, s.r2);
-    return vec3(3.14159265358979 * DV * F_Schlick(a.VoH, F0_SKIN) * a.NoL);
-}
-
-vec3 reflectance(Material s, vec3 l, vec3 v)
-{
-    return s.base_color * basis_base_color(s, l, v) + basis_fixed(s, l, v);
+    return s.base_color * Fd_Lambert(a.NoL) + 3.14159265358979 * DV * F_Schlick(a.VoH, F0_SKIN) * a.NoL;
 }

@@ -4,21 +4,14 @@
 #include "common/observation.glsl"
 #include "material.glsl"
 #include "model.glsl"
-
-#define FITNESS_L1 0
-#define FITNESS_L2 1
-#define FITNESS_ROBUST 2
-
-// No render is this far off; also the fitness of a texel that no observation sees.
-#define UNFIT 1e30
+#include "swarm/loss.glsl"
+#include "swarm/unfit.glsl"
 
 float fitness_of(ivec2 texel, Frame f, Material s)
 {
     float sum = 0.0;
     float weights = 0.0;
-#if FITNESS == FITNESS_ROBUST
-    float scale = 1.0 / (scale_at(texel) * u_delta);
-#endif
+    float scale = loss_scale(texel);
 #ifdef ONE_VIEW
     vec3 v = view_at(f, 0);
 #endif
@@ -33,16 +26,7 @@ float fitness_of(ivec2 texel, Frame f, Material s)
         vec3 v = view_at(f, k);
 #endif
         vec3 error = intensity * reflectance(s, l, v) - reference.rgb;
-#if FITNESS == FITNESS_L1
-        error = abs(error);
-#elif FITNESS == FITNESS_L2
-        error = error * error;
-#else
-        // Cauchy's loss: a sample in cast shadow or on a reflection costs little more however wrong it is.
-        error *= scale;
-        error = log(1.0 + error * error);
-#endif
-        sum += reference.a * (error.r + error.g + error.b);
+        sum += reference.a * loss_of(scale * error);
         weights += reference.a;
     }
     float mean = sum / (3.0 * weights);

@@ -1,0 +1,6 @@
+// Linear weights as the closed form finds them: COLORS of three components, NUMBERS of one.
+
+struct Linear {
+    vec3 colors[COLOR_ROOM];
+    float numbers[NUMBER_ROOM];
+};

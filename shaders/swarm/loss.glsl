@@ -1,0 +1,42 @@
+// What an error costs, and the weight by which least squares minimise that cost (iteratively reweighted least squares;
+// Holland & Welsch 1977, Robust Regression Using Iteratively Reweighted Least-Squares).
+
+#define FITNESS_L1 0
+#define FITNESS_L2 1
+#define FITNESS_ROBUST 2
+
+// Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale.
+float loss_scale(ivec2 texel)
+{
+#if FITNESS == FITNESS_ROBUST
+    return 1.0 / (scale_at(texel) * u_delta);
+#else
+    return 1.0;
+#endif
+}
+
+float loss_of(vec3 error)
+{
+#if FITNESS == FITNESS_L1
+    error = abs(error);
+#elif FITNESS == FITNESS_L2
+    error = error * error;
+#else
+    // Cauchy's loss: a sample in cast shadow or on a reflection costs little more however wrong it is.
+    error = log(1.0 + error * error);
+#endif
+    return error.r + error.g + error.b;
+}
+
+// Loss′(e) / e, up to a constant factor.
+vec3 loss_weight(vec3 error)
+{
+#if FITNESS == FITNESS_L1
+    // 1e-4 of white: below it an error weighs no more, where 1 / |e| would know no end.
+    return 1.0 / max(abs(error), vec3(1e-4));
+#elif FITNESS == FITNESS_L2
+    return vec3(1.0);
+#else
+    return 1.0 / (1.0 + error * error);
+#endif
+}

@@ -1,0 +1,118 @@
+// How a particle comes to its place: placed at the start, moved by Eq. 2–3 of the paper, or taken to a neighbour's best.
+// Reads the swarm atlas (u_particle_*), the global bests, the estimates and the packing.
+
+#include "common/estimate.glsl"
+#include "common/random.glsl"
+#include "swarm/atlas.glsl"
+#include "swarm/neighbours.glsl"
+#include "codec.glsl"
+
+#define WALLS_CLAMP 0
+#define WALLS_STOP 1
+#define WALLS_REFLECT 2
+
+ivec2 global_texel(ivec2 texel)
+{
+    return place_of(texel) + ivec2(u_origin_x, u_origin_y);
+}
+
+#ifdef START
+
+// Particle 0 of a seeded swarm stands on the estimate itself, further seeded ones around it, the rest anywhere.
+// SEED_TELLS has a bit for every dimension that the seed knows something of; the others lie anywhere.
+void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
+{
+    float seed[8];
+    encode(estimate_at(texel), reach_of(scale_at(texel)), seed);
+    for (int block = 0; block < BLOCKS; block++) {
+        ivec2 at = global_texel(texel);
+        vec4 place = random_uniform(u_seed, u_iteration, at, particle, RANDOM_POSITION + block);
+        vec4 speed = random_uniform(u_seed, u_iteration, at, particle, RANDOM_VELOCITY + block);
+        for (int i = 0; i < 4; i++) {
+            int d = 4 * block + i;
+            float spread = particle == 0 ? 0.0 : SEED_SPREAD;
+            bool seeded = particle < u_seeded && (particle == 0 || ((SEED_TELLS >> d) & 1) == 1);
+            x[d] = seeded ? clamp(seed[d] + spread * (2.0 * place[i] - 1.0), 0.0, 1.0) : place[i];
+            v[d] = START_SPEED * (2.0 * speed[i] - 1.0);
+        }
+    }
+}
+
+#else
+
+void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
+{
+    vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
+    for (int i = 0; i < 4; i++) {
+        x[i] = part[i];
+    }
+#if BLOCKS > 1
+    part = texelFetch(atlas, atlas_texel(texel, 1, particle), 0);
+#endif
+    for (int i = 0; i < 4; i++) {
+        x[4 + i] = part[i];
+    }
+}
+
+void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8], out float v[8])
+{
+    float p[8];
+    float g[8];
+    read_particle(u_particle_position, texel, particle, x);
+    read_particle(u_particle_velocity, texel, particle, v);
+    read_particle(u_particle_best, texel, particle, p);
+    read_best(texel, g);
+    for (int block = 0; block < BLOCKS; block++) {
+        ivec2 at = global_texel(texel);
+        vec4 r1 = random_uniform(u_seed, u_iteration, at, particle, RANDOM_R1 + block);
+        vec4 r2 = random_uniform(u_seed, u_iteration, at, particle, RANDOM_R2 + block);
+        for (int i = 0; i < 4; i++) {
+            int d = 4 * block + i;
+            // Eq. 2: v ← v + c1 R1 (p − x) + c2 R2 (g − x) + c3 A, with A of Eq. 4; inertia and constriction are 1 in
+            // the paper (Shi & Eberhart 1998; Clerc & Kennedy 2002).
+            float speed = u_inertia * v[d] + u_c1 * r1[i] * (p[d] - x[d]) + u_c2 * r2[i] * (g[d] - x[d]);
+            speed = u_constriction * (speed + (u_c3 != 0.0 ? u_c3 * (mean[d] - x[d]) : 0.0));
+            v[d] = clamp(speed, -u_v_max, u_v_max);
+            // Eq. 3: x ← x + v, inside the walls.
+            float target = x[d] + v[d];
+            x[d] = clamp(target, 0.0, 1.0);
+#if WALLS == WALLS_STOP
+            v[d] = target == x[d] ? v[d] : 0.0;
+#elif WALLS == WALLS_REFLECT
+            v[d] = target == x[d] ? v[d] : -v[d];
+#endif
+        }
+    }
+}
+
+// Takes the particle to the global best of one of the eight texels around, if that one is solved: what a neighbour has
+// found is often right here too, and a swarm caught in a wrong optimum has no other way out.
+void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
+{
+    direction += direction >= 4 ? 1 : 0;
+    ivec2 other = packed_at(place_of(texel) + ivec2(direction % 3 - 1, direction / 3 - 1));
+    if (other.x >= 0) {
+        read_neighbour(other, texel, f, x);
+    }
+}
+
+#endif
+
+// Interchangeable lobes stay in rising order, so that a mean over neighbours means something.
+void order_lobes(inout float x[8], inout float v[8])
+{
+#ifdef LOBE_FIRST
+    if (x[LOBE_FIRST] > x[LOBE_SECOND]) {
+        float kept = x[LOBE_FIRST];
+        x[LOBE_FIRST] = x[LOBE_SECOND];
+        x[LOBE_SECOND] = kept;
+        kept = v[LOBE_FIRST];
+        v[LOBE_FIRST] = v[LOBE_SECOND];
+        v[LOBE_SECOND] = kept;
+#ifdef LOBE_WEIGHT
+        x[LOBE_WEIGHT] = 1.0 - x[LOBE_WEIGHT];
+        v[LOBE_WEIGHT] = -v[LOBE_WEIGHT];
+#endif
+    }
+#endif
+}
