@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -15,12 +19,13 @@ from .mesh import MeshData
 from .project import GRAZING, Projector
 
 
-def domain_from_card(capture: Capture, depth: float = 1.0) -> Domain:
+def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Domain:
     """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
 
     Everything is in the camera's own frame, where the card's normal is (0, 0, 1): lights and view are turned into it.
     depth: how far from a perspective camera the card lies, in world units; it matters for near lights and for how
-    the view changes over the image. Raises InputError for several cameras, images of another size or nothing to see.
+    the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
+    file goes when the domain does. Raises InputError for several cameras, images of another size or nothing to see.
     """
     if len(capture.cameras) != 1:
         raise InputError(
@@ -31,10 +36,11 @@ def domain_from_card(capture: Capture, depth: float = 1.0) -> Domain:
     if not mask.any():
         raise InputError(f"the mask of capture '{capture.name}' covers nothing; check mask.png")
     local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective)
-    stack = np.zeros((len(capture.observations), *mask.shape, 4), np.float32)
+    stack = new_stack(len(capture.observations), *mask.shape, scratch)
     for observation, out in zip(capture.observations, stack, strict=True):
-        out[mask] = _read(observation, capture)[mask]
-        out[~(out[..., 3] > 0)] = 0
+        image = _read(observation, capture)
+        seen = mask & (image[..., 3] > 0)
+        out[seen] = image[seen]
     _check_seen(capture, stack, "the card")
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     views = np.broadcast_to(local.view, (len(stack), 4))
@@ -48,12 +54,13 @@ def domain_from_mesh(
     height: int,
     grazing: float = GRAZING,
     allow_overlap: bool = False,
+    scratch: Path | None = None,
 ) -> Domain:
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
     grazing: the least cosine between face and view at which a texel counts as seen. Observations are read one at a
-    time. The domain's bake is a SurfaceBake, which ``frames`` needs. Raises InputError for overlapping UVs (unless
-    allowed), images of another size than their camera, or when no texel is seen by any camera.
+    time. The domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. Raises InputError for
+    overlapping UVs (unless allowed), images of another size than their camera, or when no texel is seen by any camera.
     """
     _check_masks(capture)
     bake = bake_uv(mesh, width, height, allow_overlap)
@@ -64,13 +71,39 @@ def domain_from_mesh(
         index: Projector(bake, bake_camera(mesh, capture.cameras[index]), capture.cameras[index], grazing)
         for index in sorted(used)
     }
-    stack = np.zeros((len(capture.observations), height, width, 4), np.float32)
+    stack = new_stack(len(capture.observations), height, width, scratch)
     for observation, out in zip(capture.observations, stack, strict=True):
         index = observation.camera
         out[:] = projectors[index].sample(_read(observation, capture), np.asarray(capture.masks[index], bool))
     _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     return _domain(capture.observations, bake, stack, views, np.eye(4), card=False)
+
+
+def new_stack(observations: int, height: int, width: int, scratch: Path | None = None) -> np.ndarray:
+    """Return (K, H, W, 4) zeros, in memory or mapped from a file in the folder ``scratch``."""
+    shape = (observations, height, width, 4)
+    return np.zeros(shape, np.float32) if scratch is None else mapped_array(scratch, shape)
+
+
+def mapped_array(folder: Path, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
+    """Return zeros mapped from a temporary file in a folder; the file is gone with the array, or with the process.
+
+    Raises InputError where the disk has no room: found out later, in the middle of a write, it would kill the process.
+    """
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    try:
+        with tempfile.TemporaryFile(prefix=".irpso-", dir=folder) as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            elif shutil.disk_usage(folder).free < size:
+                raise OSError(28, "no space left on device")
+            return np.memmap(file, dtype, "w+", shape=shape).view(np.ndarray)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: holds no scratch file of {size / 2**30:.3g} GiB ({error.strerror or error}); set TMPDIR to a"
+            " folder with room, or allow more with --memory host=…"
+        ) from error
 
 
 def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -55,11 +56,12 @@ class Domain:
         """K, the number of observations."""
         return len(self.lights)
 
-    @property
+    @cached_property
     def solvable(self) -> np.ndarray:
         """(H, W) bool: covered texels that at least one observation sees lit.
 
-        A texel that is black under every light says nothing: any normal that faces no light would do for it.
+        A texel that is black under every light says nothing: any normal that faces no light would do for it. Found
+        once, since it reads the whole stack.
         """
         lit = np.zeros(self.shape, bool)
         for layer in self.stack:
@@ -71,9 +73,13 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
     """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are."""
     chosen = np.asarray(observations)
     chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.intp)
+    if np.array_equal(chosen, np.arange(domain.observations)):
+        return domain
+    # Of the first ones a view, not a copy: the stack may be larger than the memory.
+    first = np.array_equal(chosen, np.arange(len(chosen)))
     return replace(
         domain,
-        stack=domain.stack[chosen],
+        stack=domain.stack[: len(chosen)] if first else domain.stack[chosen],
         lights=domain.lights[chosen],
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
@@ -93,10 +99,13 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
     bottom, top = min(halo, y0), min(halo, rows - y0 - height)
     part = (slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right))
     bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[part] for item in fields(GeometryBake)})
-    return replace(
+    result = replace(
         domain,
         bake=bake,
         stack=domain.stack[:, *part],
         origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),
         halo=(left, right, bottom, top),
     )
+    if "solvable" in vars(domain):  # found already
+        vars(result)["solvable"] = domain.solvable[part]
+    return result

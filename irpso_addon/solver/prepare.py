@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..geometry.domain import Domain
 from .schedule import Fitness
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
-_CHUNK = 65536  # texels at a time: bounds the memory of the normal equations
+_CHUNK = 1 << 20  # samples at a time: bounds the memory of the normal equations, about 200 bytes a sample
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
@@ -123,6 +125,9 @@ def _nan_percentile(values: np.ndarray, percentile: float) -> np.ndarray:
     return a + (b - a) * (rank - low)
 
 
-def _chunks(domain: Domain) -> list[tuple[np.ndarray, np.ndarray]]:
-    rows, columns = np.nonzero(domain.solvable)
-    return [(rows[i : i + _CHUNK], columns[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)]
+def _chunks(domain: Domain) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield rows and columns of the solvable texels, row by row, as many at a time as hold _CHUNK samples."""
+    texels = np.flatnonzero(domain.solvable)
+    size = max(1, _CHUNK // max(domain.observations, 1))
+    for start in range(0, len(texels), size):
+        yield np.divmod(texels[start : start + size], domain.shape[1])
