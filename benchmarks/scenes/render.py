@@ -1,0 +1,135 @@
+"""Photographs by Cycles: one Sun at a time, an orthographic camera along −z, pictures kept between runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from irpso_addon.capture.exr import read_exr
+from irpso_addon.maps.lights import sun_strength
+
+from .materials import TRUTHS
+
+_DISTANCE = 10.0  # of the camera and the lamp from the origin
+
+
+@dataclass(frozen=True)
+class View:
+    """width, height: pixels. world_width: of the picture. samples: for each pixel and light. bounces: of light paths.
+
+    clamp: the largest radiance that a path's indirect part may add: without it single pixels burn out.
+    """
+
+    width: int
+    height: int
+    world_width: float = 2.4
+    samples: int = 16
+    bounces: int = 4
+    clamp: float = 4.0
+
+
+def empty_scene(view: View):
+    """Empty Blender and return its scene, set up to be photographed: no world, no light yet."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.render.use_persistent_data = True
+    scene.render.film_transparent = True
+    scene.render.resolution_x, scene.render.resolution_y = view.width, view.height
+    cycles = scene.cycles
+    cycles.device, cycles.samples, cycles.use_denoising = "CPU", view.samples, False
+    cycles.use_adaptive_sampling = False
+    cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = view.bounces
+    cycles.sample_clamp_indirect = view.clamp
+    cycles.blur_glossy = 0.5
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", view.world_width
+    camera.location = (0, 0, _DISTANCE)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    return scene
+
+
+def photographs(
+    folder: Path, directions: np.ndarray, report: Callable[[int], None] | None = None
+) -> Iterator[np.ndarray]:
+    """Yield (H, W, 3) float32 radiance, row 0 at the bottom, under each Sun of intensity 1; directions: (K, 3).
+
+    Pictures that ``folder`` holds are not rendered again.
+    """
+    sun = _sun(1.0)
+    for number, direction in enumerate(directions):
+        path = folder / f"light_{number:03d}.exr"
+        if not path.exists():
+            _aim(sun, direction)
+            _render(path, "OPEN_EXR")
+        (channels,) = read_exr(path).values()
+        yield np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float32)
+        if report:
+            report(number)
+
+
+def truth(folder: Path) -> dict[str, np.ndarray]:
+    """Return the maps as the camera sees them, row 0 at the bottom: coverage (H, W), normal, and the TRUTHS (H, W, 3).
+
+    Normals are in the camera's axes, of length 1 where coverage is above 0.
+    """
+    path = folder / "truth.exr"
+    if not path.exists():
+        layer = bpy.context.view_layer
+        layer.use_pass_normal = True
+        for name in TRUTHS:
+            aov = layer.aovs.add()
+            aov.name, aov.type = name, "COLOR" if name == "base_color" else "VALUE"
+        _render(path, "OPEN_EXR_MULTILAYER")
+        while layer.aovs:
+            layer.aovs.remove(layer.aovs[0])
+        layer.use_pass_normal = False
+    # Blender 5 writes a part for each pass, earlier ones a single part; channels carry the layer's name in both.
+    found = {
+        name.partition(".")[2]: value.astype(np.float32)
+        for channels in read_exr(path).values()
+        for name, value in channels.items()
+    }
+    normal = np.stack([found[f"Normal.{c}"] for c in "XYZ"], axis=-1)
+    coverage = found["Combined.A"]
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-8)
+    maps = {"coverage": coverage, "normal": normal}
+    maps["base_color"] = np.stack([found[f"base_color.{c}"] for c in "RGB"], axis=-1)
+    for name in ("roughness", "metallic"):
+        maps[name] = next(value for key, value in found.items() if key.startswith(f"{name}."))
+    return maps
+
+
+def _sun(intensity: float):
+    data = bpy.data.lights.new("Sun", "SUN")
+    data.energy, data.angle = sun_strength(intensity), 0
+    sun = bpy.data.objects.new("Sun", data)
+    bpy.context.scene.collection.objects.link(sun)
+    return sun
+
+
+def _aim(sun, direction: np.ndarray) -> None:
+    toward = Vector([float(v) for v in direction])
+    sun.matrix_world = Matrix.Translation(_DISTANCE * toward) @ toward.to_track_quat("Z", "Y").to_matrix().to_4x4()
+
+
+def _render(path: Path, kind: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.exr")
+    settings = bpy.context.scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5 asks for the medium before the format
+        settings.media_type = "MULTI_LAYER_IMAGE" if kind.endswith("MULTILAYER") else "IMAGE"
+    settings.file_format, settings.color_depth, settings.exr_codec = kind, "16", "ZIP"
+    if kind.endswith("MULTILAYER"):
+        settings.color_depth = "32"
+    bpy.context.scene.render.filepath = str(partial)
+    bpy.ops.render.render(write_still=True)
+    os.replace(partial, path)
