@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.domain import Domain
-from .schedule import Fitness
+from ..reflectance.model import ReflectanceModel
+from .schedule import Fitness, Schedule
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
 _CHUNK = 1 << 20  # samples at a time: bounds the memory of the normal equations, about 200 bytes a sample
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is found before the search. scale: (H, W) of each texel. guess: parameter name → (H, W, components)."""
+
+    scale: np.ndarray
+    guess: dict[str, np.ndarray]
+
+    def part(self, rows: slice, columns: slice) -> Prepared:
+        """Return it for a part of the domain: the very numbers of the whole, which a fit of the part may round off."""
+        return Prepared(self.scale[rows, columns], {name: value[rows, columns] for name, value in self.guess.items()})
+
+
+def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prepared:
+    """Return each texel's scale and its first guess: the model's defaults, or a Lambertian fit where seeds ask for it."""
+    guess = {
+        p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
+        for p in model.parameters
+    }
+    if schedule.swarm.seed == "lambert":
+        normal, albedo = lambert_seed(domain)
+        for p in model.parameters:
+            if p.is_normal:
+                guess[p.name] = normal
+            elif p.kind == "linear" and p.components == 3:  # an albedo, whatever the model calls it
+                guess[p.name] = np.clip(albedo, *p.range)
+    return Prepared(texel_scale(domain, schedule.fitness.percentile), guess)
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:

@@ -19,10 +19,13 @@ from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
+from .checkpoint import Checkpoint
 from .confidence import Confidence
+from .generations import RunningGenerations
 from .kernels import residual_pass
 from .packing import Packing
 from .phase import Phase
+from .prepare import Prepared
 from .schedule import Schedule, resolve
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
@@ -64,7 +67,8 @@ class Recovery:
     ShaderError, settings that do not fit InputError.
 
     domain: what was observed. known: parameter name → (H, W, components) or (components,), taken as given and not
-    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster.
+    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where it
+    has been found already.
     """
 
     def __init__(
@@ -75,6 +79,7 @@ class Recovery:
         seed: int = 0,
         known: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
+        prepared: Prepared | None = None,
     ):
         if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
             raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
@@ -85,12 +90,13 @@ class Recovery:
         self._stages = resolve(schedule, model, set(known))
         self._solvable = domain.solvable
         self._packing = Packing(self._solvable)
-        scale = self._packing.pack(prepare.texel_scale(domain, schedule.fitness.percentile))
+        prepared = prepared or prepare.prepare(domain, model, schedule)
+        scale = self._packing.pack(prepared.scale)
         stack = self._packing.pack_layers(domain.stack)
         prepare.drop_shadow(stack, domain.intensities, scale, schedule.fitness)
         self._textures = DomainTextures(domain, self._packing, stack, scale)
         self._solved = int((texel_states(domain) == SOLVED).sum())
-        guess = {**self._first_guess(), **known}
+        guess = {**prepared.guess, **known}
         self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
         self._known = known
         self._residual = residual_pass(model, self._textures.defines)
@@ -184,13 +190,9 @@ class Recovery:
 
         notes: arrays of the caller's own, which ``load`` gives back.
         """
-        self._finish_iteration()
-        arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
-        if self._phase is not None:
-            arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
-        iteration = self._phase.iteration if self._phase else 0
-        arrays |= {_NOTE + name: array for name, array in notes.items()}
-        checkpoint.write(Path(path), self._identity(), self._index, iteration, self._evaluations, arrays)
+        state = self.state()
+        arrays = state.arrays | {_NOTE + name: array for name, array in notes.items()}
+        checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
@@ -198,6 +200,20 @@ class Recovery:
         Raises InputError for another's.
         """
         saved = checkpoint.read(Path(path), self._identity())
+        self.restore(saved)
+        return _named(saved.arrays, _NOTE)
+
+    def state(self) -> Checkpoint:
+        """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit."""
+        self._finish_iteration()
+        arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
+        if self._phase is not None:
+            arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
+        iteration = self._phase.iteration if self._phase else 0
+        return Checkpoint(self._index, iteration, self._evaluations, arrays)
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Go on from what ``state`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
         if self._phase is not None:
@@ -205,7 +221,6 @@ class Recovery:
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None
         if self._phase is not None:
             self._phase.restore(_named(saved.arrays, _PHASE), saved.iteration)
-        return _named(saved.arrays, _NOTE)
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
@@ -226,9 +241,8 @@ class Recovery:
     def _begin(self, index: int) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
-        return RunningStage(
-            self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry
-        )
+        kind = RunningGenerations if self.schedule.swarm.update == "all" else RunningStage
+        return kind(self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry)
 
     def _finish_stage(self) -> None:
         self._phase.resolve()
@@ -274,21 +288,6 @@ class Recovery:
         if self._phase is None:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
         return self._phase
-
-    def _first_guess(self) -> dict[str, np.ndarray]:
-        height, width = self.domain.shape
-        guess = {
-            p.name: np.broadcast_to(np.asarray(p.default, np.float32), (height, width, p.components))
-            for p in self.model.parameters
-        }
-        if self.schedule.swarm.seed == "lambert":
-            normal, albedo = prepare.lambert_seed(self.domain)
-            for p in self.model.parameters:
-                if p.is_normal:
-                    guess[p.name] = normal
-                elif p.kind == "linear" and p.components == 3:  # an albedo, whatever the model calls it
-                    guess[p.name] = np.clip(albedo, *p.range)
-        return guess
 
     def _identity(self) -> dict[str, Any]:
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
