@@ -13,7 +13,8 @@ from ..gpu.bands import Bands
 from ..gpu.passes import Entry
 from ..reflectance.model import ReflectanceModel
 from .codec import build_codec
-from .kernels import build_stage_passes, copy_pass
+from .kernels import build_stage_passes
+from .reader import Reader
 from .schedule import ResolvedStage, Schedule
 from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_states
 
@@ -44,8 +45,7 @@ class RunningStage:
         self.passes = build_stage_passes(
             model, self.codec, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
         )
-        self._copy = copy_pass() if entry == "compute" else None
-        self._copies: dict[tuple[int, int], Any] = {}
+        self._reader = Reader(entry)
         self.iteration = -self.particles
 
     @property
@@ -56,12 +56,7 @@ class RunningStage:
     @property
     def reach(self) -> int:
         """How many texels away the iteration that is next reads global bests."""
-        swarm = self.schedule.swarm
-        if self.iteration < 0:
-            return 0
-        tries = swarm.neighbour_every > 0 and (self.iteration + 1) % swarm.neighbour_every == 0
-        averages = neighbour_constant(self.schedule, self.iteration, self.iterations) != 0
-        return max(swarm.neighbourhood // 2 if averages else 0, 1 if tries else 0)
+        return reach_at(self.schedule, self.iteration, self.iterations)
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
@@ -89,30 +84,7 @@ class RunningStage:
 
     def constants(self) -> dict[str, int | float]:
         """Return the push constants of the iteration that is next."""
-        swarm = self.schedule.swarm
-        seeded = math.ceil(swarm.seeded * self.particles) if swarm.seed != "random" else 0
-        if self.stage.cycle > 0:
-            seeded = max(1, seeded)  # a later cycle must not lose what the one before has found
-        return {
-            "u_width": self.width,
-            "u_height": self.height,
-            "u_origin_x": self._domain.domain.origin[0],
-            "u_origin_y": self._domain.domain.origin[1],
-            "u_observations": self._domain.domain.observations,
-            "u_seed": self.seed,
-            "u_iteration": self.iteration,
-            "u_particle": self.iteration + self.particles,
-            "u_seeded": seeded,
-            "u_inertia": swarm.inertia,
-            "u_constriction": swarm.constriction,
-            "u_c1": swarm.c1,
-            "u_c2": swarm.c2,
-            "u_c3": neighbour_constant(self.schedule, self.iteration, self.iterations),
-            "u_v_max": swarm.v_max,
-            "u_threshold": self.schedule.threshold,
-            # Errors are radiances, a texel's scale is radiance over intensity: the unit of the lights must not matter.
-            "u_delta": self.schedule.fitness.delta * float(self._domain.domain.intensities.mean()),
-        }
+        return swarm_constants(self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles)
 
     def resolve(self) -> None:
         """Put the global bests into the resolved estimates."""
@@ -130,12 +102,12 @@ class RunningStage:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
-        packed = np.concatenate([self.read(t) for t in self.swarm.global_best], axis=-1)
+        packed = np.concatenate([self._reader.read(t) for t in self.swarm.global_best], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
-        return self._domain.packing.unpack(self.read(self.swarm.global_fitness)[..., 0], np.nan)
+        return self._domain.packing.unpack(self._reader.read(self.swarm.global_fitness)[..., 0], np.nan)
 
     def take_halo(self, bests: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
@@ -146,30 +118,17 @@ class RunningStage:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the swarms remember."""
-        return {name: self.read(texture) for name, texture in self.swarm.remembered.items()}
+        return {name: self._reader.read(texture) for name, texture in self.swarm.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Go on from what ``state`` returned at an iteration."""
         self.swarm.restore(arrays)
         self.iteration = iteration
 
-    def read(self, texture: Any) -> np.ndarray:
-        """Return a texture's contents, whichever entry wrote it."""
-        if self._copy is None:
-            return textures.download(texture)
-        size = texture.width, texture.height
-        if size not in self._copies:
-            self._copies[size] = textures.empty(*size)
-        target = self._copies[size]
-        self._copy.run([target], {"u_source": texture})
-        return textures.download(target)[..., : textures.CHANNELS[texture.format]]
-
     def close(self) -> None:
         """Free shaders and textures."""
         self.passes.close()
-        if self._copy is not None:
-            self._copy.close()
-        self._copies.clear()
+        self._reader.close()
         self.swarm = None
 
 
@@ -185,3 +144,43 @@ def neighbour_constant(schedule: Schedule, iteration: int, iterations: int) -> f
     if swarm.c3_until == 0:
         return swarm.c3
     return swarm.c3 * max(0.0, 1 - max(iteration, 0) / (swarm.c3_until * iterations))
+
+
+def reach_at(schedule: Schedule, iteration: int, iterations: int) -> int:
+    """Return how many texels away an iteration reads global bests; placing reads none."""
+    swarm = schedule.swarm
+    if iteration < 0:
+        return 0
+    tries = swarm.neighbour_every > 0 and (iteration + 1) % swarm.neighbour_every == 0
+    averages = neighbour_constant(schedule, iteration, iterations) != 0
+    return max(swarm.neighbourhood // 2 if averages else 0, 1 if tries else 0)
+
+
+def swarm_constants(
+    stage: ResolvedStage, schedule: Schedule, domain: DomainTextures, seed: int, iteration: int, particles: int
+) -> dict[str, int | float]:
+    """Return the push constants of an iteration."""
+    swarm = schedule.swarm
+    seeded = math.ceil(swarm.seeded * particles) if swarm.seed != "random" else 0
+    if stage.cycle > 0:
+        seeded = max(1, seeded)  # a later cycle must not lose what the one before has found
+    return {
+        "u_width": domain.packing.width,
+        "u_height": domain.packing.height,
+        "u_origin_x": domain.domain.origin[0],
+        "u_origin_y": domain.domain.origin[1],
+        "u_observations": domain.domain.observations,
+        "u_seed": seed,
+        "u_iteration": iteration,
+        "u_particle": iteration + particles,
+        "u_seeded": seeded,
+        "u_inertia": swarm.inertia,
+        "u_constriction": swarm.constriction,
+        "u_c1": swarm.c1,
+        "u_c2": swarm.c2,
+        "u_c3": neighbour_constant(schedule, iteration, stage.iterations),
+        "u_v_max": swarm.v_max,
+        "u_threshold": schedule.threshold,
+        # Errors are radiances, a texel's scale is radiance over intensity: the unit of the lights must not matter.
+        "u_delta": schedule.fitness.delta * float(domain.domain.intensities.mean()),
+    }

@@ -77,8 +77,8 @@ void solve_linear(inout Equations e, inout Linear w)
         for (int i = 0; i < COLORS; i++) {
             vec3 right = e.color_right[i];
             for (int j = 0; j < COLORS; j++) {
-                vec3 shared = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)];
-                right -= j == i ? vec3(0.0) : shared * w.colors[j];
+                vec3 both = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)];
+                right -= j == i ? vec3(0.0) : both * w.colors[j];
             }
             for (int j = 0; j < NUMBERS; j++) {
                 right -= e.color_number[i * NUMBER_ROOM + j] * w.numbers[j];
@@ -90,12 +90,12 @@ void solve_linear(inout Equations e, inout Linear w)
         for (int i = 0; i < NUMBERS; i++) {
             float right = e.number_right[i];
             for (int j = 0; j < NUMBERS; j++) {
-                float shared = e.number_number[max(i, j) * NUMBER_ROOM + min(i, j)];
-                right -= j == i ? 0.0 : shared * w.numbers[j];
+                float both = e.number_number[max(i, j) * NUMBER_ROOM + min(i, j)];
+                right -= j == i ? 0.0 : both * w.numbers[j];
             }
             for (int j = 0; j < COLORS; j++) {
-                vec3 shared = e.color_number[j * NUMBER_ROOM + i];
-                right -= dot(shared, w.colors[j]);
+                vec3 both = e.color_number[j * NUMBER_ROOM + i];
+                right -= dot(both, w.colors[j]);
             }
             float found = right / max(e.number_number[i * NUMBER_ROOM + i], 1e-20);
             w.numbers[i] = clamp(found, number_range[i].x, number_range[i].y);

@@ -1,0 +1,214 @@
+"""A stage whose swarms move as a whole: every iteration evaluates all particles, with linear weights in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..gpu import context, textures
+from ..gpu.bands import Bands
+from ..gpu.passes import Entry
+from ..reflectance.model import ReflectanceModel
+from .codec import build_codec
+from .generation_kernels import MAX_PARTICLES, build_generation_passes
+from .linear import LinearWeights, linear_weights
+from .reader import Reader
+from .schedule import ResolvedStage, Schedule
+from .stage import neighbour_constant, particle_count, reach_at, swarm_constants
+from .state import SOLVED, UNFIT, DomainTextures, Estimates, plan_atlas, texel_states
+
+
+class RunningGenerations:
+    """The swarms of a stage that move as a whole, a Phase. Iteration −1 places all particles.
+
+    State is kept twice: a generation is judged from the old one and written into the new one, then they change places.
+    """
+
+    def __init__(
+        self,
+        stage: ResolvedStage,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+    ):
+        self.stage, self.schedule, self.seed = stage, schedule, seed
+        self.title, self.iterations = stage.title, stage.iterations
+        self._domain, self._estimates = domain, estimates
+        self.codec = build_codec(model, stage, schedule.swarm.normal)
+        self.linear = linear_weights(model, stage.solved)
+        self.particles = _checked(particle_count(schedule, self.codec.dimensions))
+        self.width, self.height = domain.packing.width, domain.packing.height
+        self.textures = GenerationTextures(self.width, self.height, self.particles, self.codec.blocks, self.linear)
+        self.passes = build_generation_passes(
+            model, self.codec, self.linear, schedule, self.particles, self.textures.atlas.across, domain.defines, entry
+        )
+        self._reader = Reader(entry)
+        self.iteration = -1
+
+    @property
+    def done(self) -> bool:
+        """Whether all iterations have been made."""
+        return self.iteration >= self.iterations
+
+    @property
+    def evaluations(self) -> int:
+        """Renders of all observations that an iteration makes at each texel: two a particle where weights are solved.
+
+        Rendering the best once for every few particles, to weigh the samples, comes on top.
+        """
+        return self.particles * (2 if self.linear.blocks else 1)
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the iteration that is next reads global bests."""
+        return reach_at(self.schedule, self.iteration, self.iterations)
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        old, passes, constants = self.textures, self.passes, self.constants()
+        placing = self.iteration < 0
+        inputs = {**old.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        judged = {**inputs, **old.found_bindings()}
+        steps = [
+            ("place" if placing else "generation", passes.place if placing else passes.move, old.found, inputs),
+            ("commit", passes.place_commit if placing else passes.commit, old.spare_state, judged),
+            ("best", passes.place_best if placing else passes.best, old.spare_bests, judged),
+        ]
+        if constants["u_c3"] != 0 and not placing:
+            steps.insert(0, ("mean", passes.mean, old.mean, inputs))
+        for name, work, targets, given in steps:
+            yield from bands.run(
+                name,
+                targets[0].height,
+                seconds,
+                lambda rows, work=work, targets=targets, given=given: work.run(targets, given, constants, rows),
+                lambda work=work, targets=targets: work.fence(targets),
+            )
+        old.swap()
+        self.iteration += 1
+
+    def constants(self) -> dict[str, int | float]:
+        """Return the push constants of the iteration that is next."""
+        return swarm_constants(
+            self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles
+        )  # fmt: skip
+
+    def resolve(self) -> None:
+        """Put the global bests and their linear weights into the resolved estimates."""
+        inputs = {**self.textures.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
+
+    def fence(self) -> None:
+        """Wait until the last pass of an iteration is done."""
+        self.passes.best.fence(self.textures.bests)
+
+    def reached(self, threshold: float) -> bool:
+        """Return whether every swarm of this tile has a fitness at or under the threshold h."""
+        moved = texel_states(self._domain.domain) == SOLVED
+        return bool((self.global_fitness()[moved] <= threshold).all())
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
+        packed = np.concatenate([self._reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
+        return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
+
+    def global_fitness(self) -> np.ndarray:
+        """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
+        return self._domain.packing.unpack(self._reader.read(self.textures.bests[-1])[..., 0], np.nan)
+
+    def take_halo(self, values: np.ndarray) -> None:
+        """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+        packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
+        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values)
+        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
+        targets = self.textures.bests[: self.codec.blocks]
+        self.passes.take_halo.run(targets, {**given, **self._domain.textures}, self.constants())
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the swarms remember."""
+        return {name: self._reader.read(texture) for name, texture in self.textures.remembered.items()}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Go on from what ``state`` returned at an iteration."""
+        self.textures.restore(arrays)
+        self.iteration = iteration
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        self.passes.close()
+        self._reader.close()
+        self.textures = None
+
+
+class GenerationTextures:
+    """All that the swarms of one stage remember, twice, and what a generation finds.
+
+    state: position, velocity, best, fitness in atlases. bests: global best places, their linear weights, fitness.
+    found: fitness of every particle, four a texture, and the linear weights of the best of them.
+    """
+
+    def __init__(self, width: int, height: int, particles: int, blocks: int, linear: LinearWeights):
+        self.atlas = plan_atlas(width, height, particles * blocks, context.max_texture_size())
+        self._blocks, self._linear, self._fours = blocks, linear.blocks, -(-particles // 4)
+        large = width * self.atlas.across, height * self.atlas.down
+        small = width, height
+        formats = ["RGBA32F", "RGBA32F", "RGBA32F", "R32F"]
+        self.state = [textures.empty(*large, kind, value=0.0) for kind in formats]
+        self.spare_state = [textures.empty(*large, kind) for kind in formats]
+        formats = ["RGBA32F"] * (blocks + linear.blocks) + ["R32F"]
+        self.bests = [textures.empty(*small, kind, value=UNFIT if kind == "R32F" else 0.5) for kind in formats]
+        self.spare_bests = [textures.empty(*small, kind, value=UNFIT if kind == "R32F" else 0.5) for kind in formats]
+        self.found = [textures.empty(*small) for _ in range(self._fours + linear.blocks)]
+        self.mean = [textures.empty(*small, value=0.0) for _ in range(blocks)]
+
+    def swap(self) -> None:
+        """Make the generation that was written the current one."""
+        self.state, self.spare_state = self.spare_state, self.state
+        self.bests, self.spare_bests = self.spare_bests, self.bests
+
+    @property
+    def remembered(self) -> dict[str, Any]:
+        """The textures that outlive an iteration, by name: what a checkpoint holds."""
+        names = ("position", "velocity", "best", "fitness")
+        return {
+            **dict(zip(names, self.state, strict=True)),
+            **{f"global_best_{i}": texture for i, texture in enumerate(self.bests)},
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take the contents that ``remembered`` had, from arrays of the same names."""
+        self.state = [textures.upload(arrays[name]) for name in ("position", "velocity", "best", "fitness")]
+        self.bests = [textures.upload(arrays[f"global_best_{i}"]) for i in range(len(self.bests))]
+
+    def read_bindings(self) -> dict[str, Any]:
+        """Return by sampler name what is remembered."""
+        places, weights = self.bests[: self._blocks], self.bests[self._blocks : -1]
+        return {
+            **{f"u_particle_{name}": texture for name, texture in list(self.remembered.items())[:4]},
+            **{f"u_best_{i}": texture for i, texture in enumerate(places)},
+            **{f"u_best_linear_{i}": texture for i, texture in enumerate(weights)},
+            **{f"u_mean_{i}": texture for i, texture in enumerate(self.mean)},
+            "u_best_fitness": self.bests[-1],
+        }
+
+    def found_bindings(self) -> dict[str, Any]:
+        """Return by sampler name what a generation has found."""
+        return {
+            **{f"u_fitness_{i}": texture for i, texture in enumerate(self.found[: self._fours])},
+            **{f"u_linear_{i}": texture for i, texture in enumerate(self.found[self._fours :])},
+        }
+
+
+def _checked(particles: int) -> int:
+    if particles > MAX_PARTICLES:
+        raise InputError(
+            f'particles: update = "all" moves at most {MAX_PARTICLES} together, not {particles}; lower particles or'
+            " particles_per_dimension"
+        )
+    return particles
