@@ -17,7 +17,7 @@ from .generation_kernels import MAX_PARTICLES, build_generation_passes
 from .linear import LinearWeights, linear_weights
 from .reader import Reader
 from .schedule import ResolvedStage, Schedule
-from .stage import neighbour_constant, particle_count, reach_at, swarm_constants
+from .stage import particle_count, reach_at, swarm_constants
 from .state import SOLVED, UNFIT, DomainTextures, Estimates, plan_atlas, texel_states
 
 
@@ -48,7 +48,7 @@ class RunningGenerations:
         self.passes = build_generation_passes(
             model, self.codec, self.linear, schedule, self.particles, self.textures.atlas.across, domain.defines, entry
         )
-        self._reader = Reader(entry)
+        self.reader = Reader(entry)
         self.iteration = -1
 
     @property
@@ -115,12 +115,12 @@ class RunningGenerations:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
-        packed = np.concatenate([self._reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
+        packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
-        return self._domain.packing.unpack(self._reader.read(self.textures.bests[-1])[..., 0], np.nan)
+        return self._domain.packing.unpack(self.reader.read(self.textures.bests[-1])[..., 0], np.nan)
 
     def take_halo(self, values: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
@@ -132,7 +132,7 @@ class RunningGenerations:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the swarms remember."""
-        return {name: self._reader.read(texture) for name, texture in self.textures.remembered.items()}
+        return {name: self.reader.read(texture) for name, texture in self.textures.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Go on from what ``state`` returned at an iteration."""
@@ -142,7 +142,7 @@ class RunningGenerations:
     def close(self) -> None:
         """Free shaders and textures."""
         self.passes.close()
-        self._reader.close()
+        self.reader.close()
         self.textures = None
 
 

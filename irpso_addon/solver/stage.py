@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -45,7 +44,7 @@ class RunningStage:
         self.passes = build_stage_passes(
             model, self.codec, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
         )
-        self._reader = Reader(entry)
+        self.reader = Reader(entry)
         self.iteration = -self.particles
 
     @property
@@ -102,12 +101,12 @@ class RunningStage:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
-        packed = np.concatenate([self._reader.read(t) for t in self.swarm.global_best], axis=-1)
+        packed = np.concatenate([self.reader.read(t) for t in self.swarm.global_best], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
-        return self._domain.packing.unpack(self._reader.read(self.swarm.global_fitness)[..., 0], np.nan)
+        return self._domain.packing.unpack(self.reader.read(self.swarm.global_fitness)[..., 0], np.nan)
 
     def take_halo(self, bests: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
@@ -118,7 +117,7 @@ class RunningStage:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the swarms remember."""
-        return {name: self._reader.read(texture) for name, texture in self.swarm.remembered.items()}
+        return {name: self.reader.read(texture) for name, texture in self.swarm.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Go on from what ``state`` returned at an iteration."""
@@ -128,7 +127,7 @@ class RunningStage:
     def close(self) -> None:
         """Free shaders and textures."""
         self.passes.close()
-        self._reader.close()
+        self.reader.close()
         self.swarm = None
 
 

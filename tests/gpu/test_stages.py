@@ -222,7 +222,7 @@ def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search
     for steps in (0, 1, 1, 5, 40):
         recovery.step(iterations=steps)
         stage = recovery._phase
-        tiles = {name: stage.read(texture) for name, texture in stage.swarm.remembered.items()}
+        tiles = {name: stage.reader.read(texture) for name, texture in stage.swarm.remembered.items()}
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):
             x = oracle.from_atlas(tiles[name], *sizes, 4 * stage.codec.blocks)

@@ -142,7 +142,7 @@ class Bench:
     def read(self) -> oracle.State:
         """Return the state on the GPU; 0 where no texel is solved, and there a fitness of UNFIT."""
         stage, pack = self.stage, self.packing
-        arrays = {name: stage.read(t).astype(np.float64) for name, t in stage.swarm.remembered.items()}
+        arrays = {name: array.astype(np.float64) for name, array in stage.state().items()}
         sizes = (self.problem.particles, pack.height, pack.width)
         atlases = {
             n: oracle.from_atlas(arrays[n], *sizes, self.problem.columns) for n in ("position", "velocity", "best")
@@ -209,7 +209,7 @@ def test_a_step_of_the_swarm_is_that_of_the_oracle(case, bench):
         step = oracle.move(b.problem, before, iteration)
         turned = not b.domain.card and "normal" in b.stage.stage.title
         assert_equal_states(b.read(), step, rounding_of(step), TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
-        verdict = b.packing.unpack(b.stage.read(b.stage.swarm.verdict), -1)
+        verdict = b.packing.unpack(b.stage.reader.read(b.stage.swarm.verdict), -1)
         np.testing.assert_array_equal(verdict[..., 3], step.particle)
 
 
@@ -239,8 +239,8 @@ def test_fragment_and_compute_agree_within_four_ulp(case, bench):
         fragment.advance()
         compute.advance()
         for name, texture in fragment.stage.swarm.remembered.items():
-            one = fragment.stage.read(texture)
-            other = compute.stage.read(compute.stage.swarm.remembered[name])
+            one = fragment.stage.reader.read(texture)
+            other = compute.stage.reader.read(compute.stage.swarm.remembered[name])
             np.testing.assert_array_max_ulp(one, other, maxulp=4)
 
 
