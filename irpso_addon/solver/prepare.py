@@ -28,7 +28,7 @@ class Prepared:
 
 
 def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prepared:
-    """Return each texel's scale and its first guess: the model's defaults, or a Lambertian fit where seeds ask for it."""
+    """Return each texel's scale and its first guess: defaults, or a Lambertian fit where seeds ask for it."""
     guess = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
         for p in model.parameters

@@ -67,8 +67,8 @@ class Recovery:
     ShaderError, settings that do not fit InputError.
 
     domain: what was observed. known: parameter name → (H, W, components) or (components,), taken as given and not
-    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where it
-    has been found already.
+    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where
+    it has been found already.
     """
 
     def __init__(
