@@ -27,7 +27,7 @@ from .materials import Finish
 from .sensor import Sensor
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "scenes"
-_SENSOR = Sensor(gain=0.24)  # a diffuse albedo of .5 appears as .12
+_SATURATED = 0.005  # the share of the subject's samples that one exposure for all pictures burns out
 _INTENSITIES = (1.5, 6.0)
 
 
@@ -81,7 +81,7 @@ def catalogue(head: Path | None) -> dict[str, Scene]:
     return scenes
 
 
-def make(name: str, scene: Scene, view: render.View, cache: Path, out: Path) -> int:
+def make(title: str, scene: Scene, view: render.View, cache: Path, out: Path) -> int:
     """Render what the cache lacks and write the capture into ``out``; return the number of texels of its mask."""
     directions = lights.grid_lights()
     intensities = lights.uneven_intensities(len(directions), *_INTENSITIES)
@@ -90,13 +90,19 @@ def make(name: str, scene: Scene, view: render.View, cache: Path, out: Path) -> 
     tall = view.world_width * view.height / view.width
     subjects.fit(subject, scene.fill * view.world_width, scene.fill * tall)
     subject.data.materials.append(materials.build(scene.finish))
-    folder = cache / f"{name}-{_digest(scene.finish, scene.fill, view, directions.tobytes())}"
+    folder = cache / f"{title}-{_digest(scene.finish, scene.fill, view, directions.tobytes())}"
     maps = render.truth(folder)
     mask = maps["coverage"] > 0.999
     out.mkdir(parents=True, exist_ok=True)
     names = [f"{n + 1:03d}.png" for n in range(len(directions))]
-    for seed, radiance in enumerate(render.photographs(folder, directions)):
-        encode_png(out / names[seed], _SENSOR.expose(radiance * intensities[seed], seed))
+    pictures = [
+        radiance * intensity
+        for radiance, intensity in zip(render.photographs(folder, directions), intensities, strict=True)
+    ]
+    brightest = np.stack([picture[mask].max(axis=-1) for picture in pictures])
+    sensor = Sensor(gain=float(1 / np.quantile(brightest, 1 - _SATURATED)))
+    for seed, (name, picture) in enumerate(zip(names, pictures, strict=True)):
+        encode_png(out / name, sensor.expose(picture, seed))
     encode_png(out / "mask.png", mask.astype(float), bits=8)
     (out / "filenames.txt").write_text("\n".join(names) + "\n")
     np.savetxt(out / "light_directions.txt", directions, "%.8f")

@@ -35,13 +35,24 @@ class View:
 
 
 def empty_scene(view: View):
-    """Empty Blender and return its scene, set up to be photographed: no world, no light yet."""
+    """Empty Blender and return its scene, set up, with an orthographic camera: no world, no light yet."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
+    set_up(scene, view)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", view.world_width
+    camera.location = (0, 0, _DISTANCE)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    return scene
+
+
+def set_up(scene, view: View) -> None:
+    """Give a scene the settings to be photographed with; its camera stays as it is."""
     scene.render.engine = "CYCLES"
-    scene.render.use_persistent_data = True
     scene.render.film_transparent = True
     scene.render.resolution_x, scene.render.resolution_y = view.width, view.height
+    scene.render.resolution_percentage = 100
     cycles = scene.cycles
     cycles.device, cycles.samples, cycles.use_denoising = "CPU", view.samples, False
     cycles.use_adaptive_sampling = False
@@ -49,12 +60,6 @@ def empty_scene(view: View):
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = view.bounces
     cycles.sample_clamp_indirect = view.clamp
     cycles.blur_glossy = 0.5
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.data.type, camera.data.ortho_scale = "ORTHO", view.world_width
-    camera.location = (0, 0, _DISTANCE)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    return scene
 
 
 def photographs(
@@ -64,12 +69,12 @@ def photographs(
 
     Pictures that ``folder`` holds are not rendered again.
     """
-    sun = _sun(1.0)
+    sun = _only_sun()
     for number, direction in enumerate(directions):
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():
             _aim(sun, direction)
-            _render(path, "OPEN_EXR")
+            _render(path, "OPEN_EXR", persistent=True)
         (channels,) = read_exr(path).values()
         yield np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float32)
         if report:
@@ -108,9 +113,12 @@ def truth(folder: Path) -> dict[str, np.ndarray]:
     return maps
 
 
-def _sun(intensity: float):
+def _only_sun():
+    """Return the scene's one lamp, a Sun of intensity 1."""
+    for lamp in [thing for thing in bpy.context.scene.objects if thing.type == "LIGHT"]:
+        bpy.data.objects.remove(lamp)
     data = bpy.data.lights.new("Sun", "SUN")
-    data.energy, data.angle = sun_strength(intensity), 0
+    data.energy, data.angle = sun_strength(1.0), 0
     sun = bpy.data.objects.new("Sun", data)
     bpy.context.scene.collection.objects.link(sun)
     return sun
@@ -121,7 +129,13 @@ def _aim(sun, direction: np.ndarray) -> None:
     sun.matrix_world = Matrix.Translation(_DISTANCE * toward) @ toward.to_track_quat("Z", "Y").to_matrix().to_4x4()
 
 
-def _render(path: Path, kind: str) -> None:
+def _render(path: Path, kind: str, persistent: bool = False) -> None:
+    """Render to a file, whole or not at all. persistent: keep the scene for the next render that asks so too.
+
+    Only for pictures under lamps: kept data lack AOVs that are new, and where the first picture of a scene had no lamp
+    all that follow it have a white sky of radiance 1 (Blender 5.0.1).
+    """
+    bpy.context.scene.render.use_persistent_data = persistent
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.exr")
     settings = bpy.context.scene.render.image_settings

@@ -1,0 +1,168 @@
+"""Meshes with UVs and true maps, photographed: captures for the command line, and pictures under new lights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from irpso_addon.capture.picture import srgb_to_linear
+from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.write import write_capture
+from irpso_addon.geometry.scene import camera_from_object
+from irpso_addon.maps.blender_images import decode
+
+from . import materials, render, subjects
+
+NAME = "Subject"
+CAPTURE, BLEND = "capture", "scene.blend"
+_DISTANCE = 6.0  # of the perspective camera
+_FILL = 0.94  # of the picture that the subject may span
+# The head comes without a roughness map: the shinier its specular map, the smoother.
+_HEAD_ROUGHNESS = (0.65, 0.45)
+
+
+@dataclass(frozen=True)
+class TrueMaps:
+    """base_color, normal: (N, N, 3), linear and unit vectors of Blender's tangent frame. roughness: (N, N).
+
+    Row 0 is at the bottom, at v = 0.
+    """
+
+    base_color: np.ndarray
+    normal: np.ndarray
+    roughness: np.ndarray
+
+
+@dataclass(frozen=True)
+class TexturedScene:
+    """mesh: makes the subject. maps: reads its true maps at so many texels along a side. note: for readers."""
+
+    mesh: Callable
+    maps: Callable[[int], TrueMaps]
+    note: str = ""
+
+
+def scene_table(data: Path) -> dict[str, TexturedScene]:
+    """Return name → scene from a folder with ``materials`` (ambientCG) and ``head_leeperrysmith``."""
+    head = data / "head_leeperrysmith"
+    scan = partial(subjects.scan, head / "LeePerrySmith.obj", 1)
+    rock, moss = (partial(cc0_maps, data / "materials" / name) for name in ("rock", "mossyrock"))
+    authored = "roughness authored from the specular map: {:g} − {:g} · specular".format(*_HEAD_ROUGHNESS)
+    return {
+        "monkey_rock": TexturedScene(subjects.monkey, rock),
+        "monkey_mossyrock": TexturedScene(subjects.monkey, moss),
+        "head_rock": TexturedScene(scan, rock),
+        "head_mossyrock": TexturedScene(scan, moss),
+        "head_own": TexturedScene(scan, partial(head_maps, head), authored),
+    }
+
+
+def cc0_maps(folder: Path, size: int) -> TrueMaps:
+    """Return the maps of an ambientCG material."""
+    albedo, normal, roughness = (_pixels(folder / f"{name}.jpg") for name in ("albedo", "normal", "roughness"))
+    return _reduced_maps(srgb_to_linear(albedo), normal, roughness[..., 0], size)
+
+
+def head_maps(folder: Path, size: int) -> TrueMaps:
+    """Return the head's own colours and normals, and a roughness authored from its specular map."""
+    names = ("Map-COL", "Infinite-Level_02_Tangent_SmoothUV", "Map-SPEC")
+    colour, normal, shine = (_pixels(folder / f"{name}.jpg") for name in names)
+    return _reduced_maps(srgb_to_linear(colour), normal, _HEAD_ROUGHNESS[0] - _HEAD_ROUGHNESS[1] * shine[..., 0], size)
+
+
+def reduced(values: np.ndarray, size: int) -> np.ndarray:
+    """Return (size, size, …) the means over blocks of a square map whose side is a multiple of ``size``."""
+    step = values.shape[0] // size
+    return values.reshape(size, step, size, step, *values.shape[2:]).mean(axis=(1, 3))
+
+
+def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
+    """Empty Blender and put subject and camera into it; where ``folder`` has no .blend file with them, save one."""
+    render.empty_scene(view)
+    data = bpy.context.scene.camera.data
+    data.type, data.angle = "PERSP", 2 * np.arctan(view.world_width / 2 / _DISTANCE)
+    bpy.context.scene.camera.location = (0, 0, _DISTANCE)
+    subject = scene.mesh()
+    subject.name = NAME
+    subjects.fit(subject, _FILL * view.world_width, _FILL * view.world_width * view.height / view.width)
+    bpy.context.view_layer.update()
+    if not (folder / BLEND).exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / BLEND), copy=True, check_existing=False)
+
+
+def photograph(
+    truth: TrueMaps, view: render.View, folder: Path, directions: np.ndarray, unseen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Write the capture into ``folder``; return the pictures under the unseen lights (K, H, W, 3) and the mask (H, W).
+
+    The scene has been prepared. What the folder holds is not rendered again.
+    """
+    bpy.data.objects[NAME].data.materials.append(true_material(truth))
+    mask = render.truth(folder / "seen")["coverage"] > 0.999
+    radiances = list(render.photographs(folder / "seen", directions))
+    if not (folder / CAPTURE).exists():
+        camera = camera_from_object(bpy.context.scene.camera, view.width, view.height)
+        shots = tuple(
+            Observation(f"light {n}", partial(_opaque, image), Light(tuple(map(float, direction))))
+            for n, (image, direction) in enumerate(zip(radiances, directions, strict=True))
+        )
+        write_capture(Capture(folder.name, shots, (camera,), (mask,)), folder / CAPTURE)
+    return np.stack(list(render.photographs(folder / "unseen", unseen))), mask
+
+
+def photograph_result(blend: Path, view: render.View, folder: Path, unseen: np.ndarray) -> np.ndarray:
+    """Return the pictures (K, H, W, 3) of the .blend file that a recovery has written, under the unseen lights."""
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    render.set_up(bpy.context.scene, view)
+    return np.stack(list(render.photographs(folder, unseen)))
+
+
+def true_material(truth: TrueMaps):
+    """Return a Blender material with these maps: Principled, GGX, the default specular level."""
+    material, nodes = materials.blank("truth")
+    link = material.node_tree.links.new
+    nodes["Principled BSDF"].distribution = "GGX"
+    colour, roughness, coded = (
+        _texture(nodes, name, values).outputs["Color"]
+        for name, values in (
+            ("base_color", truth.base_color), ("roughness", truth.roughness), ("normal", truth.normal / 2 + 0.5),
+        )
+    )  # fmt: skip
+    materials.wire(material, colour, roughness)
+    turned = nodes.new("ShaderNodeNormalMap")
+    link(coded, turned.inputs["Color"])
+    link(turned.outputs["Normal"], nodes["Principled BSDF"].inputs["Normal"])
+    return material
+
+
+def _texture(nodes, name: str, values: np.ndarray):
+    size = len(values)
+    rgba = np.ones((size, size, 4), np.float32)
+    rgba[..., :3] = values if values.ndim == 3 else values[..., None]
+    image = bpy.data.images.new(name, size, size, alpha=True, float_buffer=True, is_data=True)
+    image.pixels.foreach_set(rgba.ravel())
+    image.update()
+    node = nodes.new("ShaderNodeTexImage")
+    node.image = image
+    return node
+
+
+def _opaque(image: np.ndarray) -> np.ndarray:
+    return np.concatenate([image, np.ones((*image.shape[:2], 1), np.float32)], axis=-1)
+
+
+def _pixels(path: Path) -> np.ndarray:
+    return decode(path).values[..., :3].astype(np.float64)
+
+
+def _reduced_maps(colour: np.ndarray, normal: np.ndarray, roughness: np.ndarray, size: int) -> TrueMaps:
+    vectors = reduced(2 * normal - 1, size)
+    vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)
+    vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return TrueMaps(reduced(colour, size), vectors, reduced(roughness, size))
