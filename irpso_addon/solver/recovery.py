@@ -34,7 +34,7 @@ BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
-_NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
+NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
 _PHASE = "phase_"  # before those that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 
@@ -68,7 +68,7 @@ class Recovery:
 
     domain: what was observed. known: parameter name → (H, W, components) or (components,), taken as given and not
     searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where
-    it has been found already.
+    it has been found already. state: where it begins, of ``state``.
     """
 
     def __init__(
@@ -80,13 +80,14 @@ class Recovery:
         known: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
         prepared: Prepared | None = None,
+        state: Checkpoint | None = None,
     ):
         if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
             raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        known = {name: _full(model, name, value, domain.shape) for name, value in (known or {}).items()}
+        known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         self._stages = resolve(schedule, model, set(known))
         self._solvable = domain.solvable
         self._packing = Packing(self._solvable)
@@ -107,7 +108,11 @@ class Recovery:
         self._index = 0
         self._evaluations = 0
         self._cost = 0  # evaluations of the iteration under way
-        self._phase: Phase | None = self._begin(0)
+        self._phase: Phase | None = None
+        if state is None:
+            self._phase = self._begin(0)
+        else:
+            self.restore(state)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, or for about so long, or to the end; return the progress.
@@ -191,7 +196,7 @@ class Recovery:
         notes: arrays of the caller's own, which ``load`` gives back.
         """
         state = self.state()
-        arrays = state.arrays | {_NOTE + name: array for name, array in notes.items()}
+        arrays = state.arrays | {NOTE + name: array for name, array in notes.items()}
         checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
@@ -201,7 +206,7 @@ class Recovery:
         """
         saved = checkpoint.read(Path(path), self._identity())
         self.restore(saved)
-        return _named(saved.arrays, _NOTE)
+        return named(saved.arrays, NOTE)
 
     def state(self) -> Checkpoint:
         """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit."""
@@ -220,7 +225,7 @@ class Recovery:
             self._phase.close()
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None
         if self._phase is not None:
-            self._phase.restore(_named(saved.arrays, _PHASE), saved.iteration)
+            self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
@@ -293,11 +298,12 @@ class Recovery:
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
 
 
-def _named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, named without it."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
-def _full(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return a known map as (H, W, components), checked against the model and the domain."""
     parameter = model.parameter(name)
     value = np.asarray(value, np.float32)

@@ -1,0 +1,388 @@
+"""A recovery of a domain that does not fit at once: tiles in lock step, to the maps of the whole bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from ..geometry.build import mapped_array
+from ..geometry.domain import Domain, tile
+from ..gpu import context, probe
+from ..maps.result import Maps
+from ..reflectance.model import ReflectanceModel
+from . import checkpoint, prepare
+from .checkpoint import Checkpoint
+from .recovery import NOTE, Progress, Recovery, full_map, named
+from .schedule import Schedule
+
+Box = tuple[int, int, int, int]  # x0, y0, width, height
+Part = tuple[slice, slice]  # rows, columns
+
+
+class _TileRecovery(Recovery):
+    """A recovery that does not stop at the threshold by itself: only the whole domain may."""
+
+    reached = False  # whether the last iteration ended with every swarm of the tile at the threshold
+
+    def finish_stage(self) -> None:
+        """Go on to the next stage, as at the threshold, and place its swarms."""
+        self._finish_stage()
+        self.step(iterations=0)
+
+    def fence(self) -> None:
+        """Wait until all iterations ordered so far are done."""
+        if self._phase is not None:
+            self._phase.fence()
+
+    def _reached_threshold(self) -> bool:
+        self.reached = super()._reached_threshold()
+        return False
+
+
+@dataclass
+class _Tile:
+    """A tile, and where its recovery is.
+
+    domain: with its halo. solved: texels of its own. state: of the recovery while that is not on the device; files:
+    where it lies, if not in memory. strips: what other tiles have told of the texels of this one's halo, with places;
+    coming: the same of the iteration that the burst under way leads to.
+    """
+
+    box: Box
+    domain: Domain
+    prepared: prepare.Prepared
+    known: dict[str, np.ndarray]
+    solved: int
+    recovery: _TileRecovery | None = None
+    progress: Progress | None = None
+    reached: bool = False
+    state: Checkpoint | None = None
+    files: dict[str, np.ndarray] = field(default_factory=dict)
+    strips: dict[int, tuple[Part, np.ndarray]] = field(default_factory=dict)
+    coming: dict[int, tuple[Part, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def own(self) -> Part:
+        """Its own texels, without the halo, in its own arrays."""
+        left, right, bottom, top = self.domain.halo
+        height, width = self.domain.shape
+        return slice(bottom, height - top), slice(left, width - right)
+
+
+class TiledRecovery:
+    """One run over tiles, with the face of Recovery: the maps are those of the whole domain at once, bit for bit.
+
+    boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
+    least the reach of every phase. resident: whether all tiles stay on the device; else they take turns, each making
+    as many iterations as need no neighbours, and what they remember waits in memory, or in files in the folder
+    ``scratch``. Needs, and raises, what Recovery does.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int = 0,
+        known: Mapping[str, np.ndarray] | None = None,
+        entry: Literal["auto", "fragment", "compute"] = "auto",
+        *,
+        boxes: Sequence[Box],
+        halo: int,
+        resident: bool = True,
+        scratch: Path | None = None,
+    ):
+        context.ensure()
+        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
+        self.entry = probe.faster_entry() if entry == "auto" else entry
+        self.resident, self._halo, self._scratch = resident, halo, scratch
+        self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
+        _check_boxes(boxes, domain)
+        prepared = prepare.prepare(domain, model, schedule)
+        self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[_part(box)].any()]
+        self._meetings = _meetings(self._tiles)
+        self._active = 0  # the tile that was used last; where tiles take turns, the one on the device
+        self._told = False  # whether strips are those of the iteration that all tiles are at
+        self._made = 0  # iterations of the burst that was made last
+        self._work: Iterator[None] | None = None
+        for number in range(len(self._tiles) if resident else 1):
+            self._recovery(number)
+        for part in self._tiles:  # a tile that has not been on the device is where the first one is
+            part.progress = part.progress or self._tiles[0].progress
+
+    def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
+        """Advance by whole iterations, or for about so long, or to the end; return the progress, as Recovery.step.
+
+        With a time budget it may stop while some tiles are ahead of others, and goes on there next time; where tiles
+        take turns, the iterations that were begun are made first, however few are asked for then.
+        """
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        left = iterations
+        while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
+            if self._work is None:
+                # Where nothing is gained by more at a time, the next call shall find little to finish.
+                most = 1 if left is None and deadline is not None and self.resident else left
+                self._work = self._burst(0 if self._placing else most, deadline is not None)
+            for _ in self._work:
+                if deadline is not None and time.perf_counter() >= deadline:
+                    return self.progress
+            self._work = None
+            left = None if left is None else left - self._made
+        return self.progress
+
+    @property
+    def progress(self) -> Progress:
+        """How far the recovery is: as far as its slowest tile; the fraction counts what the others are ahead."""
+        told = [part.progress for part in self._tiles]
+        slowest = min(told, key=lambda p: (p.done, p.stage, p.iteration))
+        ahead = sum(part.solved * (p.fraction - slowest.fraction) for part, p in zip(self._tiles, told, strict=True))
+        fraction = slowest.fraction + ahead / max(1, sum(part.solved for part in self._tiles))
+        return replace(slowest, fraction=fraction, evaluations=sum(p.evaluations for p in told))
+
+    def maps(self, confidence: bool = True) -> Maps:
+        """Return what has been found so far, as Recovery.maps; tiles that take turns each have one for it."""
+        self._finish_burst()
+        shape = self.domain.shape
+        values = {p.name: np.empty((*shape, p.components), np.float32) for p in self.model.parameters}
+        for p in self.model.parameters:
+            values[p.name][:] = p.default
+        residual = np.zeros(shape, np.float32)
+        deviations: dict[str, np.ndarray] = {}
+        for number in self._order():
+            part, found = self._tiles[number], self._recovery(number).maps(confidence)
+            texels = _part(part.box)
+            residual[texels] = found.residual[part.own]
+            for name, value in found.values.items():
+                values[name][texels] = value[part.own]
+            for name, value in (found.confidence or {}).items():
+                whole = deviations.setdefault(name, np.zeros((*shape, value.shape[-1]), np.float32))
+                whole[texels] = value[part.own]
+        return Maps(self.model, values, self.domain.solvable, residual, deviations if confidence else None)
+
+    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
+        """Write a checkpoint, as Recovery.save, from which the same tiles go on to the same maps bit for bit."""
+        self._finish_burst()
+        states = [part.recovery.state() if part.recovery else part.state for part in self._tiles]
+        arrays = {_EVALUATIONS: np.array([part.progress.evaluations for part in self._tiles])}
+        for number, state in enumerate(states):
+            arrays |= {f"tile_{number}_{name}": array for name, array in (state.arrays if state else {}).items()}
+        arrays |= {NOTE + name: array for name, array in notes.items()}
+        at, total = states[self._active], int(arrays[_EVALUATIONS].sum())
+        checkpoint.write(Path(path), self._identity(), at.stage, at.iteration, total, arrays)
+
+    def load(self, path: str | Path) -> dict[str, np.ndarray]:
+        """Go on from a checkpoint of the same domain, tiles and settings, and return its notes, as Recovery.load."""
+        saved = checkpoint.read(Path(path), self._identity())
+        self._work, self._told = None, False
+        for number, part in enumerate(self._tiles):
+            if part.recovery is not None:
+                part.recovery.close()
+                part.recovery = None
+            arrays = named(saved.arrays, f"tile_{number}_")
+            evaluations = int(saved.arrays[_EVALUATIONS][number])
+            state = Checkpoint(saved.stage, saved.iteration, evaluations, arrays)
+            part.state = self._stored(part, state) if arrays else None
+        for number, part in enumerate(self._tiles):
+            if self.resident or number == 0:
+                self._recovery(number)
+            evaluations = int(saved.arrays[_EVALUATIONS][number])
+            part.progress = replace(
+                part.progress if self.resident else self._tiles[0].progress, evaluations=evaluations
+            )
+        return named(saved.arrays, NOTE)
+
+    def close(self) -> None:
+        """Free all that lies on the GPU, and the files."""
+        self._work = None
+        for part in self._tiles:
+            if part.recovery is not None:
+                part.recovery.close()
+            part.recovery = part.state = None
+            part.files, part.strips, part.coming = {}, {}, {}
+
+    def __enter__(self) -> TiledRecovery:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def _done(self) -> bool:
+        return all(part.progress.done for part in self._tiles)
+
+    @property
+    def _placing(self) -> bool:
+        return any(part.progress.iteration < 0 for part in self._tiles)
+
+    def _burst(self, most: int | None, paced: bool) -> Iterator[None]:
+        """Let all tiles make the same iterations: ``most``, or as many as need nothing more of neighbours.
+
+        The first tile finds out how many: it stops before an iteration that reads neighbours, and where it has reached
+        the threshold. Yields after each iteration of a tile; paced: once it is done, not only ordered.
+        """
+        order = self._order()
+        if self._recovery(order[0]).reach and not self._told:
+            for number in order:
+                self._tell(number)
+            self._all_told()
+        count = most
+        for turn, number in enumerate(order):
+            part, recovery = self._tiles[number], self._recovery(number)
+            self._hear(number)
+            if most == 0:
+                recovery.step(iterations=0)
+            made = 0
+            while (count is None or made < count) and not recovery.progress.done:
+                recovery.reached = False
+                recovery.step(iterations=1)
+                made, part.progress, part.reached = made + 1, recovery.progress, recovery.reached
+                if turn == 0 and (recovery.reach or recovery.reached):
+                    break
+                if paced:
+                    recovery.fence()
+                yield
+            count = made
+            part.progress = recovery.progress
+            self._tell(number)
+        self._made = count
+        self._all_told()
+        if all(part.reached for part in self._tiles):
+            yield from self._finish_stage()
+
+    def _finish_stage(self) -> Iterator[None]:
+        """Let all tiles go on to the next stage: the whole domain has reached the threshold."""
+        for number in self._order():
+            part, recovery = self._tiles[number], self._recovery(number)
+            recovery.finish_stage()
+            part.progress, part.reached = recovery.progress, False
+            self._tell(number)
+            yield
+        self._all_told()
+
+    def _finish_burst(self) -> None:
+        if self._work is not None:
+            for _ in self._work:
+                pass
+            self._work = None
+
+    def _order(self) -> list[int]:
+        """The tiles, the one on the device first: every turn spared is an upload of its part of the sample stack."""
+        return sorted(range(len(self._tiles)), key=lambda number: number != self._active)
+
+    def _recovery(self, number: int) -> _TileRecovery:
+        """Return a tile's recovery, put on the device if it is not there."""
+        part = self._tiles[number]
+        if part.recovery is None:
+            active = self._tiles[self._active]
+            if not self.resident and active.recovery is not None:
+                active.state = self._stored(active, active.recovery.state())
+                active.recovery.close()
+                active.recovery = None
+            part.recovery = _TileRecovery(
+                part.domain, self.model, self.schedule, self.seed, part.known, self.entry, part.prepared, part.state
+            )
+            part.state = None
+            part.progress = part.recovery.progress
+        self._active = number
+        return part.recovery
+
+    def _stored(self, part: _Tile, state: Checkpoint) -> Checkpoint:
+        """Return a tile's state as it lies where states are kept: in memory, or in its files."""
+        if self._scratch is None:
+            return state
+        files = {}
+        for name, array in state.arrays.items():
+            kept = part.files.get(name)
+            if kept is None or kept.shape != array.shape or kept.dtype != array.dtype:
+                kept = mapped_array(self._scratch, array.shape, array.dtype)
+            kept[:] = array
+            files[name] = kept
+        part.files = files
+        return replace(state, arrays=files)
+
+    def _tell(self, number: int) -> None:
+        """Note for the tiles around what this one's texels have found, if the next iteration reads it."""
+        recovery = self._recovery(number)
+        if not recovery.reach:
+            return
+        if recovery.reach > self._halo:
+            raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
+        found = recovery.halo()
+        for other, source, target in self._meetings[number]:
+            self._tiles[other].coming[number] = target, found[source].copy()
+
+    def _all_told(self) -> None:
+        """Let what has been told be heard: every tile is at one iteration now."""
+        self._told = bool(self._recovery(self._active).reach)
+        for part in self._tiles:
+            part.strips, part.coming = part.coming, {}
+
+    def _hear(self, number: int) -> None:
+        """Give a tile what its neighbours have told, if its next iteration reads it."""
+        part, recovery = self._tiles[number], self._recovery(number)
+        if not (recovery.reach and part.strips):
+            return
+        size = next(iter(part.strips.values()))[1].shape[-1]
+        values = np.full((*part.domain.shape, size), np.nan, np.float32)
+        for target, strip in part.strips.values():
+            values[target] = strip
+        recovery.set_halo(values)
+
+    def _tile(self, box: Box, prepared: prepare.Prepared) -> _Tile:
+        domain = tile(self.domain, *box, halo=self._halo)
+        around = _rectangle(box, domain.halo)
+        known = {name: value[around] for name, value in self._known.items()}
+        solved = int(np.count_nonzero(self.domain.solvable[_part(box)]))
+        return _Tile(box, domain, prepared.part(*around), known, solved)
+
+    def _identity(self) -> dict[str, Any]:
+        who = checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
+        return who | {"tiles": [[*part.box, self._halo] for part in self._tiles]}
+
+
+_EVALUATIONS = "tiles_evaluations"  # the name in a checkpoint of how many each tile has made
+
+
+def _part(box: Box) -> Part:
+    x0, y0, width, height = box
+    return slice(y0, y0 + height), slice(x0, x0 + width)
+
+
+def _check_boxes(boxes: Sequence[Box], domain: Domain) -> None:
+    """Raise ValueError where a solvable texel lies in no box or in several."""
+    count = np.zeros(domain.shape, np.uint8)
+    for box in boxes:
+        count[_part(box)] += 1
+    if not (count[domain.solvable] == 1).all():
+        raise ValueError("tiles: every solvable texel must lie in one of them, and in one only")
+
+
+def _meetings(tiles: Sequence[_Tile]) -> list[list[tuple[int, Part, Part]]]:
+    """Return for each tile which others have texels of its own in their halo: (number, where here, where there)."""
+    meetings: list[list[tuple[int, Part, Part]]] = [[] for _ in tiles]
+    for number, part in enumerate(tiles):
+        for other, there in enumerate(tiles):
+            own, around = _part(part.box), _rectangle(there.box, there.domain.halo)
+            shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(own, around, strict=True)]
+            if number == other or any(s.start >= s.stop for s in shared):
+                continue
+            here = _rectangle(part.box, part.domain.halo)
+            source, target = (
+                tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, rectangle, strict=True))
+                for rectangle in (here, around)
+            )
+            meetings[number].append((other, source, target))
+    return meetings
+
+
+def _rectangle(box: Box, halo: tuple[int, int, int, int]) -> Part:
+    """Return where a tile lies in the whole domain with the halo that it has there."""
+    x0, y0, width, height = box
+    left, right, bottom, top = halo
+    return slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right)
