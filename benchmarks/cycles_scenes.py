@@ -5,7 +5,9 @@ Usage: python -m benchmarks.cycles_scenes --data FOLDER [--preset standard …] 
 FOLDER holds the scan (head_leeperrysmith) and the materials (materials/rock, materials/mossyrock). Each scene is a mesh
 with UVs and true maps, photographed by Cycles (an independent renderer; cast shadows, four bounces) under 40 lights and
 handed to the public command ``python -m irpso_addon recover``. The maps it writes are compared texel by texel, and the
-material that it writes is rendered by Cycles under 10 lights that were not in the capture. Pictures stay in the cache.
+material that it writes is rendered by Cycles under 10 lights that were not in the capture. PSNR and SSIM (Wang et al.
+2004) are of pictures in sRGB (the Standard view), over the subject. Pictures stay in the cache: empty it after changing
+a mesh or a map.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +58,7 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
     """Photograph a scene, recover it with every preset, and compare."""
     view = render.View(options.size, options.size, samples=options.samples)
     directions, unseen = dome_lights(LIGHTS, WIDEST), dome_lights(UNSEEN, 0.9 * WIDEST, HALF_A_TURN)
-    key = repr((view, options.resolution, directions.tobytes(), unseen.tobytes()))
+    key = repr((scene.note, view, options.resolution, directions.tobytes(), unseen.tobytes()))
     folder = options.cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
     truth = scene.maps(options.resolution)
     textured.prepare(scene, view, folder)
@@ -67,12 +69,16 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
         seconds = recover(folder, out, preset, options.resolution)
         errors, texels = map_errors(out, truth)
         pictures = textured.photograph_result(out / "material.blend", view, out / "relit", unseen)
-        shown = [srgb_from_linear(np.clip(p, 0, 1)) for p in (true_pictures, pictures)]
-        compared = [(psnr(a, b, mask), ssim(a, b, mask)) for a, b in zip(*shown, strict=True)]
-        encode_png(out / "relit.png", np.concatenate([s[:3].transpose(1, 0, 2, 3).reshape(len(mask), -1, 3)
-                                                      for s in shown[::-1]]), bits=8)  # fmt: skip
+        shown, found = (srgb_from_linear(np.clip(p, 0, 1)) for p in (true_pictures, pictures))
+        compared = [(psnr(a, b, mask), ssim(a, b, mask)) for a, b in zip(found, shown, strict=True)]
+        encode_png(out / "relit.png", side_by_side(found, shown), bits=8)
         results.append(Result(name, Path(preset).stem, texels, seconds, *errors, *np.array(compared).T))
     return results
+
+
+def side_by_side(below: np.ndarray, above: np.ndarray, count: int = 4) -> np.ndarray:
+    """Return one picture of the first of two series (K, H, W, 3), in two rows."""
+    return np.concatenate([np.concatenate(list(series[:count]), axis=1) for series in (below, above)])
 
 
 def recover(folder: Path, out: Path, preset: str, resolution: int) -> float:
@@ -142,9 +148,8 @@ def main() -> None:
     notes = [f"{name}: {scenes[name].note}." for name in options.names or scenes if scenes[name].note]
     table = "\n".join([markdown(results), "", *notes])
     (options.out / "cycles_scenes.md").write_text(table + "\n", encoding="utf-8")
-    rows = [{key: value.tolist() if isinstance(value, np.ndarray) else value if isinstance(value, (str, int, float))
-             else vars(value) for key, value in vars(r).items()} for r in results]  # fmt: skip
-    (options.out / "cycles_scenes.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    numbers = json.dumps([asdict(result) for result in results], indent=1, default=np.ndarray.tolist)
+    (options.out / "cycles_scenes.json").write_text(numbers, encoding="utf-8")
     print(table)
 
 

@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.scenes.capture [--cache .cache/scenes] [--head FOLDER] [--samples 16] [-o OUT] [NAME …]
 
 Each subject gets a folder in the layout of DiLiGenT with normal_gt.exr, base_color_gt.exr and, where the material has
-one roughness, roughness_gt.exr. Pictures in the cache are not rendered again.
+one roughness, roughness_gt.exr. Pictures in the cache are not rendered again: empty it after changing a mesh.
 """
 
 from __future__ import annotations
