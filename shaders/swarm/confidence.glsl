@@ -87,18 +87,19 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
     Frame f = frame_at(texel);
     Material s = material_from(c);
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float weight = observe(texel, f, k, l, intensity, radiance);
+        if (weight == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
         vec3 v = view_at(f, k);
         vec3 render = intensity * reflectance(s, l, v);
-        vec3 error = render - reference.rgb;
-        errors += reference.a * dot(error, error);
-        energy += reference.a * dot(render, render);
-        weights += reference.a;
+        vec3 error = render - radiance;
+        errors += weight * dot(error, error);
+        energy += weight * dot(render, render);
+        weights += weight;
         vec3 j[UNKNOWNS];
         for (int u = 0; u < UNKNOWNS; u++) {
             vec2 by = steps[u];
@@ -108,7 +109,7 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
             j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
         }
         for (int row = 0; row < UNKNOWNS; row++) {
-            vec3 weighted = reference.a * j[row];
+            vec3 weighted = weight * j[row];
             for (int column = row; column < UNKNOWNS; column++) {
                 a[row * UNKNOWNS + column] += dot(weighted, j[column]);
             }

@@ -16,18 +16,19 @@ float fitness_of(ivec2 texel, Frame f, Material s)
     vec3 v = view_at(f, 0);
 #endif
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float weight = observe(texel, f, k, l, intensity, radiance);
+        if (weight == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
 #ifndef ONE_VIEW
         vec3 v = view_at(f, k);
 #endif
-        vec3 error = intensity * reflectance(s, l, v) - reference.rgb;
-        sum += reference.a * loss_of(scale * error);
-        weights += reference.a;
+        vec3 error = intensity * reflectance(s, l, v) - radiance;
+        sum += weight * loss_of(scale * error);
+        weights += weight;
     }
     float mean = sum / (3.0 * weights);
     // Written so that NaN is unfit too: it must never become a best.

@@ -53,17 +53,18 @@ bool texel_kernel(ivec2 texel)
             float weights = 0.0;
 #if LINEAR_BLOCKS > 0
             for (int k = 0; k < u_observations; k++) {
-                vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-                if (reference.a <= 0.0) {
+                vec3 l;
+                vec3 intensity;
+                vec3 radiance;
+                float weight = observe(texel, f, k, l, intensity, radiance);
+                if (weight == 0.0) {
                     continue;
                 }
-                vec3 intensity;
-                vec3 l = light_at(f, k, intensity);
                 vec3 v = view_at(f, k);
-                vec3 error = intensity * reflectance(incumbent, l, v) - reference.rgb;
-                vec3 weight = reference.a * loss_weight(scale * error);
+                vec3 error = intensity * reflectance(incumbent, l, v) - radiance;
+                vec3 counted = weight * loss_weight(scale * error);
                 for (int p = 0; p < CHUNK; p++) {
-                    add_observation(equations[p], s[p], l, v, intensity, reference.rgb, weight);
+                    add_observation(equations[p], s[p], l, v, intensity, radiance, counted);
                 }
             }
             for (int p = 0; p < CHUNK; p++) {
@@ -72,18 +73,19 @@ bool texel_kernel(ivec2 texel)
             }
 #endif
             for (int k = 0; k < u_observations; k++) {
-                vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-                if (reference.a <= 0.0) {
+                vec3 l;
+                vec3 intensity;
+                vec3 radiance;
+                float weight = observe(texel, f, k, l, intensity, radiance);
+                if (weight == 0.0) {
                     continue;
                 }
-                vec3 intensity;
-                vec3 l = light_at(f, k, intensity);
                 vec3 v = view_at(f, k);
                 for (int p = 0; p < CHUNK; p++) {
-                    vec3 error = intensity * reflectance(s[p], l, v) - reference.rgb;
-                    sum[p] += reference.a * loss_of(scale * error);
+                    vec3 error = intensity * reflectance(s[p], l, v) - radiance;
+                    sum[p] += weight * loss_of(scale * error);
                 }
-                weights += reference.a;
+                weights += weight;
             }
             for (int p = 0; p < CHUNK; p++) {
                 float mean = sum[p] / (3.0 * weights);

@@ -17,15 +17,16 @@ bool texel_kernel(ivec2 texel)
     float weights = 0.0;
     float largest = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float weight = observe(texel, f, k, l, intensity, radiance);
+        if (weight == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
-        vec3 error = abs(intensity * reflectance(s, l, view_at(f, k)) - reference.rgb);
-        sum += reference.a * (error.r + error.g + error.b);
-        weights += reference.a;
+        vec3 error = abs(intensity * reflectance(s, l, view_at(f, k)) - radiance);
+        sum += weight * (error.r + error.g + error.b);
+        weights += weight;
         largest = max(largest, max(error.r, max(error.g, error.b)));
     }
     o_residual = vec4(weights > 0.0 ? sum / (3.0 * weights) : 0.0, weights, largest, 0.0);
