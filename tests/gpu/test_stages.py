@@ -79,7 +79,7 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     bad = np.zeros(domain.shape, bool)
     bad[4, 5] = bad[6, 7] = True
     assert (fitness[bad] >= 1e29).all() and (fitness[~bad] < 1e29).all()
-    assert all(np.isfinite(stage.read(texture)).all() for texture in stage.swarm.remembered.values())
+    assert all(np.isfinite(stage.reader.read(texture)).all() for texture in stage.swarm.remembered.values())
     recovery.step()
     assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
 
