@@ -23,7 +23,8 @@ _DISTANCE = 10.0  # of the camera and the lamp from the origin
 class View:
     """width, height: pixels. world_width: of the picture. samples: for each pixel and light. bounces: of light paths.
 
-    clamp: the largest radiance that a path's indirect part may add: without it single pixels burn out.
+    clamp: the largest radiance that a path's indirect part may add: without it single pixels burn out. denoise: by
+    OpenImageDenoise, guided by albedo and normal, for what is lit by other surfaces more than by the lamp.
     """
 
     width: int
@@ -32,6 +33,7 @@ class View:
     samples: int = 16
     bounces: int = 4
     clamp: float = 4.0
+    denoise: bool = False
 
 
 def empty_scene(view: View):
@@ -54,7 +56,8 @@ def set_up(scene, view: View) -> None:
     scene.render.resolution_x, scene.render.resolution_y = view.width, view.height
     scene.render.resolution_percentage = 100
     cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.use_denoising = "CPU", view.samples, False
+    cycles.device, cycles.samples, cycles.use_denoising = "CPU", view.samples, view.denoise
+    cycles.denoiser, cycles.denoising_input_passes = "OPENIMAGEDENOISE", "RGB_ALBEDO_NORMAL"
     cycles.use_adaptive_sampling = False
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = view.bounces

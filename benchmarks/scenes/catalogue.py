@@ -1,0 +1,66 @@
+"""Which subjects are photographed as captures like DiLiGenT's, and what they are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from . import subjects
+from .materials import Finish
+
+
+@dataclass(frozen=True)
+class Scene:
+    """mesh: makes the subject. finish: its material. fill: the share of the picture that it may span.
+
+    saturated: the share of the subject's samples that one exposure for all pictures burns out. samples, denoise: as in
+    render.View.
+    """
+
+    mesh: Callable
+    finish: Finish
+    fill: float = 0.94
+    saturated: float = 0.005
+    samples: int = 16
+    denoise: bool = False
+
+
+def catalogue(head: Path | None) -> dict[str, Scene]:
+    """Return name → scene; those of the head only where the .obj file of its scan is given."""
+    return _made_scenes() | (_head_scenes(partial(subjects.scan, head)) if head is not None else {})
+
+
+def _made_scenes() -> dict[str, Scene]:
+    red = ((0.6, 0.12, 0.08),) * 2
+    clay = (0.65, 0.5, 0.38), (0.3, 0.16, 0.1)
+    glaze = (0.08, 0.25, 0.5), (0.75, 0.65, 0.45)
+    brass = (0.9, 0.62, 0.3), (0.8, 0.5, 0.25)
+    paint = (0.55, 0.45, 0.3), (0.4, 0.4, 0.42)
+    brass_finish = Finish(brass, (0.5, 0.5), 1.0)
+    parts = Finish(((1, 1, 1),) * 2, (0.5, 0.5), attributes=True, scale=6)
+    return {
+        "ball_plastic": Scene(subjects.ball, Finish(red, (0.15, 0.15)), 0.76),
+        "cat_clay": Scene(subjects.monkey, Finish(clay, (0.5, 0.5), specular=0.4, scale=5)),
+        "pot_glaze": Scene(subjects.pot, Finish(glaze, (0.2, 0.2), specular=0.7, scale=3)),
+        "goblet_satin": Scene(subjects.goblet, brass_finish, saturated=0.02, samples=8, denoise=True),
+        "cow_metalpaint": Scene(subjects.monkey, Finish(paint, (0.45, 0.45), 0.8)),
+        "harvest_concave": Scene(subjects.harvest, parts, samples=8, denoise=True),
+    }
+
+
+def _head_scenes(scan: Callable) -> dict[str, Scene]:
+    velvet = {"Sheen Weight": 0.6, "Sheen Roughness": 0.4, "Diffuse Roughness": 0.8}
+    coat = {"Coat Weight": 1.0, "Coat Roughness": 0.1}
+    skin = {"Subsurface Weight": 0.6, "Subsurface Radius": (1.0, 0.35, 0.15), "Subsurface Scale": 0.05}
+    fur = (0.5, 0.32, 0.18), (0.28, 0.14, 0.07)
+    dark = (0.12, 0.1, 0.09), (0.05, 0.05, 0.06)
+    pale = (0.75, 0.48, 0.38), (0.65, 0.36, 0.28)
+    fur_finish = Finish(fur, (0.7, 0.7), specular=0.15, scale=6, extra=velvet, plain=False)
+    skin_finish = Finish(pale, (0.4, 0.5), scale=6, extra=skin, plain=False)
+    return {
+        "bear_velvet": Scene(scan, fur_finish),
+        "reading_mixed": Scene(scan, Finish(dark, (0.5, 0.5), extra=coat, plain=False), samples=8),
+        "skin_sss": Scene(scan, skin_finish, samples=8, denoise=True),
+    }
