@@ -10,6 +10,7 @@ from ..maps.pictures import Curves, convergence, display_image, spread_marks
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..solver.recovery import Recovery
+from ..solver.tiled import TiledRecovery
 
 _ITERATIONS = "iterations"
 _LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations
@@ -21,12 +22,13 @@ class History:
     truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white.
     """
 
-    def __init__(self, recovery: Recovery, truth: Mapping[str, np.ndarray] | None):
+    def __init__(self, recovery: Recovery | TiledRecovery, truth: Mapping[str, np.ndarray] | None):
         self._recovery, self._truth = recovery, truth
         rows, columns = np.nonzero(recovery.domain.solvable)
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
         self._iterations: list[int] = []
+        self._seen = 0  # the iteration of the last look: tiles may stop at one of theirs, all of them still at that
         self._errors: dict[str, list[np.ndarray]] = {}
 
     @property
@@ -40,8 +42,9 @@ class History:
         """Note the errors, if it is time to."""
         progress = self._recovery.progress
         every = max(1, progress.iterations_in_all // _LOOKS)
-        if progress.iteration_in_all % every and not progress.done:
+        if progress.iteration_in_all == self._seen or (progress.iteration_in_all % every and not progress.done):
             return
+        self._seen = progress.iteration_in_all
         maps = self._recovery.maps(confidence=False)
         self._iterations.append(progress.iteration_in_all)
         for name, error in self._errors_of(maps).items():
@@ -55,6 +58,7 @@ class History:
     def take(self, notes: Mapping[str, np.ndarray]) -> None:
         """Take up what a checkpoint's notes hold."""
         self._iterations = [int(n) for n in notes.get(_ITERATIONS, ())]
+        self._seen = self._recovery.progress.iteration_in_all
         self._errors = {name: list(errors) for name, errors in notes.items() if name != _ITERATIONS}
 
     def picture(self, maps: Maps) -> np.ndarray:

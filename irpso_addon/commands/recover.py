@@ -26,12 +26,16 @@ from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.memory import parse_memory
+from ..solver.plan import Plan
 from ..solver.recovery import Recovery
 from ..solver.schedule import Schedule
+from ..solver.tiled import TiledRecovery
 from .history import History
 from .interrupt import held_back
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .pictures import error_preview, relit_preview
+from .planning import covered_texels, held_out_last, make_plan, planned_recovery, scratch_folder
 from .progress import ProgressBar, unseen_reports
 
 CHECKPOINT = "checkpoint.npz"
@@ -62,11 +66,19 @@ def run(options: Namespace) -> dict:
     job = _check(options)
     probe.probe()
     context.ensure()
-    domain, subject, mesh = _domain(options, job)
+    subject, mesh = _subject(options)
+    plan = _plan(options, job, covered_texels(job.capture, mesh, job.resolution))
+    if options.dry_run:
+        if not options.quiet and not options.json:
+            sys.stdout.write("\n".join(plan.lines()) + "\n")
+        return {"plan": plan.as_dict()}
+    domain = _domain(options, job, mesh, plan, subject)
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
+    plan = _plan(options, job, domain.solvable, plan.stack_on)
     started = time.perf_counter()
-    with Recovery(subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry) as recovery:
+    fitted, resumed = subset(domain, kept), job.folder / CHECKPOINT if options.resume else None
+    with planned_recovery(plan, fitted, job.model, job.schedule, job.known, options, resumed) as recovery:
         job.seconds["prepare"] = time.perf_counter() - started
         history = History(recovery, job.truth)
         maps = _solve(recovery, history, job, options)
@@ -75,7 +87,8 @@ def run(options: Namespace) -> dict:
     started = time.perf_counter()
     relit, relighting = relit_preview(domain, maps, job.held_out, job.capture)
     report = build_report(
-        maps, settings={**_settings(options), "preset": asdict(job.schedule), "entry": entry}, seed=options.seed,
+        maps, settings={**_settings(options), "preset": asdict(job.schedule), "entry": entry, "tiles": len(plan.tiles)},
+        seed=options.seed,
         gpu=context.describe()["renderer"], iterations=progress.iterations * progress.stages,
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
@@ -100,6 +113,8 @@ def _check(options: Namespace) -> _Job:
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
     schedule = schedule_from_options(options)
+    if options.memory:
+        parse_memory(options.memory)
     if options.object and not options.blend:
         raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
     if options.resolution and not options.blend:
@@ -115,17 +130,29 @@ def _check(options: Namespace) -> _Job:
     return _Job(capture, model, schedule, known, truth, held_out, folder, resolution)
 
 
-def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshData | None]:
-    subject = mesh = None
+def _subject(options: Namespace) -> tuple[object | None, MeshData | None]:
     if not options.blend:
         empty_blend()
-        domain = domain_from_card(job.capture)
+        return None, None
+    with unseen_reports():
+        open_blend(options.blend)
+    subject = mesh_object(options.object)
+    return subject, extract_mesh(subject)
+
+
+def _plan(options: Namespace, job: _Job, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
+    counts = len(job.capture.observations), len(job.held_out)
+    return make_plan(options, coverage, job.model, job.schedule, job.known, *counts, stack_on)
+
+
+def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, subject: object | None) -> Domain:
+    scratch = scratch_folder(job.folder) if plan.stack_on == "scratch" else None
+    if scratch is not None:
+        job.capture, job.held_out = held_out_last(job.capture, job.held_out)
+    if mesh is None:
+        domain = domain_from_card(job.capture, scratch=scratch)
     else:
-        with unseen_reports():
-            open_blend(options.blend)
-        subject = mesh_object(options.object)
-        mesh = extract_mesh(subject)
-        domain = domain_from_mesh(job.capture, mesh, *job.resolution)
+        domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch)
     check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
     for text in options.known:
         name = text.partition("=")[0].strip()
@@ -134,22 +161,26 @@ def _domain(options: Namespace, job: _Job) -> tuple[Domain, object | None, MeshD
     if mesh is not None:  # files hold normals in Blender's tangent frame, the solver has one of its own
         job.known = turned_normals(job.model, job.known, mesh, domain.bake, from_blender)
         job.truth = job.truth and turned_normals(job.model, job.truth, mesh, domain.bake, from_blender)
-    return domain, subject, mesh
+    return domain
 
 
-def _solve(recovery: Recovery, history: History, job: _Job, options: Namespace) -> Maps:
+def _solve(recovery: Recovery | TiledRecovery, history: History, job: _Job, options: Namespace) -> Maps:
     checkpoint = job.folder / CHECKPOINT
     if options.resume:
         history.take(recovery.load(checkpoint))
     bar = ProgressBar("recover", options.quiet or options.json)
     iterations = 1
+    turns = isinstance(recovery, TiledRecovery) and not recovery.resident
     with held_back() as interrupted:
         progress = recovery.progress
         before = progress.evaluations
         bar.show(progress.fraction, f"{progress.title}  placing the swarms")
         while not (progress.done or interrupted()):
             started = bar.seconds
-            progress = recovery.step(min(iterations, history.until_next))
+            if turns:  # a tile makes all that it can before the next one is put on the device
+                progress = recovery.step(history.until_next, _SLICE_SECONDS)
+            else:
+                progress = recovery.step(min(iterations, history.until_next))
             history.look()
             rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
             bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")

@@ -15,6 +15,7 @@ from .mesh import MeshData
 # What islands may share of the covered texels: neighbours packed to within rounding touch, they do not overlap.
 OVERLAP_LIMIT = 0.005
 _OVERLAP_SIZE = 1024  # texels along the square on which overlaps are looked for
+_BLOCK = 1024  # texels along the square in which coverage is looked for
 _NEAREST = 1e-4  # the near plane, as a part of the farthest depth
 
 
@@ -40,6 +41,21 @@ def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False
     if not allow_overlap:
         _refuse_overlap(mesh)
     return _bake(mesh, _uv_places(mesh, width, height), width, height, nearest=False)
+
+
+def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    """Return (H, W) bool: the texels whose centre a triangle covers, found in blocks and so with little memory.
+
+    Where an edge runs through a centre it may differ from ``bake_uv`` in rounding.
+    """
+    places = _uv_places(mesh, width, height)
+    covered = np.zeros((height, width), bool)
+    for y in range(0, height, _BLOCK):
+        for x in range(0, width, _BLOCK):
+            size = min(_BLOCK, width - x), min(_BLOCK, height - y)
+            moved = places - np.array([x, y, 0, 0])
+            covered[y : y + _BLOCK, x : x + _BLOCK] = raster.triangle_numbers(moved, *size, first=False) > 0
+    return covered
 
 
 def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:

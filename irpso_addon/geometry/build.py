@@ -27,14 +27,8 @@ def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None 
     the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
     file goes when the domain does. Raises InputError for several cameras, images of another size or nothing to see.
     """
-    if len(capture.cameras) != 1:
-        raise InputError(
-            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; give the mesh"
-        )
-    camera, mask = capture.cameras[0], np.asarray(capture.masks[0], bool)
-    _check_masks(capture)
-    if not mask.any():
-        raise InputError(f"the mask of capture '{capture.name}' covers nothing; check mask.png")
+    mask = check_card(capture)
+    camera = capture.cameras[0]
     local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective)
     stack = new_stack(len(capture.observations), *mask.shape, scratch)
     for observation, out in zip(capture.observations, stack, strict=True):
@@ -45,6 +39,19 @@ def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None 
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     views = np.broadcast_to(local.view, (len(stack), 4))
     return _domain(capture.observations, _card_bake(local, mask, depth), stack, views, inverse, card=True)
+
+
+def check_card(capture: Capture) -> np.ndarray:
+    """Return the (H, W) mask of a flat subject. Raises InputError where the capture cannot be one."""
+    if len(capture.cameras) != 1:
+        raise InputError(
+            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; give the mesh"
+        )
+    _check_masks(capture)
+    mask = np.asarray(capture.masks[0], bool)
+    if not mask.any():
+        raise InputError(f"the mask of capture '{capture.name}' covers nothing; check mask.png")
+    return mask
 
 
 def domain_from_mesh(

@@ -59,6 +59,7 @@ def identity(
         "observations": _digest(observed),
         "geometry": _digest(shape),
         "known": {name: _digest([known[name]]) for name in sorted(known)},
+        "tiles": None,
     }
 
 
@@ -106,6 +107,19 @@ def read(path: Path, who: dict[str, Any]) -> Checkpoint:
 
 # What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
+
+
+def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
+
+    What is damaged has no boxes either: ``read`` will say so.
+    """
+    try:
+        with np.load(path) as file:
+            tiles = json.loads(bytes(file["about"]))["identity"].get("tiles") or []
+        return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
+    except (OSError, *_DAMAGED):
+        return [], 0
 
 
 def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:

@@ -1,0 +1,110 @@
+"""What a recovery asks for at every texel: bytes, renders, and looks at neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from ..reflectance.model import ReflectanceModel
+from .schedule import ResolvedStage, Schedule, resolve
+from .stage import particle_count, reach_at
+
+FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
+
+
+@dataclass(frozen=True)
+class PhaseNeed:
+    """Bytes a texel of one phase of a recovery, beside the domain's and the estimates', and what it does.
+
+    atlas: how many W×H tiles its largest textures have, which hold all particles. textures: bytes of all textures.
+    kept: bytes of those that outlive an iteration, which a tile that leaves the device takes along. reach: how many
+    texels away it looks, at most; exchanges: how many of its iterations look. evaluations: renders of all observations.
+    """
+
+    atlas: int
+    textures: int
+    kept: int
+    reach: int = 0
+    exchanges: int = 0
+    evaluations: int = 0
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a recovery asks for at every texel.
+
+    observations: that are fitted; observed: with those held out. components: of the model. compute: whether passes are
+    compute dispatches, which are read back through copies.
+    """
+
+    observations: int
+    observed: int
+    components: int
+    phases: tuple[PhaseNeed, ...]
+    compute: bool = False
+
+    @property
+    def estimates(self) -> int:
+        """How many RGBA textures hold the model's components."""
+        return -(-self.components // 4)
+
+    @property
+    def reach(self) -> int:
+        """How many texels beyond its own any phase looks: the halo of a tile."""
+        return max(phase.reach for phase in self.phases)
+
+    @property
+    def exchanges(self) -> int:
+        """How many iterations look at neighbours."""
+        return sum(phase.exchanges for phase in self.phases)
+
+    @property
+    def evaluations(self) -> int:
+        """Renders of all observations at one texel, in all phases."""
+        return sum(phase.evaluations for phase in self.phases)
+
+    @property
+    def kept(self) -> int:
+        """Bytes a texel of what a tile that leaves the device takes along."""
+        return max(phase.kept for phase in self.phases) + FLOAT4 * self.estimates
+
+    @property
+    def device(self) -> int:
+        """Bytes a texel of all textures but those of the domain's rectangle."""
+        # Position, normal, tangent, place; estimates before and after a stage, their deviations; the residual.
+        each = FLOAT4 * self.observations + 3 * FLOAT4 + FLOAT2 + FLOAT4 * (3 * self.estimates + 1)
+        copies = FLOAT4 * (1 + max(phase.atlas for phase in self.phases)) if self.compute else 0
+        return each + copies + max(phase.textures for phase in self.phases)
+
+
+def recovery_need(
+    model: ReflectanceModel,
+    schedule: Schedule,
+    known: Collection[str],
+    observations: int,
+    held_out: int = 0,
+    compute: bool = False,
+) -> Need:
+    """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
+    stages = resolve(schedule, model, set(known))
+    phases = tuple(_swarm_need(stage, schedule) for stage in stages)
+    return Need(observations - held_out, observations, model.components, phases, compute)
+
+
+def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:
+    """Return the need of a swarm's stage, whose textures are those of SwarmTextures or GenerationTextures."""
+    particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
+    blocks = 1 if dimensions <= 4 else 2
+    linear = -(-sum(p.components for p in stage.solved) // 4)
+    state = (3 * FLOAT4 + FLOAT) * particles * blocks  # position, velocity, best; fitness
+    bests = FLOAT4 * (blocks + linear) + FLOAT
+    reaches = [reach_at(schedule, i, stage.iterations) for i in range(stage.iterations)]
+    looks = max(reaches), sum(reach > 0 for reach in reaches)
+    if schedule.swarm.update == "all":
+        found = FLOAT4 * (-(-particles // 4) + linear + blocks)  # fitnesses, weights, means
+        renders = (1 + stage.iterations) * particles * (2 if linear else 1)
+        return PhaseNeed(particles * blocks, 2 * (state + bests) + found, state + bests, *looks, renders)
+    candidates = FLOAT4 * (2 * blocks + 1)
+    return PhaseNeed(
+        particles * blocks, state + bests + candidates, state + bests, *looks, particles + stage.iterations
+    )
