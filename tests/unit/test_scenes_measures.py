@@ -31,6 +31,7 @@ def test_unseen_lights_of_another_turn_lie_between_the_seen_ones():
     seen, unseen = dome_lights(40, 60), dome_lights(10, 54, np.pi)
     nearest = np.degrees(np.arccos((unseen @ seen.T).max(axis=-1)))
     assert nearest.min() > 1.5
+    np.testing.assert_allclose(unseen * (-1, -1, 1), dome_lights(10, 54), atol=1e-12)
 
 
 def test_intensities_stay_inside_their_range_and_differ():
