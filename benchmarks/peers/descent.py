@@ -66,9 +66,10 @@ class _Fit:
         self.evaluations += GRADIENT_EVALUATIONS - 1
         return found.detach(), torch.nan_to_num(slope)
 
-    def keep(self, z: torch.Tensor, losses: torch.Tensor) -> None:
+    def keep(self, z: torch.Tensor) -> None:
         """Take the texels of z that are better than the best so far."""
-        found = losses.detach().double().cpu().numpy()
+        with torch.no_grad():
+            found = self.losses(z).double().cpu().numpy()
         better = found < self.best
         self.best = np.where(better, found, self.best)
         self.numbers[better] = self.box(z.detach()).double().cpu().numpy()[better]
@@ -87,19 +88,19 @@ class _Clock:
     spent: float = 0.0
     iteration: int = 0
 
-    def __call__(self, z: torch.Tensor, losses: torch.Tensor) -> None:
-        """Called by a method after each iteration, with where it is and the losses there."""
+    def __call__(self, z: torch.Tensor) -> None:
+        """Called by a method after each iteration, with where it is."""
         self.iteration += 1
         if self.every and self.iteration % self.every == 0:
-            pause = time.perf_counter()
-            self.fit.keep(z, losses)
-            at = pause - self.fit.seconds - self.spent
-            self.fit.trace.append(Sample(at, self.fit.evaluations, self.fit.values()))
+            pause, evaluations = time.perf_counter(), self.fit.evaluations
+            self.fit.keep(z)
+            self.fit.evaluations = evaluations
+            self.fit.trace.append(Sample(pause - self.fit.seconds - self.spent, evaluations, self.fit.values()))
             self.spent += time.perf_counter() - pause
 
 
 Pair = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  # step, change of slope, 1 / their product
-Step = Callable[[torch.Tensor, torch.Tensor], None]  # the clock
+Step = Callable[[torch.Tensor], None]  # the clock
 
 
 def adam(
@@ -110,19 +111,22 @@ def adam(
     sigmoid: bool = False,
     **settings,
 ) -> PeerResult:
-    """Adam (Kingma & Ba 2015) with its places clamped to the box unless ``sigmoid``, its rate falling to a hundredth along a cosine; settings: those of ``_run``."""
+    """Adam (Kingma & Ba 2015), clamped to the box unless ``sigmoid``, its rate falling to a hundredth along a cosine.
+
+    settings: those of ``_run``.
+    """
 
     def descend(fit: _Fit, z: torch.Tensor, tick: Step) -> torch.Tensor:
         z.requires_grad_(True)
         optimizer = torch.optim.Adam([z], lr=rate, betas=(0.9, 0.99))
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, iterations, eta_min=rate / 100)
         for _ in range(iterations):
-            losses, z.grad = fit.gradient(z)
-            tick(z, losses)
+            _, z.grad = fit.gradient(z)
             optimizer.step()
             schedule.step()
             if not fit.sigmoid:
                 z.data.clamp_(_EDGE, 1 - _EDGE)
+            tick(z)
         return z.detach()
 
     return _run("Adam", problem, loss, descend, sigmoid, iterations=iterations, rate=rate, **settings)
@@ -143,15 +147,14 @@ def lbfgs(
             [z], lr=1.0, max_iter=1, max_eval=25, history_size=history, line_search_fn="strong_wolfe",
             tolerance_grad=0, tolerance_change=0,
         )  # fmt: skip
-        last = [torch.zeros(())]
 
         def closure() -> torch.Tensor:
-            last[0], z.grad = fit.gradient(z)
-            return last[0].sum()
+            losses, z.grad = fit.gradient(z)
+            return losses.sum()
 
         for _ in range(iterations):
             optimizer.step(closure)
-            tick(z, last[0])
+            tick(z)
         return z.detach()
 
     return _run("L-BFGS", problem, loss, descend, True, iterations=iterations, history=history, **settings)
@@ -177,18 +180,18 @@ def lbfgs_per_texel(
             uphill = (direction * slope).sum(1) >= 0
             direction = torch.where(uphill[:, None], -slope, direction)
             reach = torch.where(known & ~uphill, 1.0, FIRST_REACH / direction.norm(dim=1).clamp_min(1e-12))
-            step, losses, new_slope = _search(fit, z, losses, slope, direction, reach, ~done)
+            step, losses, new_slope, failed = _search(fit, z, losses, slope, direction, reach, ~done)
             change = new_slope - slope
             curvature, steep = (step * change).sum(1), (change * change).sum(1)
             usable = curvature > 1e-8 * step.norm(dim=1) * steep.sqrt()
             inverse = torch.where(usable, 1 / torch.where(usable, curvature, 1.0), 0.0)
             # Where no step along it was lower, the model is wrong: that texel begins anew, along its gradient.
             stuck = (step == 0).all(dim=1)
-            done = done | (stuck & ~known)
+            done = done | (failed & ~known)
             scale = torch.where(usable, curvature / torch.where(usable, steep, 1.0), scale * ~stuck)
             pairs = [(s, y, i * ~stuck) for s, y, i in [*pairs, (step, change, inverse)][-history:]]
             z, slope = z + step, new_slope
-            tick(z, losses)
+            tick(z)
             if done.all():
                 break
         return z
@@ -224,9 +227,10 @@ def _run(
     clock = _Clock(fit, trace_every)
     for start in fit.objective.starts(restarts):
         z = descend(fit, fit.free(start), clock)
-        with torch.no_grad():
-            fit.keep(z, fit.losses(z))
+        fit.keep(z)
     seconds = time.perf_counter() - fit.seconds - clock.spent
+    if trace_every:
+        fit.trace.append(Sample(seconds, fit.evaluations, fit.values()))
     evaluations = np.full(problem.count, fit.evaluations)
     described = {"loss": loss, "restarts": restarts, "sigmoid": sigmoid, "dtype": str(dtype), **settings}
     described |= {"device": device, "threads": torch.get_num_threads()}
@@ -254,10 +258,11 @@ def _search(
     direction: torch.Tensor,
     reach: torch.Tensor,
     looking: torch.Tensor,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return step, losses and slopes, each texel's reach shortened until its loss falls enough; 0 where it never does.
 
-    looking: (T,) which texels still search. All texels are rendered until nearly all have their step, which is what a batch costs.
+    looking: (T,) which texels search. All are rendered until nearly all have their step: that is what a batch costs.
+    Returns too which texels found none though their search went to its end.
     """
     falls = (direction * slope).sum(1)
     step, found, slopes = torch.zeros_like(z), losses, slope
@@ -269,6 +274,6 @@ def _search(
         found, slopes = torch.where(good, new, found), torch.where(good[:, None], new_slope, slopes)
         looking = looking & ~good
         if looking.float().mean() < _STRAGGLERS:
-            break
+            return step, found, slopes, torch.zeros_like(looking)
         reach = reach * 0.35
-    return step, found, slopes
+    return step, found, slopes, looking
