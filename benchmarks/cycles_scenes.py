@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scenes import render, textured
-from benchmarks.scenes.lights import dome_lights
+from benchmarks.scenes.lights import seen_and_unseen
 from benchmarks.scenes.scores import Errors, angles, psnr, ssim
 from irpso_addon.capture.exr import read_exr
 from irpso_addon.maps.blender_images import encode_png
@@ -34,9 +34,6 @@ from irpso_addon.maps.read import read_maps
 from irpso_addon.reflectance.model import load_model
 
 ROOT = Path(__file__).resolve().parents[1]
-LIGHTS, UNSEEN = 40, 10
-WIDEST = 60.0  # degrees of the lights off the view
-HALF_A_TURN = np.pi  # turns the spiral of unseen lights against that of the others
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Result:
 def measure(name: str, scene: textured.TexturedScene, presets: list[str], options: argparse.Namespace) -> list[Result]:
     """Photograph a scene, recover it with every preset, and compare."""
     view = render.View(options.size, options.size, samples=options.samples)
-    directions, unseen = dome_lights(LIGHTS, WIDEST), dome_lights(UNSEEN, 0.9 * WIDEST, HALF_A_TURN)
+    directions, unseen = seen_and_unseen()
     key = repr((scene.note, view, options.resolution, directions.tobytes(), unseen.tobytes()))
     folder = options.cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
     truth = scene.maps(options.resolution)

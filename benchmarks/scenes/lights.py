@@ -20,14 +20,16 @@ def grid_lights(
     return _unit(np.concatenate([np.tan(angles), np.ones((columns * rows, 1))], axis=-1))
 
 
-def dome_lights(count: int, widest: float, turn: float = 0.0) -> np.ndarray:
-    """Return (count, 3) unit directions spread evenly over the cap of ``widest`` degrees around +z.
-
-    turn: radians by which the spiral starts later; lights of another turn fall between the first ones.
-    """
+def dome_lights(count: int, widest: float) -> np.ndarray:
+    """Return (count, 3) unit directions spread evenly, on a spiral, over the cap of ``widest`` degrees around +z."""
     height = 1 - (1 - np.cos(np.radians(widest))) * (np.arange(count) + 0.5) / count
-    flat, around = np.sqrt(1 - height**2), _GOLDEN_ANGLE * np.arange(count) + turn
+    flat, around = np.sqrt(1 - height**2), _GOLDEN_ANGLE * np.arange(count)
     return np.stack([flat * np.cos(around), flat * np.sin(around), height], axis=-1)
+
+
+def seen_and_unseen() -> tuple[np.ndarray, np.ndarray]:
+    """Return the directions of a capture's 40 lights, up to 60° off +z, and of 10 more, 5° to 10° from the nearest."""
+    return dome_lights(40, 60.0), dome_lights(10, 54.0)
 
 
 def uneven_intensities(count: int, low: float, high: float, seed: int = 0) -> np.ndarray:
