@@ -107,7 +107,9 @@ def _numbers(text: str) -> list[float] | None:
         return None
 
 
-def _number_or_text(text: str) -> int | float | str:
+def _number_or_text(text: str) -> bool | int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
     for kind in (int, float):
         try:
             number = kind(text)

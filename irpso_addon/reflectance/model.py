@@ -22,6 +22,9 @@ _KIND_OF = {"ordered": list, "complement": list, "material": dict}
 _WORDS = {str: "a text", list: "a list of names", dict: "a table"}
 
 
+Start = tuple[tuple[str, tuple[float, ...]], ...]  # parameters' names, each with its components
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One row of a model's table.
@@ -58,7 +61,8 @@ class ReflectanceModel:
     bases: names of the linear parameters whose basis the shader defines, and "fixed" where it defines what is left
     without them (shaders/README.md). ordered: names of scalar parameters kept in rising order while searching
     (interchangeable lobes). complement: names of scalars that become 1 − value when the lobes are exchanged. material:
-    the table [material] of the TOML, read by maps.material: ``shader`` names a builder there.
+    the table [material] of the TOML, read by maps.material: ``shader`` names a builder there. starts: places from which
+    a polish begins besides the estimate.
     """
 
     name: str
@@ -69,6 +73,7 @@ class ReflectanceModel:
     ordered: tuple[str, ...] = ()
     complement: tuple[str, ...] = ()
     material: dict[str, Any] = field(default_factory=dict)
+    starts: tuple[Start, ...] = ()
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter called ``name``; InputError names the ones there are."""
@@ -105,12 +110,12 @@ def load_model(name_or_path: str | Path) -> ReflectanceModel:
 
 
 def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
-    known = {"name", "title", "source", "shader", "ordered", "complement", "parameter", "material"}
+    known = {"name", "title", "source", "shader", "ordered", "complement", "parameter", "material", "start"}
     _refuse_unknown_keys(table, known, path, "the table")
     rows = table.get("parameter")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise InputError(f"{path}: declares no [[parameter]]; add one table for each unknown of the model")
-    for key in known - {"parameter"}:
+    for key in known - {"parameter", "start"}:
         _check_kind(table, key, _KIND_OF.get(key, str), str(path))
     parameters = tuple(_parameter_from_table(row, path) for row in rows)
     names = [p.name for p in parameters]
@@ -135,8 +140,27 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     name = table.get("name", path.stem)
     bases = frozenset(_BASIS.findall(shader.read_text(encoding="utf-8")))
     return ReflectanceModel(
-        name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {}))
-    )
+        name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {})),
+        _starts_from_table(table.get("start", []), parameters, path),
+    )  # fmt: skip
+
+
+def _starts_from_table(rows: Any, parameters: tuple[Parameter, ...], path: Path) -> tuple[Start, ...]:
+    if not isinstance(rows, list) or not all(isinstance(row, dict) and row for row in rows):
+        raise InputError(f"{path}: starts are written [[start]], with two brackets, and set at least one parameter")
+    names = {p.name: p for p in parameters if not p.is_normal}
+    starts = []
+    for row in rows:
+        if unknown := sorted(set(row) - set(names)):
+            raise InputError(f"{path}: [[start]]: '{unknown[0]}' is no parameter, or a normal; set {', '.join(names)}")
+        where = f"{path}: [[start]]"
+        starts.append(
+            tuple(
+                (name, _components(value, names[name].components, names[name].range, f"{where}: {name}"))
+                for name, value in row.items()
+            )
+        )
+    return tuple(starts)
 
 
 def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
@@ -159,14 +183,19 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     if row.get("color_space", "Non-Color") not in _COLOR_SPACES:
         raise InputError(f"{path}: {where}: color_space must be one of {', '.join(_COLOR_SPACES)}")
     default = row.get("default", (0.0, 0.0, 1.0) if is_normal else (low + high) / 2)
-    default = tuple(default) if isinstance(default, list | tuple) else (default,) * components
-    if len(default) != components or not all(isinstance(v, int | float) and low <= v <= high for v in default):
-        raise InputError(f"{path}: {where}: default must be one number, or one a component, inside the range")
+    default = _components(default, components, (low, high), f"{path}: {where}: default")
     return Parameter(
-        name, components, (low, high), tuple(float(v) for v in default), row.get("kind", "search"),
+        name, components, (low, high), default, row.get("kind", "search"),
         row.get("map", name), row.get("color_space", "Non-Color"), row.get("socket", ""), row.get("stage", name),
         is_normal,
     )  # fmt: skip
+
+
+def _components(value: Any, count: int, within: tuple[float, float], where: str) -> tuple[float, ...]:
+    values = tuple(value) if isinstance(value, list | tuple) else (value,) * count
+    if len(values) != count or not all(isinstance(v, int | float) and within[0] <= v <= within[1] for v in values):
+        raise InputError(f"{where} must be one number, or one a component, inside the range")
+    return tuple(float(v) for v in values)
 
 
 def _check_kind(table: dict[str, Any], key: str, kind: type, where: str) -> None:

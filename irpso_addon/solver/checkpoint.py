@@ -53,7 +53,7 @@ def identity(
         "preset": dataclasses.asdict(schedule),
         "seed": seed,
         "entry": entry,
-        "parameters": [dataclasses.asdict(p) for p in model.parameters],
+        "parameters": [*(dataclasses.asdict(p) for p in model.parameters), model.starts],
         "shader": hashlib.sha256(read_source(model.shader, model_includes(model)).encode()).hexdigest(),
         "domain": [*domain.shape, *domain.origin, *domain.halo],
         "observations": _digest(observed),

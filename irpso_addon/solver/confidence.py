@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,39 +12,7 @@ from ..gpu.bands import Bands
 from ..reflectance.model import ReflectanceModel
 from .kernels import confidence_pass
 from .state import DomainTextures, Estimates
-
-NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the observations say nothing
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """The numbers that a model leaves to be found. count: a normal is two. source: their table, as GLSL."""
-
-    count: int
-    source: str
-    defines: dict[str, int]
-
-
-def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
-    """Return the unknowns of a model of which the parameters named ``known`` are given."""
-    rows: list[tuple[int, float, float]] = []
-    defines = {"NORMAL_UNKNOWN": -1}
-    for p in model.parameters:
-        at = model.offset(p.name)
-        if p.name in known:
-            continue
-        if p.is_normal:
-            defines = {"NORMAL_UNKNOWN": len(rows), "NORMAL_COMPONENT": at}
-            rows += [(at, 0.0, NORMAL_RANGE)] * 2
-        else:
-            rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
-    cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
-             for u, (at, low, width) in enumerate(rows)]  # fmt: skip
-    source = "\n".join(
-        ["void unknown_at(int u, out int component, out float low, out float width)", "{",
-         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", ""]
-    )  # fmt: skip
-    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows)})
+from .unknowns import build_unknowns
 
 
 class Confidence:

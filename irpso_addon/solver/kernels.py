@@ -20,7 +20,7 @@ MOVE = {
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
 }  # fmt: skip
-_LOSSES = {"l1": 0, "l2": 1, "robust": 2}  # FITNESS_… in shaders/swarm/fitness.glsl
+LOSSES = {"l1": 0, "l2": 1, "robust": 2}  # FITNESS_… in shaders/swarm/fitness.glsl
 _WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/move.glsl
 
 
@@ -108,7 +108,7 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
     swarm = schedule.swarm
     return {
         "REACH": swarm.neighbourhood // 2,
-        "FITNESS": _LOSSES[schedule.fitness.loss],
+        "FITNESS": LOSSES[schedule.fitness.loss],
         "WALLS": _WALLS[swarm.walls],
         "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
         "NEIGHBOUR_EVERY": swarm.neighbour_every,

@@ -25,8 +25,9 @@ from .generations import RunningGenerations
 from .kernels import residual_pass
 from .packing import Packing
 from .phase import Phase
+from .polish import RunningPolish
 from .prepare import Prepared
-from .schedule import Schedule, resolve
+from .schedule import ResolvedPolish, Schedule, resolve
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
 
@@ -246,6 +247,10 @@ class Recovery:
     def _begin(self, index: int) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
+        if isinstance(self._stages[index], ResolvedPolish):
+            return RunningPolish(
+                self._stages[index], self.model, self.schedule, self._textures, self._estimates, self.entry
+            )
         kind = RunningGenerations if self.schedule.swarm.update == "all" else RunningStage
         return kind(self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry)
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 from ..errors import InputError
 from ..files import load_shipped_table, shipped_names
 from ..paths import PRESETS
-from ..reflectance.model import Parameter, ReflectanceModel
+from ..reflectance.model import Parameter, ReflectanceModel, Start
 
 Walls = Literal["clamp", "stop", "reflect"]
 Loss = Literal["l1", "l2", "robust"]
@@ -24,6 +24,7 @@ ALL = "all"
 REST = "rest"  # what no stage of the schedule names
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 _TOP_KEYS = ("name", "title", "cycles", "threshold")
+_POLISH = "polish_"  # before the names of its settings, where they stand beside those of the swarm
 _CHOICES = {
     "walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch),
     "update": get_args(Update), "linear": get_args(LinearKind),
@@ -87,8 +88,35 @@ class Fitness:
 
 
 @dataclass(frozen=True)
+class Polish:
+    """Levenberg–Marquardt after the stages, of all that they search together (Marquardt 1963), on the same fitness.
+
+    iterations: steps from the best that was found, 0 for no polish at all. starts: whether to begin from the model's
+    starts too; start_iterations: steps from each of them, and from the stages' estimate beside them. rounds: how often
+    every texel then tries what its neighbours have found; round_iterations: steps after each. daring: a neighbour's
+    material is polished where its fitness is under so many times the texel's own. damping: the first λ, of the
+    diagonal of JᵀJ. A texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing
+    by more than the fraction smallest_step of its range. central: differences to both sides instead of one.
+    """
+
+    iterations: int = 0
+    starts: bool = True
+    start_iterations: int = 5
+    rounds: int = 1
+    round_iterations: int = 8
+    daring: float = 1.0
+    damping: float = 0.01
+    gain: float = 1e-5
+    smallest_step: float = 1e-5
+    central: bool = False
+
+
+@dataclass(frozen=True)
 class Stage:
-    """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one."""
+    """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one.
+
+    iterations: 0 leaves them to the polish.
+    """
 
     search: tuple[str, ...]
     iterations: int
@@ -98,7 +126,7 @@ class Stage:
 class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
-    threshold: the fitness h at which a swarm stops (0: never before the last iteration).
+    threshold: the fitness h at which a swarm stops (0: never before the last iteration). polish: what follows them.
     """
 
     name: str
@@ -108,11 +136,13 @@ class Schedule:
     stages: tuple[Stage, ...]
     cycles: int = 1
     threshold: float = 0.0
+    polish: Polish = Polish()
 
     def replaced(self, **changes: Any) -> Schedule:
         """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
 
-        ``iterations`` sets every stage's; ``search`` makes one stage of the names given.
+        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. A polish is another's, whole
+        (``polish=``), or a setting of it by its name with ``polish_`` before it.
         """
         result = self
         if (search := changes.pop("search", None)) is not None:
@@ -127,7 +157,10 @@ class Schedule:
             names = {f.name for f in dataclasses.fields(group)} & set(changes)
             values = {name: changes.pop(name) for name in names}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
-        if unknown := set(changes) - {"name", "title", "cycles", "threshold"}:
+        prefixed = {name.removeprefix(_POLISH): name for name in changes if name.startswith(_POLISH)}
+        if values := {f.name: changes.pop(prefixed[f.name]) for f in dataclasses.fields(Polish) if f.name in prefixed}:
+            result = dataclasses.replace(result, polish=dataclasses.replace(result.polish, **values))
+        if unknown := set(changes) - {"name", "title", "cycles", "threshold", "polish"}:
             raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
         result = dataclasses.replace(result, **changes)
         _check(result)
@@ -142,7 +175,7 @@ def shipped_presets() -> list[str]:
 def load_schedule(name_or_path: str | Path) -> Schedule:
     """Read a shipped preset by name, or a .toml file of one's own by path. Raises InputError."""
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
-    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage"], str(path))
+    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", "polish"], str(path))
     rows = table.get("stage", [])
     if not isinstance(rows, list):
         raise InputError(f"{path}: stages are written [[stage]], with two brackets")
@@ -151,6 +184,7 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
         swarm=_build(Swarm, table.get("swarm"), f"{path}: [swarm]"),
         fitness=_build(Fitness, table.get("fitness"), f"{path}: [fitness]"),
         stages=tuple(_build(Stage, row, f"{path}: [[stage]]") for row in rows),
+        polish=_build(Polish, table["polish"], f"{path}: [polish]") if "polish" in table else Polish(),
     )
     _check(schedule, str(path))
     return schedule
@@ -176,7 +210,7 @@ def _check(schedule: Schedule, where: str = "") -> None:
     if not schedule.stages:
         raise InputError(f"{where}: it has no [[stage]]; add one with search and iterations")
     for stage in schedule.stages:
-        _check_whole("iterations", stage.iterations, where)
+        _check_whole("iterations", stage.iterations, where, 0)
         names = stage.search
         if not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names):
             raise InputError(f'{where}: search must be a list of names, as in search = ["normal"], not {names!r}')
@@ -196,13 +230,32 @@ def _check(schedule: Schedule, where: str = "") -> None:
             raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
+    _check_polish(schedule.polish, where)
+    if schedule.polish.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
+        raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
     if schedule.swarm.neighbourhood % 2 == 0:
         raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
 
 
-def _check_whole(name: str, value: Any, where: str) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise InputError(f"{where}: {name} must be a whole number from 1, not {value!r}")
+def _check_polish(polish: Polish, where: str) -> None:
+    for name in ("iterations", "rounds"):
+        _check_whole(_POLISH + name, getattr(polish, name), where, 0)
+    for name in ("start_iterations", "round_iterations"):
+        _check_whole(_POLISH + name, getattr(polish, name), where)
+    for name in ("starts", "central"):
+        if not isinstance(value := getattr(polish, name), bool):
+            raise InputError(f"{where}: {_POLISH}{name} must be true or false, not {value!r}")
+    for name in ("daring", "damping", "gain", "smallest_step"):
+        value = getattr(polish, name)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
+            raise InputError(f"{where}: {_POLISH}{name} must be a number from 0, not {value!r}")
+    if polish.damping == 0:
+        raise InputError(f"{where}: {_POLISH}damping must be above 0")
+
+
+def _check_whole(name: str, value: Any, where: str, least: int = 1) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise InputError(f"{where}: {name} must be a whole number from {least}, not {value!r}")
 
 
 @dataclass(frozen=True)
@@ -232,18 +285,51 @@ class ResolvedStage:
         return (2 if normal == "hemisphere" else 3) if parameter.is_normal else parameter.components
 
 
-def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tuple[ResolvedStage, ...]:
-    """Return the stages that a model's unknown parameters leave to be done, for all cycles. Raises InputError."""
+@dataclass(frozen=True)
+class ResolvedPolish:
+    """The polish for one model: the parameters that are found together, and where to begin besides the estimate."""
+
+    parameters: tuple[Parameter, ...]
+    polish: Polish
+    starts: tuple[Start, ...]
+
+    title = "polish"
+
+    @property
+    def iterations(self) -> int:
+        """How many steps are made in all."""
+        settings = self.polish
+        from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
+        return from_starts + settings.iterations + settings.rounds * settings.round_iterations
+
+
+def _resolve_polish(
+    polish: Polish, model: ReflectanceModel, parameters: tuple[Parameter, ...]
+) -> tuple[ResolvedPolish, ...]:
+    if polish.iterations == 0:
+        return ()
+    names = {p.name for p in parameters}
+    starts = (tuple(row for row in start if row[0] in names) for start in model.starts if polish.starts)
+    return (ResolvedPolish(parameters, polish, tuple(dict.fromkeys(start for start in starts if start))),)
+
+
+def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tuple[ResolvedStage | ResolvedPolish, ...]:
+    """Return the stages that a model's unknown parameters leave to be done, for all cycles, and the polish after them.
+
+    Raises InputError.
+    """
     names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
     asked = {name for stage in schedule.stages for name in stage.search}
     if unknown := sorted(asked - names - _USUAL_STAGES - {ALL, REST}):
         offered = ", ".join(p.name for p in model.parameters)
         raise InputError(f"search: model {model.name} has no parameter or stage '{unknown[0]}'; it has: {offered}")
-    resolved = []
+    resolved: list[ResolvedStage | ResolvedPolish] = []
+    found: set[str] = set()
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
             wanted = [p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)]
-            if not wanted:
+            found |= {p.name for p in wanted}
+            if not wanted or stage.iterations == 0:
                 continue
             closed = {p.name for p in wanted if p.kind == "linear" and p.name in model.bases}
             closed = closed if schedule.swarm.linear == "solve" else set()
@@ -259,6 +345,8 @@ def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tup
                     " search fewer, give some as known, or search the normal on the hemisphere"
                 )
             resolved.append(result)
+    if found:
+        resolved += _resolve_polish(schedule.polish, model, tuple(p for p in model.parameters if p.name in found))
     if not resolved:
         raise InputError("search: nothing is left to find; every parameter searched is given as known")
     return tuple(resolved)

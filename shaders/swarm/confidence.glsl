@@ -2,20 +2,11 @@
 // all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table.
 // Writes o_deviation_0 …, packed as the estimates are: a number a component, in the parameter's own units; the first
 // component of a normal has the root of its two tangent variances, in radians, the others 0.
-//
-// unknowns.glsl is generated: void unknown_at(int u, out int component, out float low, out float width).
-// UNKNOWNS are counted, the normal as two that follow each other from NORMAL_UNKNOWN on (−1 where it was given);
-// NORMAL_COMPONENT is where it lies in the estimates.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
 #include "model.glsl"
-#include "unknowns.glsl"
-
-// Steps of the differences, of a parameter's range. The stencil's own error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe
-// of m = 0.05; rounding leaves about 2⁻²⁵ / 2⁻¹¹ = 2⁻¹⁴ of the radiance.
-#define STEP (1.0 / 1024.0)
-#define DIFFERENCE_ROUNDING (1.0 / 16384.0)
+#include "swarm/differences.glsl"
 
 // The normal matrix squares the condition of J: after hundreds of samples in float32, what is left of a diagonal below
 // 2⁻¹⁸ of it is not told from nothing. Against float64, on random two-lobe and principled materials: at noise of 1e-3
@@ -23,38 +14,8 @@
 // are fewer than 1 in 50.
 #define SINGULAR (1.0 / 262144.0)
 
-// The material, changed by moving unknown u by a fraction of its range; it stays inside, as everything that is tried.
-Material moved(inout float given[12], int u, float by)
-{
-    // A copy: arrays go by reference everywhere in these shaders, since Metal has no arrays by value.
-    float c[12];
-    for (int i = 0; i < 12; i++) {
-        c[i] = given[i];
-    }
-    int at;
-    float low;
-    float width;
-    unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
-        vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
-        // Any axis will do, and the sum of the two variances does not depend on it.
-        vec3 axis = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
-        axis = u == NORMAL_UNKNOWN ? axis : cross(n, axis);
-        // tan stands for the angle: 1e-6 of it at this step.
-        float angle = by * width;
-        n = (n + angle * axis) * inversesqrt(1.0 + angle * angle);
-        c[NORMAL_COMPONENT] = n.x;
-        c[NORMAL_COMPONENT + 1] = n.y;
-        c[NORMAL_COMPONENT + 2] = n.z;
-        return material_from(c);
-    }
-#endif
-    c[at] = clamp(c[at] + by * width, low, low + width);
-    return material_from(c);
-}
-
-// Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward.
+// Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward. The stencil's own
+// error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
 vec2 steps_of(inout float c[12], int u)
 {
     int at;

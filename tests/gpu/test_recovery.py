@@ -11,7 +11,7 @@ from irpso_addon.geometry.domain import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.recovery import Recovery
 from irpso_addon.solver.schedule import load_schedule
-from tests.swarm_subjects import SHORT, bits_of, recoveries, subject
+from tests.swarm_subjects import SHORT, bits_of, recoveries, run_tiled, subject
 
 LAMBERT = load_model("lambert")
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -109,42 +109,6 @@ def test_a_seed_that_the_gpu_cannot_hold_is_refused(recover, seed):
 def test_the_outermost_seeds_are_taken(recover):
     for seed in (2**31 - 1, -(2**31)):
         assert recover(subject(5, 4)[0], seed=seed).step().done
-
-
-def tiles_of(domain, halo):
-    """Cut a domain of 17×13 into tiles of uneven sizes; return them with their places."""
-    cuts = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 3), (5, 8, 11, 5), (16, 8, 1, 5)]
-    return [(cut, tile(domain, *cut, halo=halo)) for cut in cuts]
-
-
-def exchange_halos(domain, runs):
-    """Give every tile what the others have found."""
-    bests = np.full((*domain.shape, runs[0][1].halo().shape[-1]), np.nan, np.float32)
-    for (x, y, w, h), recovery in runs:
-        left, _, bottom, _ = recovery.domain.halo
-        bests[y : y + h, x : x + w] = recovery.halo()[bottom : bottom + h, left : left + w]
-    for _, recovery in runs:
-        x, y = recovery.domain.origin
-        h, w = recovery.domain.shape
-        recovery.set_halo(bests[y : y + h, x : x + w])
-
-
-def run_tiled(domain, model, schedule, recover, halo, entry="fragment"):
-    """Recover every tile, exchanging bests before every iteration that reads them; return the maps put together."""
-    runs = [(cut, recover(part, model, schedule, entry=entry)) for cut, part in tiles_of(domain, halo)]
-    for _, recovery in runs:
-        recovery.step(iterations=0)
-    while not runs[0][1].progress.done:
-        if runs[0][1].reach > 0:
-            exchange_halos(domain, runs)
-        for _, recovery in runs:
-            recovery.step(iterations=1)
-    values = {p.name: np.zeros((*domain.shape, p.components), np.float32) for p in model.parameters}
-    for (x, y, w, h), recovery in runs:
-        left, _, bottom, _ = recovery.domain.halo
-        for name, value in recovery.maps().values.items():
-            values[name][y : y + h, x : x + w] = value[bottom : bottom + h, left : left + w]
-    return {name: np.ascontiguousarray(value[domain.solvable]).tobytes() for name, value in values.items()}
 
 
 @pytest.mark.parametrize(("window", "entry"), [(3, "fragment"), (5, "fragment"), (5, "compute")])

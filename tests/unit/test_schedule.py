@@ -7,7 +7,8 @@ import pytest
 from irpso_addon.errors import InputError
 from irpso_addon.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.schedule import Stage, load_schedule, resolve, shipped_presets
+from irpso_addon.solver.polish import tracks_of
+from irpso_addon.solver.schedule import ResolvedPolish, Stage, load_schedule, resolve, shipped_presets
 from irpso_addon.solver.stage import neighbour_constant, particle_count
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
@@ -198,3 +199,83 @@ def test_the_neighbour_term_fades_to_nothing_or_stays():
     assert [neighbour_constant(fading, t, 100) for t in (-3, 0, 25, 50, 99)] == pytest.approx([0.1, 0.1, 0.05, 0, 0])
     constant = fading.replaced(c3_until=0.0)
     assert [neighbour_constant(constant, t, 100) for t in (0, 99)] == [0.1, 0.1]
+
+
+# ---- the polish --------------------------------------------------------------------------------------------------
+
+
+def with_polish(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(SWARM + "\n" + text)
+    return path
+
+
+POLISH = """[polish]
+iterations = 20
+starts = true
+start_iterations = 5
+rounds = 2
+round_iterations = 4
+daring = 1.0
+damping = 0.01
+gain = 1e-5
+smallest_step = 1e-5
+central = false
+"""
+
+
+def test_a_preset_without_a_polish_has_none():
+    assert load_schedule("paper").polish.iterations == 0
+    stages = resolve(load_schedule("swarm"), load_model("principled"), set())
+    assert [stage.title for stage in stages if isinstance(stage, ResolvedPolish)] == []
+
+
+def test_a_polish_comes_last_and_counts_all_its_steps(tmp_path):
+    stages = resolve(load_schedule(with_polish(tmp_path, POLISH)), load_model("principled"), {"base_color"})
+    polish = stages[-1]
+    assert isinstance(polish, ResolvedPolish) and polish.title == "polish"
+    assert [p.name for p in polish.parameters] == ["normal", "roughness", "specular"]
+    # Five steps from the estimate and from each of three starts, twenty from the best, four after each of two rounds.
+    assert polish.iterations == 5 * 4 + 20 + 2 * 4
+    assert sum(track.iterations for track in tracks_of(polish.polish, len(polish.starts))) == polish.iterations
+
+
+def test_starts_tell_only_of_what_is_searched(tmp_path):
+    schedule = load_schedule(with_polish(tmp_path, POLISH))
+    only = resolve(schedule.replaced(search=["normal", "roughness"]), load_model("principled"), set())[-1]
+    assert [dict(start) for start in only.starts] == [{"roughness": (r,)} for r in (0.15, 0.3, 0.5)]
+    assert resolve(schedule.replaced(search=["normal"]), load_model("principled"), set())[-1].starts == ()
+    assert resolve(schedule, load_model("lambert"), set())[-1].iterations == 20 + 2 * 4
+    assert resolve(schedule.replaced(polish_starts=False), load_model("principled"), set())[-1].iterations == 20 + 2 * 4
+
+
+def test_a_schedule_may_be_a_polish_and_nothing_else():
+    alone = load_schedule("swarm").replaced(iterations=0, polish_iterations=7, polish_rounds=0, polish_starts=False)
+    stages = resolve(alone, load_model("lambert"), set())
+    assert [(stage.title, stage.iterations) for stage in stages] == [("polish", 7)]
+    with pytest.raises(InputError, match="no stage has iterations"):
+        load_schedule("swarm").replaced(iterations=0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"polish_iterations": -1}, "polish_iterations must be a whole number from 0, not -1"),
+        ({"polish_rounds": 1.5}, "polish_rounds must be a whole number from 0"),
+        ({"polish_start_iterations": 0}, "polish_start_iterations must be a whole number from 1"),
+        ({"polish_starts": 1}, "polish_starts must be true or false, not 1"),
+        ({"polish_damping": 0.0}, "polish_damping must be above 0"),
+        ({"polish_gain": "much"}, "polish_gain must be a number from 0"),
+        ({"polish_steps": 3}, "there is no setting 'polish_steps'"),
+    ],
+)
+def test_a_polish_that_cannot_be_is_refused(settings, message):
+    with pytest.raises(InputError, match=message):
+        load_schedule("swarm").replaced(**settings)
+
+
+def test_a_polish_of_a_preset_is_set_whole(tmp_path):
+    with pytest.raises(InputError, match=r"\[polish\]: 'gain' is not set"):
+        load_schedule(with_polish(tmp_path, POLISH.replace("gain = 1e-5\n", "")))
+    with pytest.raises(InputError, match=r"\[polish\]: unknown key 'steps'"):
+        load_schedule(with_polish(tmp_path, POLISH + "steps = 3\n"))

@@ -1,0 +1,204 @@
+"""The polish under way: Levenberg–Marquardt at every texel, from several starts and from what neighbours have found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..gpu import textures
+from ..gpu.bands import Bands
+from ..gpu.passes import Entry, Pass
+from ..reflectance.model import ReflectanceModel
+from .polish_kernels import build_polish_passes
+from .reader import Reader
+from .schedule import Polish, ResolvedPolish, Schedule
+from .state import HALO, SOLVED, DomainTextures, Estimates, texel_states
+
+SPREAD = -2  # in place of a start: what the neighbours offer
+BEST = -1  # in place of a start: the best so far, its damping and all
+
+
+@dataclass(frozen=True)
+class Track:
+    """Steps made from one start: the index of the model's, or BEST or SPREAD."""
+
+    start: int
+    iterations: int
+
+
+def tracks_of(polish: Polish, starts: int) -> tuple[Track, ...]:
+    """Return what is polished one after the other; after each, every texel keeps the best that it has had."""
+    several = [Track(start, polish.start_iterations) for start in range(BEST, starts)] if starts else []
+    spreads = [Track(SPREAD, polish.round_iterations)] * polish.rounds
+    return (*several, Track(BEST, polish.iterations), *spreads)
+
+
+class RunningPolish:
+    """The polish of a recovery, a Phase.
+
+    Every texel has a best material so far, and one that is worked on; both with its fitness, its damping, and for how
+    long it has been done (shaders/swarm/polish_state.glsl).
+    """
+
+    def __init__(
+        self,
+        resolved: ResolvedPolish,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+    ):
+        self.title, self.iterations = resolved.title, resolved.iterations
+        self.iteration = 0
+        self._schedule, self._domain, self._estimates = schedule, domain, estimates
+        self._components = model.components
+        self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry)
+        self._tracks = tracks_of(resolved.polish, len(resolved.starts))
+        self._reader = Reader(entry)
+        count = estimates.count + 1
+        self._sets = [[textures.empty(*estimates.size) for _ in range(count)] for _ in range(3)]
+        self._kept = textures.empty(*estimates.size)  # the status beside what has been resolved
+        status = textures.empty(*estimates.size, value=0.0)
+        self.best = self._sets[0]
+        self._run(self.passes.begin, self.best, {**estimates.bindings(), "u_status": status}, BEST)
+        self.work = self.best
+
+    @property
+    def done(self) -> bool:
+        """Whether all iterations have been made."""
+        return self.iteration >= self.iterations
+
+    @property
+    def evaluations(self) -> int:
+        """Renders of all observations that the next iteration makes at a texel, unless that is done already."""
+        track, made = self._track()
+        return self.passes.evaluations + (self.passes.offers if track.start == SPREAD and made == 0 else 0)
+
+    @property
+    def reach(self) -> int:
+        """1 where the next iteration begins with what the neighbours have found."""
+        track, made = self._track()
+        return 1 if track.start == SPREAD and made == 0 and not self.done else 0
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        track, made = self._track()
+        if made == 0:
+            yield from self._begin(track, bands, seconds)
+        target = self._spare()
+        yield from self._banded("polish", self.passes.step, target, self._bindings(self.work), bands, seconds)
+        self.work = target
+        if made == track.iterations - 1:
+            target = self._spare()
+            self._run(self.passes.keep, target, self._kept_from())
+            self.best = self.work = target
+        self.iteration += 1
+
+    def resolve(self) -> None:
+        """Put the better of the best so far and what is worked on into the resolved estimates."""
+        self._run(self.passes.keep, [*self._estimates.resolved, self._kept], self._kept_from())
+
+    def fence(self) -> None:
+        """Wait until the last pass of an iteration is done."""
+        self.passes.step.fence(self.work)
+
+    def reached(self, threshold: float) -> bool:
+        """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""
+        self.resolve()
+        moved = texel_states(self._domain.domain) == SOLVED
+        fitness = self._domain.packing.unpack(textures.download(self._kept)[..., 0])
+        return bool((fitness[moved] <= threshold).all())
+
+    def spent(self) -> int:
+        """Return how many renders of all observations were made, over all texels: one that is done costs nothing."""
+        self.resolve()
+        return int(textures.download(self._kept)[..., 3].sum(dtype=np.float64))
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n) float32 over the domain: every texel's best material; NaN where none is solved."""
+        self.resolve()
+        packed = np.concatenate([textures.download(t) for t in self._estimates.resolved], axis=-1)
+        return self._domain.packing.unpack(packed[..., : self._components], np.nan)
+
+    def take_halo(self, values: np.ndarray) -> None:
+        """Take (H, W, n) materials as the best ones of the texels that belong to neighbouring tiles."""
+        packing = self._domain.packing
+        theirs = packing.pack(texel_states(self._domain.domain)) == HALO
+        given = packing.pack(values)
+        given = np.pad(given, ((0, 0), (0, 0), (0, 4 * self._estimates.count - given.shape[-1])))
+        for i in range(self._estimates.count):
+            part = np.where(theirs[..., None], given[..., 4 * i : 4 * i + 4], self._reader.read(self.best[i]))
+            self.best[i] = textures.upload(part.astype(np.float32))
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that outlives an iteration."""
+        sets = {"best": self.best, "work": self.work}
+        return {f"{name}_{i}": self._reader.read(t) for name, held in sets.items() for i, t in enumerate(held)}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Go on from what ``state`` returned at an iteration."""
+        for held, name in zip(self._sets, ("best", "work"), strict=False):
+            held[:] = [textures.upload(arrays[f"{name}_{i}"]) for i in range(len(held))]
+        self.best, self.work = self._sets[:2]
+        self.iteration = iteration
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        self.passes.close()
+        self._reader.close()
+        self._sets = self._kept = self.best = self.work = None
+
+    def _track(self) -> tuple[Track, int]:
+        """The track of the next iteration, and how many of its own have been made."""
+        made = self.iteration
+        for track in self._tracks:
+            if made < track.iterations:
+                return track, made
+            made -= track.iterations
+        return self._tracks[-1], made
+
+    def _begin(self, track: Track, bands: Bands, seconds: float) -> Iterator[None]:
+        if track.start == BEST:
+            self.work = self.best
+            return
+        target = self._spare()
+        if track.start == SPREAD:
+            yield from self._banded("spread", self.passes.spread, target, self._bindings(self.best), bands, seconds)
+        else:
+            self._run(self.passes.begin, target, self._bindings(self.best), track.start)
+        self.work = target
+
+    def _spare(self) -> list[Any]:
+        """A set of textures that holds nothing needed."""
+        return next(held for held in self._sets if held is not self.best and held is not self.work)
+
+    def _bindings(self, held: list[Any]) -> dict[str, Any]:
+        return {**{f"u_estimate_{i}": t for i, t in enumerate(held[:-1])}, "u_status": held[-1]}
+
+    def _kept_from(self) -> dict[str, Any]:
+        work = {f"u_work_{i}": t for i, t in enumerate(self.work[:-1])}
+        return {**self._bindings(self.best), **work, "u_work_status": self.work[-1]}
+
+    def _constants(self, start: int = BEST) -> dict[str, int | float]:
+        domain = self._domain.domain
+        return {
+            "u_observations": domain.observations,
+            "u_delta": self._schedule.fitness.delta * float(domain.intensities.mean()),
+            "u_start": start,
+        }
+
+    def _run(self, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST) -> None:
+        work.run(targets, {**inputs, **self._domain.textures}, self._constants(start))
+
+    def _banded(
+        self, name: str, work: Pass, targets: list[Any], inputs: dict[str, Any], bands: Bands, seconds: float
+    ) -> Iterator[None]:
+        given, constants = {**inputs, **self._domain.textures}, self._constants()
+        return bands.run(
+            name, targets[0].height, seconds, lambda rows: work.run(targets, given, constants, rows),
+            lambda: work.fence(targets),
+        )  # fmt: skip

@@ -1,0 +1,81 @@
+"""The kernels of the polish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..gpu.passes import Entry, Kernel, Output, Pass
+from ..reflectance.model import ReflectanceModel
+from .kernels import (
+    FLOAT_2D,
+    GEOMETRY,
+    LOSSES,
+    OBSERVATIONS,
+    PACKING,
+    estimate_defines,
+    estimate_outputs,
+    estimate_samplers,
+    model_includes,
+)
+from .schedule import Fitness, ResolvedPolish
+from .unknowns import build_slopes, build_starts
+
+CANDIDATES = 3  # dampings that are tried together
+_OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
+_FITNESS = {"u_observations": "INT", "u_delta": "FLOAT"}
+
+
+@dataclass(frozen=True)
+class PolishPasses:
+    """The compiled passes of a polish. evaluations: renders of all observations of a step; offers: of a spread.
+
+    ``keep`` is always a fragment pass: what it wrote may be read back.
+    """
+
+    begin: Pass
+    step: Pass
+    spread: Pass
+    keep: Pass
+    evaluations: int
+    offers: int
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for work in (self.begin, self.step, self.spread, self.keep):
+            work.close()
+
+
+def build_polish_passes(
+    model: ReflectanceModel, resolved: ResolvedPolish, fitness: Fitness, domain_defines: dict[str, int], entry: Entry
+) -> PolishPasses:
+    """Compile the passes of a polish."""
+    settings = resolved.polish
+    unknowns = build_slopes(model, {p.name for p in model.parameters} - {p.name for p in resolved.parameters})
+    stepped = unknowns.defines["STEPPED"] * (2 if settings.central else 1)
+    # The bases of the linear parameters make up another render.
+    evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    defines = {
+        **domain_defines, **unknowns.defines, **estimate_defines(model),
+        "FITNESS": LOSSES[fitness.loss], "CANDIDATES": CANDIDATES, "EVALUATIONS": evaluations,
+        "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
+        "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
+        **({"CENTRAL": 1} if settings.central else {}),
+    }  # fmt: skip
+    given = {
+        **model_includes(model), "unknowns.glsl": unknowns.source, "starts.glsl": build_starts(model, resolved.starts)
+    }  # fmt: skip
+    outputs = (*estimate_outputs(model), Output("o_status"))
+    held = {**estimate_samplers(model), "u_status": FLOAT_2D}
+    work = {f"u_work_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
+
+    def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
+        return Pass(Kernel(f"swarm/{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
+
+    return PolishPasses(
+        begin=make("polish_begin", GEOMETRY, {"u_start": "INT"}),
+        step=make("polish", OBSERVATIONS, _FITNESS),
+        spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, _FITNESS),
+        keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
+        evaluations=evaluations,
+        offers=_OFFERS[unknowns.defines["SEARCHED"] > 0],
+    )

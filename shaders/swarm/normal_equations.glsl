@@ -1,0 +1,90 @@
+// Damped normal equations inside a box: the step of Levenberg and Marquardt.
+// Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters; its scaling makes λ relative to the
+// diagonal. a holds JᵀWJ, of unit diagonal (upper triangle), slope JᵀWe likewise scaled.
+
+// A pivot under 2⁻²⁰ of the unit diagonal is rounding after hundreds of samples in float32: that unknown stays.
+#define PIVOT (1.0 / 1048576.0)
+
+// Solves (A + λ) y = −slope for the unknowns that are free; held ones keep their y. Cholesky: A + λ = L D Lᵀ.
+void solve_damped(inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS], float lambda,
+                  inout bool held[UNKNOWNS], inout float y[UNKNOWNS])
+{
+    float l[UNKNOWNS * UNKNOWNS];
+    float pivot[UNKNOWNS];
+    float right[UNKNOWNS];
+    bool idle[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        right[i] = -slope[i];
+        for (int k = 0; k < UNKNOWNS; k++) {
+            if (held[k] && k != i) {
+                right[i] -= a[min(i, k) * UNKNOWNS + max(i, k)] * y[k];
+            }
+        }
+    }
+    for (int j = 0; j < UNKNOWNS; j++) {
+        float d = 1.0 + lambda;
+        for (int k = 0; k < j; k++) {
+            d -= idle[k] ? 0.0 : l[j * UNKNOWNS + k] * l[j * UNKNOWNS + k] * pivot[k];
+        }
+        idle[j] = held[j] || !(d > PIVOT);
+        pivot[j] = idle[j] ? 1.0 : d;
+        for (int i = j + 1; i < UNKNOWNS; i++) {
+            float sum = a[j * UNKNOWNS + i];
+            for (int k = 0; k < j; k++) {
+                sum -= idle[k] ? 0.0 : l[i * UNKNOWNS + k] * l[j * UNKNOWNS + k] * pivot[k];
+            }
+            l[i * UNKNOWNS + j] = idle[j] ? 0.0 : sum / pivot[j];
+        }
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int k = 0; k < i; k++) {
+            right[i] -= idle[k] ? 0.0 : l[i * UNKNOWNS + k] * right[k];
+        }
+    }
+    for (int i = UNKNOWNS - 1; i >= 0; i--) {
+        float sum = right[i] / pivot[i];
+        for (int k = i + 1; k < UNKNOWNS; k++) {
+            sum -= idle[k] ? 0.0 : l[k * UNKNOWNS + i] * y[k];
+        }
+        if (!held[i]) {
+            y[i] = idle[i] ? 0.0 : sum;
+        }
+    }
+}
+
+// How often the set of unknowns that lie on an end of their range is found anew; what leaves it still is cut off.
+#define BOX_ROUNDS 3
+
+// The step inside the box, in fractions of the ranges: least and most are how far each unknown may go. An unknown whose
+// step would leave the box goes to its end, and the others are solved for again.
+void boxed_step(inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS], inout float norm[UNKNOWNS],
+                float lambda, inout float least[UNKNOWNS], inout float most[UNKNOWNS], out float step_by[UNKNOWNS])
+{
+    bool held[UNKNOWNS];
+    float y[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        // What the render does not depend on stays; so does what stands at an end and would go on.
+        held[i] = norm[i] == 0.0 || (slope[i] > 0.0 && least[i] >= 0.0) || (slope[i] < 0.0 && most[i] <= 0.0);
+        y[i] = 0.0;
+    }
+    for (int round = 0; round < BOX_ROUNDS; round++) {
+        solve_damped(a, slope, lambda, held, y);
+        bool inside = true;
+        for (int i = 0; i < UNKNOWNS; i++) {
+            float by = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
+            if (!held[i] && (by < least[i] || by > most[i])) {
+                y[i] = norm[i] * clamp(by, least[i], most[i]);
+                held[i] = true;
+                inside = false;
+            }
+        }
+        if (inside) {
+            break;
+        }
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        float by = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
+        // Written so that NaN is no step.
+        step_by[i] = abs(by) <= 1e6 ? clamp(by, least[i], most[i]) : 0.0;
+    }
+}

@@ -1,0 +1,250 @@
+// Over W×H texels: one iteration of Levenberg and Marquardt, by iteratively reweighted least squares for the losses that
+// are not squares. Reads the working estimates, u_status, the geometry and the sample stack; writes both anew.
+//
+// The first loop over the observations adds up JᵀWJ and JᵀWe, the second renders the steps of CANDIDATES dampings, so
+// that an observation is read twice an iteration. Linear parameters have their basis for a derivative, the others a
+// difference: unknowns.glsl is generated for both (solver/unknowns.py).
+
+#include "swarm/fitness.glsl"
+#include "swarm/polish_state.glsl"
+#include "swarm/differences.glsl"
+#include "swarm/normal_equations.glsl"
+
+// The ratio of the dampings that are tried together, and their bounds: below 2⁻²⁰ damping is lost in rounding.
+#define RATIO 8.0
+#define LEAST_DAMPING (1.0 / 1048576.0)
+#define MOST_DAMPING 1e6
+
+struct Sums {
+    float fitness;
+    float weights;
+};
+
+// Of what unknown u may become, in fractions of its range from where it is; a normal may go anywhere.
+vec2 room_of(inout float c[12], int u)
+{
+    int at;
+    float low;
+    float width;
+    unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        return vec2(-1.0, 1.0);
+    }
+#endif
+    float x = (c[at] - low) / width;
+    return vec2(-x, 1.0 - x);
+}
+
+// Adds up JᵀWJ (upper triangle; J per range) and JᵀWe, and the fitness of the material as it is.
+Sums linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float slope[UNKNOWNS])
+{
+    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
+        a[i] = 0.0;
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        slope[i] = 0.0;
+    }
+    Material s = material_from(c);
+    Material ahead[STEPPED_ROOM];
+    float by[STEPPED_ROOM];
+#ifdef CENTRAL
+    Material behind[STEPPED_ROOM];
+#endif
+    for (int i = 0; i < STEPPED; i++) {
+        int u = stepped_at(i);
+        vec2 room = room_of(c, u);
+        // Away from the nearer end of the range.
+        by[i] = room.y >= -room.x ? STEP : -STEP;
+        ahead[i] = moved(c, u, by[i]);
+#ifdef CENTRAL
+        float back = clamp(-by[i], room.x, room.y);
+        behind[i] = moved(c, u, back);
+        by[i] -= back;
+#endif
+    }
+    float scale = loss_scale(texel);
+    Sums sums = Sums(0.0, 0.0);
+    for (int k = 0; k < u_observations; k++) {
+        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
+        if (reference.a <= 0.0) {
+            continue;
+        }
+        vec3 intensity;
+        vec3 l = light_at(f, k, intensity);
+        vec3 v = view_at(f, k);
+        vec3 render = reflectance(s, l, v);
+        vec3 error = intensity * render - reference.rgb;
+        sums.fitness += reference.a * loss_of(scale * error);
+        sums.weights += reference.a;
+        vec3 weight = reference.a * loss_weight(scale * error);
+        vec3 slopes[UNKNOWNS];
+        linear_slopes(s, l, v, slopes);
+        for (int i = 0; i < STEPPED; i++) {
+#ifdef CENTRAL
+            slopes[stepped_at(i)] = (reflectance(ahead[i], l, v) - reflectance(behind[i], l, v)) / by[i];
+#else
+            slopes[stepped_at(i)] = (reflectance(ahead[i], l, v) - render) / by[i];
+#endif
+        }
+        for (int row = 0; row < UNKNOWNS; row++) {
+            vec3 weighted = weight * intensity * slopes[row];
+            slope[row] += dot(weighted, error);
+            weighted *= intensity;
+            for (int column = row; column < UNKNOWNS; column++) {
+                a[row * UNKNOWNS + column] += dot(weighted, slopes[column]);
+            }
+        }
+    }
+    return sums;
+}
+
+// The components after a step of all unknowns; the normal stays on its hemisphere.
+void stepped(inout float given[12], inout float by[UNKNOWNS], out float c[12])
+{
+    for (int i = 0; i < 12; i++) {
+        c[i] = given[i];
+    }
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+            continue;
+        }
+#endif
+        c[at] = clamp(c[at] + by[u] * width, low, low + width);
+    }
+#if NORMAL_UNKNOWN >= 0
+    int at;
+    float low;
+    float width;
+    unknown_at(NORMAL_UNKNOWN, at, low, width);
+    vec3 n = vec3(c[at], c[at + 1], c[at + 2]);
+    n = turned_normal(n, width * vec2(by[NORMAL_UNKNOWN], by[NORMAL_UNKNOWN + 1]));
+    n = normalize(vec3(n.xy, max(n.z, 0.0)));
+    c[at] = n.x;
+    c[at + 1] = n.y;
+    c[at + 2] = n.z;
+#endif
+}
+
+// Interchangeable lobes stay in rising order.
+void order_lobes(inout float c[12])
+{
+#ifdef LOBE_FIRST
+    if (c[LOBE_FIRST] > c[LOBE_SECOND]) {
+        float kept = c[LOBE_FIRST];
+        c[LOBE_FIRST] = c[LOBE_SECOND];
+        c[LOBE_SECOND] = kept;
+#ifdef LOBE_WEIGHT
+        c[LOBE_WEIGHT] = 1.0 - c[LOBE_WEIGHT];
+#endif
+    }
+#endif
+}
+
+void improve(ivec2 texel, inout float c[12], inout vec4 status)
+{
+    Frame f = frame_at(texel);
+    float a[UNKNOWNS * UNKNOWNS];
+    float slope[UNKNOWNS];
+    Sums sums = linearise(texel, f, c, a, slope);
+    float before = sums.fitness / (3.0 * sums.weights);
+    status.w += float(EVALUATIONS);
+    // Written so that NaN ends here too: nothing can be made better than what has no fitness.
+    if (!(sums.weights > 0.0 && before < UNFIT)) {
+        status.x = UNFIT;
+        status.z = CALM;
+        return;
+    }
+    float norm[UNKNOWNS];
+    float least[UNKNOWNS];
+    float most[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        norm[i] = sqrt(a[i * UNKNOWNS + i]);
+        vec2 room = room_of(c, i);
+        least[i] = room.x;
+        most[i] = room.y;
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        slope[i] = norm[i] > 0.0 ? slope[i] / norm[i] : 0.0;
+        for (int k = i; k < UNKNOWNS; k++) {
+            float both = norm[i] * norm[k];
+            a[i * UNKNOWNS + k] = both > 0.0 ? a[i * UNKNOWNS + k] / both : 0.0;
+        }
+    }
+    Material tried[CANDIDATES];
+    float lambda[CANDIDATES];
+    float size[CANDIDATES];
+    float sum[CANDIDATES];
+    float damping = status.y / RATIO;
+    for (int p = 0; p < CANDIDATES; p++) {
+        lambda[p] = clamp(damping, LEAST_DAMPING, MOST_DAMPING);
+        damping *= RATIO;
+        float by[UNKNOWNS];
+        boxed_step(a, slope, norm, lambda[p], least, most, by);
+        size[p] = 0.0;
+        for (int u = 0; u < UNKNOWNS; u++) {
+            size[p] = max(size[p], abs(by[u]));
+        }
+        float candidate[12];
+        stepped(c, by, candidate);
+        tried[p] = material_from(candidate);
+        sum[p] = 0.0;
+    }
+    float scale = loss_scale(texel);
+    for (int k = 0; k < u_observations; k++) {
+        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
+        if (reference.a <= 0.0) {
+            continue;
+        }
+        vec3 intensity;
+        vec3 l = light_at(f, k, intensity);
+        vec3 v = view_at(f, k);
+        for (int p = 0; p < CANDIDATES; p++) {
+            vec3 error = intensity * reflectance(tried[p], l, v) - reference.rgb;
+            sum[p] += reference.a * loss_of(scale * error);
+        }
+    }
+    int chosen = -1;
+    float best = before;
+    for (int p = 0; p < CANDIDATES; p++) {
+        float fitness = sum[p] / (3.0 * sums.weights);
+        if (fitness < best) {
+            best = fitness;
+            chosen = p;
+        }
+    }
+    float gain = (before - best) / before;
+    status.x = best;
+    if (chosen < 0) {
+        // None was better: the damping jumps past all that were tried.
+        status.y = min(lambda[CANDIDATES - 1] * RATIO * RATIO, MOST_DAMPING);
+        status.z += 1.0;
+        return;
+    }
+    for (int p = 0; p < CANDIDATES; p++) {
+        if (p == chosen) {
+            material_to(tried[p], c);
+            order_lobes(c);
+            status.y = lambda[p];
+            status.z = gain < GAIN || size[p] < SMALLEST_STEP ? status.z + 1.0 : 0.0;
+        }
+    }
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    float c[12];
+    material_to(estimate_at(texel), c);
+    vec4 status = texelFetch(u_status, texel, 0);
+    if (state_at(texel) == TEXEL_SOLVED && status.z < CALM) {
+        improve(texel, c, status);
+    }
+    write_estimate(material_from(c));
+    o_status = status;
+    return true;
+}

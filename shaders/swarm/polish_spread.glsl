@@ -1,0 +1,113 @@
+// Over W×H texels: tries what the neighbours have found. Each of the four texels beside this one offers its whole
+// material, its normal turned into this texel's frame, and its searched numbers alone, with this texel's own normal and
+// linear weights. The best of them is taken, to be polished, where its fitness is under DARING times this texel's own;
+// elsewhere nothing is left to be done. Reads the best estimates so far, u_status and the packing.
+
+#include "common/packing.glsl"
+#include "swarm/fitness.glsl"
+#include "swarm/polish_state.glsl"
+#include "unknowns.glsl"
+
+// The four texels beside this one, each twice.
+#if SEARCHED > 0
+#define OFFERS 8
+#else
+#define OFFERS 4
+#endif
+
+Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
+{
+    float c[12];
+    float theirs[12];
+    material_to(estimate_at(other), theirs);
+    for (int i = 0; i < 12; i++) {
+        c[i] = own[i];
+    }
+    bool whole = kind == 0;
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+            continue;
+        }
+#endif
+        c[at] = whole || searched(u) ? theirs[at] : own[at];
+    }
+#if NORMAL_UNKNOWN >= 0
+    if (whole) {
+        int at = NORMAL_COMPONENT;
+        vec3 n = to_local(f, to_world(frame_at(other), vec3(theirs[at], theirs[at + 1], theirs[at + 2])));
+        // 1e-12: a neighbour's normal that points straight away from this texel's hemisphere.
+        n.z = max(n.z, 0.0);
+        n = dot(n, n) > 1e-12 ? normalize(n) : vec3(0.0, 0.0, 1.0);
+        c[at] = n.x;
+        c[at + 1] = n.y;
+        c[at + 2] = n.z;
+    }
+#endif
+    return material_from(c);
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    Material own = estimate_at(texel);
+    vec4 status = texelFetch(u_status, texel, 0);
+    o_status = vec4(status.xy, CALM, status.w);
+    write_estimate(own);
+    if (state_at(texel) != TEXEL_SOLVED) {
+        return true;
+    }
+    float c[12];
+    material_to(own, c);
+    Frame f = frame_at(texel);
+    ivec2 place = place_of(texel);
+    Material tried[OFFERS];
+    float sum[OFFERS];
+    bool there[OFFERS];
+    for (int p = 0; p < OFFERS; p++) {
+        int side = p % 4;
+        ivec2 by = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
+        ivec2 other = packed_at(place + by);
+        there[p] = other.x >= 0;
+        tried[p] = own;
+        sum[p] = 0.0;
+        if (there[p]) {
+            tried[p] = offer_of(other, f, p / 4, c);
+        }
+    }
+    float weights = 0.0;
+    float scale = loss_scale(texel);
+    for (int k = 0; k < u_observations; k++) {
+        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
+        if (reference.a <= 0.0) {
+            continue;
+        }
+        vec3 intensity;
+        vec3 l = light_at(f, k, intensity);
+        vec3 v = view_at(f, k);
+        for (int p = 0; p < OFFERS; p++) {
+            vec3 error = intensity * reflectance(tried[p], l, v) - reference.rgb;
+            sum[p] += reference.a * loss_of(scale * error);
+        }
+        weights += reference.a;
+    }
+    o_status.w += float(OFFERS);
+    float least = DARING * status.x * 3.0 * weights;
+    int chosen = -1;
+    for (int p = 0; p < OFFERS; p++) {
+        if (there[p] && sum[p] < least) {
+            least = sum[p];
+            chosen = p;
+        }
+    }
+    for (int p = 0; p < OFFERS; p++) {
+        if (p == chosen) {
+            write_estimate(tried[p]);
+            o_status = fresh_status(o_status.w);
+        }
+    }
+    return true;
+}
