@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from ..reflectance.model import ReflectanceModel
 from .schedule import ResolvedStage, Schedule, resolve
 from .stage import particle_count, reach_at
+from .state import plan_atlas
 
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
+_SIDE = 16384  # of a texture: how an atlas is laid out depends on it only where it does not fit at all
 
 
 @dataclass(frozen=True)
@@ -96,15 +98,15 @@ def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:
     particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
     blocks = 1 if dimensions <= 4 else 2
     linear = -(-sum(p.components for p in stage.solved) // 4)
-    state = (3 * FLOAT4 + FLOAT) * particles * blocks  # position, velocity, best; fitness
+    atlas = plan_atlas(1, 1, particles * blocks, _SIDE)
+    tiles = atlas.across * atlas.down  # with those that stay empty
+    state = (3 * FLOAT4 + FLOAT) * tiles  # position, velocity, best; fitness
     bests = FLOAT4 * (blocks + linear) + FLOAT
     reaches = [reach_at(schedule, i, stage.iterations) for i in range(stage.iterations)]
     looks = max(reaches), sum(reach > 0 for reach in reaches)
     if schedule.swarm.update == "all":
         found = FLOAT4 * (-(-particles // 4) + linear + blocks)  # fitnesses, weights, means
         renders = (1 + stage.iterations) * particles * (2 if linear else 1)
-        return PhaseNeed(particles * blocks, 2 * (state + bests) + found, state + bests, *looks, renders)
+        return PhaseNeed(tiles, 2 * (state + bests) + found, state + bests, *looks, renders)
     candidates = FLOAT4 * (2 * blocks + 1)
-    return PhaseNeed(
-        particles * blocks, state + bests + candidates, state + bests, *looks, particles + stage.iterations
-    )
+    return PhaseNeed(tiles, state + bests + candidates, state + bests, *looks, particles + stage.iterations)

@@ -242,11 +242,11 @@ class TiledRecovery:
                 recovery.reached = False
                 recovery.step(iterations=1)
                 made, part.progress, part.reached = made + 1, recovery.progress, recovery.reached
-                if turn == 0 and (recovery.reach or recovery.reached):
-                    break
                 if paced:
                     recovery.fence()
                 yield
+                if turn == 0 and (recovery.reach or recovery.reached):
+                    break
             count = made
             part.progress = recovery.progress
             self._tell(number)

@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
+from irpso_addon.errors import InputError
+from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.checkpoint import tiles_of
+from irpso_addon.solver.need import recovery_need
+from irpso_addon.solver.plan import device_bytes
 from irpso_addon.solver.recovery import Recovery
 from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.tiled import TiledRecovery
 from tests.swarm_subjects import SHORT, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
+LAMBERT = load_model("lambert")
 # Ragged, with one of a single texel and one (at the lower left) in which nothing is covered.
 BOXES = [(0, 0, 2, 3), (2, 0, 5, 3), (0, 3, 7, 2), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 11, 3), (16, 5, 1, 1),
          (16, 6, 1, 2), (5, 8, 11, 5), (16, 8, 1, 5)]  # fmt: skip
@@ -66,3 +72,135 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
         assert everything(recovery.maps()) == wanted
         assert sum(part.recovery is not None for part in recovery._tiles) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
+    domain = with_hole(model="cook_torrance_two_lobe", observations=12)
+    wanted, _ = whole_of(domain, SCHEDULES["standard"], "compute")
+    with tiled(domain, SCHEDULES["standard"], FEW, "compute", resident=False) as recovery:
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize("resident", [True, False])
+def test_slices_of_time_and_looks_between_change_nothing(resident):
+    domain = with_hole(card=False)
+    wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
+    with tiled(domain, SCHEDULES["wide window"], FEW, resident=resident, model=LAMBERT) as recovery:
+        fractions, slices = [0.0], 0
+        while not recovery.step(time_budget_s=1e-6).done:
+            slices += 1
+            fractions.append(recovery.progress.fraction)
+            if slices % 10 == 0:
+                recovery.maps(confidence=False)
+        assert slices > 12 and fractions == sorted(fractions)
+        assert recovery.progress == progress
+        assert everything(recovery.maps()) == wanted
+
+
+def test_a_step_makes_the_iterations_it_is_asked_for_in_tiles_too():
+    with tiled(with_hole(), SHORT.replaced(c3=0.0, neighbour_every=0), FEW, resident=False, model=LAMBERT) as recovery:
+        assert (recovery.step(iterations=0).iteration, recovery.progress.evaluations > 0) == (0, True)
+        assert recovery.step(iterations=1).iteration == 1
+        assert recovery.step(iterations=7).iteration == 8
+        assert recovery.step(iterations=9).done
+
+
+@pytest.mark.parametrize("stop", [0, 3, 6, 7])
+@pytest.mark.parametrize("how", ["resident", "turns", "scratch"])
+def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
+    domain = with_hole(card=False)
+    schedule = SCHEDULES["several stages"].replaced(neighbour_every=2)
+    wanted, progress = whole_of(domain, schedule, model=LAMBERT)
+    options = {"resident": how == "resident", "scratch": tmp_path if how == "scratch" else None, "model": LAMBERT}
+    with tiled(domain, schedule, FEW, **options) as first:
+        first.step(iterations=stop)
+        first.save(tmp_path / "run.npz", {"mark": np.arange(3)})
+        before = first.progress
+    with tiled(domain, schedule, FEW, **options) as second:
+        second.step(iterations=2)
+        np.testing.assert_array_equal(second.load(tmp_path / "run.npz")["mark"], np.arange(3))
+        assert second.progress == before
+        assert second.step() == progress
+        assert everything(second.maps()) == wanted
+        second.save(tmp_path / "run.npz")
+        assert tiles_of(tmp_path / "run.npz") == (FEW[1:], 2)  # in the first nothing is covered
+    with tiled(domain, schedule, FEW, **options) as third:
+        third.load(tmp_path / "run.npz")
+        assert third.progress.done and everything(third.maps()) == wanted
+
+
+def test_a_checkpoint_of_other_tiles_is_refused(tmp_path):
+    domain = with_hole()
+    with tiled(domain, SHORT, FEW, model=LAMBERT) as recovery:
+        recovery.save(tmp_path / "tiled")
+    with Recovery(domain, LAMBERT, SHORT, 1, entry="fragment") as whole:
+        whole.save(tmp_path / "whole")
+        with pytest.raises(InputError, match="tiles differ"):
+            whole.load(tmp_path / "tiled")
+    with tiled(domain, SHORT, BOXES, model=LAMBERT) as recovery:
+        for name in ("tiled", "whole"):
+            with pytest.raises(InputError, match="tiles differ"):
+                recovery.load(tmp_path / name)
+    assert tiles_of(tmp_path / "whole") == ([], 0)
+
+
+@pytest.mark.parametrize("resident", [True, False])
+@pytest.mark.parametrize("threshold", [0.06, 0.2])
+def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
+    domain, _ = subject(9, 8, holes=False)
+    schedule = SHORT.replaced(iterations=400, cycles=2, loss="l1", threshold=threshold, c3=0.0, neighbour_every=30)
+    wanted, progress = whole_of(domain, schedule, model=LAMBERT)
+    texels = 72
+    assert progress.evaluations < 2 * (400 + 6) * texels
+    boxes = [(0, 0, 8, 4), (0, 4, 3, 5), (3, 4, 5, 5)]
+    with tiled(domain, schedule, boxes, resident=resident, model=LAMBERT) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+
+
+def test_known_maps_are_cut_with_their_tiles():
+    domain, truth = subject(card=False)
+    known = {"normal": truth["normal"]}
+    wanted, _ = whole_of(domain, SHORT, model=LAMBERT, known=known)
+    with tiled(domain, SHORT, model=LAMBERT, known=known) as recovery:
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
+
+
+def test_a_halo_narrower_than_the_reach_and_tiles_with_gaps_are_refused():
+    domain = with_hole()
+    with (
+        tiled(domain, SCHEDULES["wide window"], halo=1, model=LAMBERT) as recovery,
+        pytest.raises(ValueError, match="2"),
+    ):
+        recovery.step()
+    for boxes in (FEW[:-1], [*FEW, (3, 3, 2, 2)]):
+        with pytest.raises(ValueError, match="one of them"):
+            tiled(domain, SHORT, boxes, model=LAMBERT)
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+@pytest.mark.parametrize("model", ["lambert", "cook_torrance_two_lobe"])
+@pytest.mark.parametrize("preset", ["swarm", "standard", "paper"])
+def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, monkeypatch):
+    schedule = load_schedule(preset).replaced(iterations=2, cycles=1)
+    if preset == "paper":
+        schedule = schedule.replaced(search=["normal"])
+    domain, _ = subject(20, 20, model=model, holes=False, observations=9)
+    domain.bake.coverage[15:] = False
+    taken = []
+    original = textures._texture
+
+    def counted(width, height, layers=0, **properties):
+        taken.append(width * height * max(1, layers) * 4 * textures.CHANNELS[properties["format"]])
+        return original(width, height, layers, **properties)
+
+    monkeypatch.setattr(textures, "_texture", counted)
+    with Recovery(domain, load_model(model), schedule, 1, entry=entry) as recovery:
+        recovery.step()
+        recovery.maps()
+    texels = int(domain.solvable.sum())
+    expected = device_bytes(texels, 400, recovery_need(load_model(model), schedule, (), 9, compute=entry == "compute"))
+    # Copies are made only when state is read back, of which there was none here.
+    assert sum(taken) <= expected <= 1.02 * sum(taken) + (entry == "compute") * 400 * 16 * 48
