@@ -57,7 +57,7 @@ def sparse_bayesian(
     """Sparse Bayesian learning, Ikehata et al. 2012 Eq. 13–17: y = L b + e + N(0, λ), e_k ~ N(0, γ_k), b ~ N(0, ∞).
 
     noise: λ, over the square of the texel's brightness. gamma: where all γ begin. The paper inverts a K×K matrix a
-    texel; with Woodbury's identity it is 3×3, the same numbers in a hundredth of the time.
+    texel; with Woodbury's identity it is 3×3 and the numbers are the same.
     """
 
     def fit(y: np.ndarray, kept: np.ndarray, L: np.ndarray) -> np.ndarray:
@@ -96,6 +96,15 @@ METHODS: dict[str, Callable[..., PeerResult]] = {
     "l1": least_absolute,
     "sparse bayesian": sparse_bayesian,
     "low rank": low_rank,
+}
+
+# Settings to choose each method's best among, against the truth: the ends of what was searched on three captures.
+SETTINGS: dict[str, tuple[dict[str, float], ...]] = {
+    "least squares": ({}, {"shadow": 0.0}, {"shadow": 0.2}, {"shadow": 0.5}),
+    "trimmed": ({}, {"low": 40, "high": 60}, {"low": 45, "high": 60}, {"low": 50, "high": 60}),
+    "l1": ({}, {"shadow": 0.1}, {"shadow": 0.5}, {"shadow": 0.8}),
+    "sparse bayesian": ({}, {"shadow": 0.1, "noise": 1e-3}, {"shadow": 0.3, "noise": 1e-4}, {"shadow": 0.8}),
+    "low rank": ({}, {"shadow": 0.2, "strength": 0.5}, {"shadow": 0.3, "strength": 0.55}, {"shadow": 0.5}),
 }
 
 
