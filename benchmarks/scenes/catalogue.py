@@ -45,7 +45,7 @@ def _made_scenes() -> dict[str, Scene]:
         "cat_clay": Scene(subjects.monkey, Finish(clay, (0.5, 0.5), specular=0.4, scale=5)),
         "pot_glaze": Scene(subjects.pot, Finish(glaze, (0.2, 0.2), specular=0.7, scale=3)),
         "goblet_satin": Scene(subjects.goblet, brass_finish, saturated=0.02, samples=8, denoise=True),
-        "cow_metalpaint": Scene(subjects.monkey, Finish(paint, (0.45, 0.45), 0.8)),
+        "cow_metalpaint": Scene(subjects.monkey, Finish(paint, (0.45, 0.45), 0.8), samples=8),
         "harvest_concave": Scene(subjects.harvest, parts, samples=8, denoise=True),
     }
 
