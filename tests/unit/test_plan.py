@@ -1,0 +1,216 @@
+"""Plans of tiles and memory: against bytes counted by hand, and by what must hold whatever the domain."""
+
+import json
+
+import numpy as np
+import pytest
+
+from irpso_addon.errors import InputError
+from irpso_addon.geometry.build import mapped_array
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver import memory
+from irpso_addon.solver.memory import Memory, amount, free_memory, machine_memory, parse_memory
+from irpso_addon.solver.need import recovery_need
+from irpso_addon.solver.plan import Limits, device_bytes, plan_recovery
+from irpso_addon.solver.schedule import load_schedule
+
+G, M = 1 << 30, 1 << 20
+PLENTY = Memory(1 << 50, 1 << 50)
+SWARM = load_schedule("swarm").replaced(particles=9, particles_per_dimension=0.0, iterations=60, c3_until=0.25)
+
+
+def need_of(observations=100, **options):
+    return recovery_need(load_model("lambert"), SWARM, (), observations, **options)
+
+
+def disc(size, radius):
+    y, x = np.mgrid[:size, :size] - size / 2 + 0.5
+    return y**2 + x**2 < radius**2
+
+
+# ---- what is asked for ---------------------------------------------------------------------------------------------
+
+
+def test_the_bytes_of_a_texel_are_those_counted_by_hand():
+    # lambert: 6 components in two RGBA textures; base colour 3 + normal on the hemisphere 2 = 5 dimensions, two blocks.
+    need = need_of(100)
+    stack, geometry, place = 100 * 16, 3 * 16, 2 * 4
+    estimates, deviations, residual = 2 * 2 * 16, 2 * 16, 16
+    atlas = 20 * (16 + 16 + 16 + 4)  # 9 particles · 2 blocks in an atlas of 5 × 4 tiles
+    bests, candidates = 2 * 16 + 4, 4 * 16 + 16
+    texel = stack + geometry + place + estimates + deviations + residual + atlas + bests + candidates
+    # 256 covered texels lie in 16 × 16 places; the rectangle of 400 has 8 bytes each, the table of lights 48 a light.
+    assert device_bytes(256, 400, need) == 256 * texel + 400 * 8 + 100 * 48
+    assert need.kept == atlas + bests + 2 * 16
+    # 257 texels need a grid of 17 × 16.
+    assert device_bytes(257, 400, need) == 272 * texel + 400 * 8 + 100 * 48
+
+
+def test_evaluations_and_exchanges_are_counted_over_all_iterations():
+    need = need_of()
+    # The neighbour term of 60 iterations lasts 15 of them (0 … 14); neighbours are tried at 9, 19, 29, 39, 49, 59.
+    assert (need.reach, need.exchanges, need.evaluations) == (1, 15 + 5, 9 + 60)
+    wide = recovery_need(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
+    assert (wide.reach, wide.exchanges) == (3, 60)
+    alone = recovery_need(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
+    assert (alone.reach, alone.exchanges) == (0, 0)
+
+
+# ---- tiles ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_fits_is_one_tile():
+    plan = plan_recovery(disc(64, 30), need_of(), PLENTY)
+    assert (plan.boxes, plan.halo, plan.resident, plan.passes) == ([(0, 0, 64, 64)], 0, True, 1)
+    assert (plan.stack_on, plan.state_on, plan.scratch) == ("memory", "memory", 0)
+    assert plan.device == device_bytes(int(disc(64, 30).sum()), 64 * 64, need_of())
+    assert plan.evaluations == 69 * disc(64, 30).sum()
+
+
+@pytest.mark.parametrize("covered", [disc(96, 40), np.random.default_rng(1).random((70, 50)) < 0.3, np.eye(80) > 0])
+@pytest.mark.parametrize("device", [6 * M, 2 * M, M // 2])
+def test_tiles_hold_every_covered_texel_once_and_fit(covered, device):
+    need = need_of(20)
+    plan = plan_recovery(covered, need, Memory(device, G))
+    count = np.zeros(covered.shape, int)
+    for x0, y0, width, height in plan.boxes:
+        count[y0 : y0 + height, x0 : x0 + width] += 1
+        part = covered[max(0, y0 - 1) : y0 + height + 1, max(0, x0 - 1) : x0 + width + 1]
+        assert device_bytes(int(part.sum()), part.size, need) <= device
+    assert (count[covered] == 1).all() and count.max() <= 1
+    assert plan.device <= device
+    assert sum(tile.texels for tile in plan.tiles) == plan.texels == covered.sum()
+
+
+def test_tiles_are_about_even_and_hardly_more_than_are_needed():
+    covered, need = disc(512, 250), need_of()
+    plan = plan_recovery(covered, need, Memory(64 * M, 64 * G))
+    texels = [tile.texels for tile in plan.tiles]
+    assert max(texels) <= 1.05 * min(texels)
+    assert len(texels) <= 1.15 * device_bytes(int(covered.sum()), covered.size, need) / (64 * M) + 1
+    assert plan.halo == 1 and not plan.resident and plan.passes == 1 + need.exchanges
+
+
+def test_a_texture_that_is_too_large_makes_tiles_that_stay_on_the_device():
+    covered, need = np.ones((100, 100), bool), need_of()
+    plan = plan_recovery(covered, need, PLENTY, Limits(texture=100 * 100 * 16 * 100 // 3))
+    assert len(plan.boxes) == 4 and plan.resident and plan.passes == 1
+    assert all(tile.texels + 4 * 51 <= 100 * 100 / 3 + 204 for tile in plan.tiles)
+    # An atlas of 18 tiles lies 5 × 4: the side of a texture allows a fifth of it for each.
+    narrow = plan_recovery(covered, need, PLENTY, Limits(side=300))
+    assert all(5 * np.ceil(np.sqrt(tile.texels)) <= 300 for tile in narrow.tiles) and len(narrow.tiles) >= 3
+
+
+def test_more_observations_than_a_texture_has_layers_are_refused():
+    with pytest.raises(InputError, match="2049 observations exceed this GPU's textures of 2048 layers; hold some out"):
+        plan_recovery(disc(8, 4), need_of(2049), PLENTY)
+
+
+def test_a_device_that_is_too_small_for_the_smallest_tile_is_named_with_the_remedy():
+    with pytest.raises(
+        InputError, match=r"--memory device=50.0 KiB \(--memory\): a tile of . × . texels .* allow more"
+    ):
+        plan_recovery(disc(64, 30), need_of(), Memory(50 << 10, G))
+
+
+def test_a_host_that_is_too_small_is_named_with_the_remedy():
+    with pytest.raises(InputError, match=r"--memory host=100 MiB .* are needed even with the images in a scratch file"):
+        plan_recovery(disc(64, 30), need_of(), Memory(G, 100 * M))
+
+
+def test_a_domain_without_a_covered_texel_is_refused():
+    with pytest.raises(InputError, match="no texel is covered"):
+        plan_recovery(np.zeros((4, 4), bool), need_of(), PLENTY)
+
+
+# ---- memory and scratch --------------------------------------------------------------------------------------------
+
+
+def test_the_sample_stack_leaves_the_memory_first_then_the_state_of_waiting_tiles():
+    covered, need = disc(1024, 500), need_of()
+    stack = 1024 * 1024 * 100 * 16
+    plans = [plan_recovery(covered, need, Memory(256 * M, host)) for host in (8 * G, 3 * G, 5 * G // 4)]
+    assert [(p.stack_on, p.state_on) for p in plans] == [("memory", "memory"), ("scratch", "memory"), ("scratch",) * 2]
+    assert [p.scratch for p in plans[:2]] == [0, stack]
+    assert plans[0].host - plans[1].host == stack
+    state = plans[2].scratch - stack
+    assert need.kept * covered.sum() <= state <= 1.01 * need.kept * covered.sum()
+    assert all(plan.host <= plan.memory.host for plan in plans)
+
+
+def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
+    plain, held = (plan_recovery(disc(64, 30), need_of(100, held_out=n), PLENTY) for n in (0, 10))
+    assert plain.host - held.host == pytest.approx(disc(64, 30).sum() * 10 * 16, rel=0.02)  # the tile's copy alone
+    assert plain.device > held.device
+    assert (plain.observations, held.observations) == (100, 90)
+
+
+def test_a_stack_that_lies_somewhere_stays_there():
+    assert plan_recovery(disc(64, 30), need_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
+
+
+def test_a_plan_is_plain_data_and_lines_for_people():
+    plan = plan_recovery(disc(512, 250), need_of(), Memory(64 * M, 64 * G))
+    assert json.loads(json.dumps(plan.as_dict()))["texels"] == plan.texels
+    text = "\n".join(plan.lines())
+    for word in ("512 × 512", "100 observations", "halo", "64.0 MiB", "64.0 GiB", "scratch file  none", "evaluations"):
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("4G", {"device": 4 * G, "host": 4 * G}),
+        ("512m", {"device": 512 * M, "host": 512 * M}),
+        ("1.5GiB", {"device": 3 * G // 2, "host": 3 * G // 2}),
+        ("device=4G,host=8G", {"device": 4 * G, "host": 8 * G}),
+        ("host = 100 KB", {"host": 102400}),
+        ("DEVICE=2T", {"device": 2048 * G}),
+        ("1000000", {"device": 1000000, "host": 1000000}),
+    ],
+)
+def test_amounts_of_memory_are_read(text, wanted):
+    assert parse_memory(text) == wanted
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "0", "-4G", "4Q", "gpu=4G", "device=", "4G,4G", "device=1G,device=2G", "1G,", "0.1"]
+)
+def test_what_is_no_amount_of_memory_is_refused(text):
+    with pytest.raises(InputError, match="^--memory .*: write an amount, as in 4G, or device=4G,host=8G"):
+        parse_memory(text)
+
+
+def test_amounts_are_written_as_people_do():
+    assert [amount(n) for n in (5, 2048, 3 * M, 1000 * M, 3 * G // 2, 27 * G)] == [
+        "5 B", "2.0 KiB", "3.0 MiB", "1000 MiB", "1.5 GiB", "27.0 GiB"]  # fmt: skip
+
+
+def test_the_machine_fills_in_what_was_not_said(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: 10 * G)
+    real = machine_memory("host=2G", "NVIDIA H200")
+    assert (real.host, real.device) == (2 * G, 4 * G) and "assumed" in real.device_from
+    assert machine_memory(None, "NVIDIA H200").host == 8 * G
+    software = machine_memory(None, "llvmpipe (LLVM 15)")  # its textures are the host's memory too
+    assert (software.host, software.device) == (4 * G, 4 * G)
+    assert machine_memory("3G", "llvmpipe") == Memory(3 * G, 3 * G)
+
+
+def test_the_free_memory_is_what_the_system_tells():
+    with open("/proc/meminfo") as file:
+        told = next(int(line.split()[1]) for line in file if line.startswith("MemAvailable"))
+    assert free_memory() == pytest.approx(told * 1024, rel=0.2)
+
+
+def test_an_array_in_a_scratch_file_leaves_no_name_behind_and_is_zero(tmp_path):
+    array = mapped_array(tmp_path, (3, 5, 4))
+    assert not array.any() and array.dtype == np.float32 and array.shape == (3, 5, 4)
+    array[1] = 7
+    assert (array[1] == 7).all() and array.sum() == 140
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_without_room_for_a_scratch_file_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(InputError, match="holds no scratch file of .* set TMPDIR to a folder with room"):
+        mapped_array(tmp_path, (1 << 20, 1 << 20, 4))
+    assert not list(tmp_path.iterdir())
