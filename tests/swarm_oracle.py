@@ -12,7 +12,8 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
-from irpso_addon.solver.schedule import ResolvedStage, Schedule
+from irpso_addon.solver.resolve import ResolvedStage
+from irpso_addon.solver.schedule import Schedule
 
 UNFIT = 1e30
 CHOICE, R1, R2, POSITION, VELOCITY = 0, 1, 3, 5, 7  # streams of random numbers

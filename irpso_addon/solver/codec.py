@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..reflectance.model import ReflectanceModel
-from .schedule import NormalSearch, ResolvedStage
+from .resolve import ResolvedStage
+from .schedule import NormalSearch
 
 
 @dataclass(frozen=True)

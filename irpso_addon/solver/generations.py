@@ -16,7 +16,8 @@ from .codec import build_codec
 from .generation_kernels import MAX_PARTICLES, build_generation_passes
 from .linear import LinearWeights, linear_weights
 from .reader import Reader
-from .schedule import ResolvedStage, Schedule
+from .resolve import ResolvedStage
+from .schedule import Schedule
 from .stage import particle_count, reach_at, swarm_constants
 from .state import SOLVED, UNFIT, DomainTextures, Estimates, plan_atlas, texel_states
 
@@ -111,16 +112,16 @@ class RunningGenerations:
     def reached(self, threshold: float) -> bool:
         """Return whether every swarm of this tile has a fitness at or under the threshold h."""
         moved = texel_states(self._domain.domain) == SOLVED
-        return bool((self.global_fitness()[moved] <= threshold).all())
+        return bool((self._domain.packing.unpack(self.fitness())[moved] <= threshold).all())
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
         packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
-    def global_fitness(self) -> np.ndarray:
-        """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
-        return self._domain.packing.unpack(self.reader.read(self.textures.bests[-1])[..., 0], np.nan)
+    def fitness(self) -> np.ndarray:
+        """Return (h, w) float32, packed as the domain's textures: every swarm's best fitness."""
+        return self.reader.read(self.textures.bests[-1])[..., 0]
 
     def take_halo(self, values: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any
 
 from ..reflectance.model import ReflectanceModel
-from .schedule import ResolvedStage, Schedule, resolve
+from .polish_kernels import renders
+from .resolve import ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve, survey_model
+from .schedule import Schedule
 from .stage import particle_count, reach_at
 from .state import plan_atlas
 
@@ -88,9 +91,41 @@ def recovery_need(
     compute: bool = False,
 ) -> Need:
     """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
-    stages = resolve(schedule, model, set(known))
-    phases = tuple(_swarm_need(stage, schedule) for stage in stages)
+    stages = resolve(schedule, model, set(known), observations - held_out)
+    phases = tuple(_phase_need(stage, model, schedule) for stage in stages)
     return Need(observations - held_out, observations, model.components, phases, compute)
+
+
+def _phase_need(resolved: Any, model: ReflectanceModel, schedule: Schedule) -> PhaseNeed:
+    if isinstance(resolved, ResolvedStage):
+        return _swarm_need(resolved, schedule)
+    if isinstance(resolved, ResolvedSurvey):
+        return _survey_need(resolved, schedule)
+    return _polish_need(resolved, model)
+
+
+def _survey_need(resolved: ResolvedSurvey, schedule: Schedule) -> PhaseNeed:
+    """Return the need of a survey: of the larger of its two phases, and of its own model's estimates."""
+    model = survey_model()
+    swarm, polish = _swarm_need(resolved.stage, schedule), _polish_need(resolved.polish, model)
+    own = FLOAT4 * -(-model.components // 4)
+    return PhaseNeed(
+        max(swarm.atlas, polish.atlas),
+        max(swarm.textures, polish.textures) + 2 * own,
+        max(swarm.kept, polish.kept) + own,
+        max(swarm.reach, polish.reach),
+        swarm.exchanges + polish.exchanges,
+        swarm.evaluations + polish.evaluations,
+    )
+
+
+def _polish_need(resolved: ResolvedPolish, model: ReflectanceModel) -> PhaseNeed:
+    """Return the need of a polish, whose textures are those of RunningPolish: three sets, of which two are kept."""
+    settings, held = resolved.polish, FLOAT4 * (-(-model.components // 4) + 1)
+    step, spread = renders(model, resolved)
+    evaluations = resolved.iterations * step + settings.rounds * spread
+    textures = 3 * held + 2 * FLOAT4  # one that shows, one to begin with
+    return PhaseNeed(1, textures, 2 * held, int(settings.rounds > 0), settings.rounds, evaluations)
 
 
 def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:

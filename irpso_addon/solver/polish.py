@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from ..gpu.passes import Entry, Pass
 from ..reflectance.model import ReflectanceModel
 from .polish_kernels import build_polish_passes
 from .reader import Reader
-from .schedule import Polish, ResolvedPolish, Schedule
+from .resolve import ResolvedPolish
+from .schedule import Polish, Schedule
 from .state import HALO, SOLVED, DomainTextures, Estimates, texel_states
 
 SPREAD = -2  # in place of a start: what the neighbours offer
@@ -36,6 +37,16 @@ def tracks_of(polish: Polish, starts: int) -> tuple[Track, ...]:
     return (*several, Track(BEST, polish.iterations), *spreads)
 
 
+class Judge(Protocol):
+    """Has the last word on what is resolved."""
+
+    def decide(self) -> None:
+        """Put into the resolved estimates what is to be believed of them."""
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+
+
 class RunningPolish:
     """The polish of a recovery, a Phase.
 
@@ -51,7 +62,9 @@ class RunningPolish:
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
+        judge: Judge | None = None,
     ):
+        self._judge = judge
         self.title, self.iterations = resolved.title, resolved.iterations
         self.iteration = 0
         self._schedule, self._domain, self._estimates = schedule, domain, estimates
@@ -99,7 +112,12 @@ class RunningPolish:
         self.iteration += 1
 
     def resolve(self) -> None:
-        """Put the better of the best so far and what is worked on into the resolved estimates."""
+        """Put the better of the best so far and what is worked on into the resolved estimates, if it is believed."""
+        self._keep()
+        if self._judge is not None:
+            self._judge.decide()
+
+    def _keep(self) -> None:
         self._run(self.passes.keep, [*self._estimates.resolved, self._kept], self._kept_from())
 
     def fence(self) -> None:
@@ -108,19 +126,24 @@ class RunningPolish:
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""
-        self.resolve()
+        self._keep()
         moved = texel_states(self._domain.domain) == SOLVED
         fitness = self._domain.packing.unpack(textures.download(self._kept)[..., 0])
         return bool((fitness[moved] <= threshold).all())
 
+    def fitness(self) -> np.ndarray:
+        """Return (h, w) float32, packed as the domain's textures: the fitness of what has been found."""
+        self._keep()
+        return textures.download(self._kept)[..., 0]
+
     def spent(self) -> int:
         """Return how many renders of all observations were made, over all texels: one that is done costs nothing."""
-        self.resolve()
+        self._keep()
         return int(textures.download(self._kept)[..., 3].sum(dtype=np.float64))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every texel's best material; NaN where none is solved."""
-        self.resolve()
+        self._keep()
         packed = np.concatenate([textures.download(t) for t in self._estimates.resolved], axis=-1)
         return self._domain.packing.unpack(packed[..., : self._components], np.nan)
 
@@ -148,6 +171,8 @@ class RunningPolish:
 
     def close(self) -> None:
         """Free shaders and textures."""
+        if self._judge is not None:
+            self._judge.close()
         self.passes.close()
         self._reader.close()
         self._sets = self._kept = self.best = self.work = None
@@ -187,7 +212,7 @@ class RunningPolish:
         domain = self._domain.domain
         return {
             "u_observations": domain.observations,
-            "u_delta": self._schedule.fitness.delta * float(domain.intensities.mean()),
+            "u_delta": self._schedule.fitness.delta * self._domain.brightness,
             "u_start": start,
         }
 

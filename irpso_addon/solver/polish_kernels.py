@@ -17,8 +17,9 @@ from .kernels import (
     estimate_samplers,
     model_includes,
 )
-from .schedule import Fitness, ResolvedPolish
-from .unknowns import build_slopes, build_starts
+from .resolve import ResolvedPolish
+from .schedule import Fitness
+from .unknowns import Unknowns, build_slopes, build_starts
 
 CANDIDATES = 3  # dampings that are tried together
 _OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
@@ -45,15 +46,21 @@ class PolishPasses:
             work.close()
 
 
+def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int]:
+    """Return how many renders of all observations a step makes at a texel, and a spread."""
+    unknowns = _slopes(model, resolved)
+    stepped = unknowns.defines["STEPPED"] * (2 if resolved.polish.central else 1)
+    # The bases of the linear parameters make up another render.
+    evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    return evaluations, _OFFERS[unknowns.defines["SEARCHED"] > 0]
+
+
 def build_polish_passes(
     model: ReflectanceModel, resolved: ResolvedPolish, fitness: Fitness, domain_defines: dict[str, int], entry: Entry
 ) -> PolishPasses:
     """Compile the passes of a polish."""
-    settings = resolved.polish
-    unknowns = build_slopes(model, {p.name for p in model.parameters} - {p.name for p in resolved.parameters})
-    stepped = unknowns.defines["STEPPED"] * (2 if settings.central else 1)
-    # The bases of the linear parameters make up another render.
-    evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    settings, unknowns = resolved.polish, _slopes(model, resolved)
+    evaluations, offers = renders(model, resolved)
     defines = {
         **domain_defines, **unknowns.defines, **estimate_defines(model),
         "FITNESS": LOSSES[fitness.loss], "CANDIDATES": CANDIDATES, "EVALUATIONS": evaluations,
@@ -77,5 +84,9 @@ def build_polish_passes(
         spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, _FITNESS),
         keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
         evaluations=evaluations,
-        offers=_OFFERS[unknowns.defines["SEARCHED"] > 0],
+        offers=offers,
     )
+
+
+def _slopes(model: ReflectanceModel, resolved: ResolvedPolish) -> Unknowns:
+    return build_slopes(model, {p.name for p in model.parameters} - {p.name for p in resolved.parameters})

@@ -27,9 +27,11 @@ from .packing import Packing
 from .phase import Phase
 from .polish import RunningPolish
 from .prepare import Prepared
-from .schedule import ResolvedPolish, Schedule, resolve
+from .resolve import ResolvedPolish, ResolvedSurvey, resolve
+from .schedule import Schedule
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
+from .survey import Judge, RunningSurvey
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
@@ -89,7 +91,7 @@ class Recovery:
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
-        self._stages = resolve(schedule, model, set(known))
+        self._stages = resolve(schedule, model, set(known), domain.observations)
         self._solvable = domain.solvable
         self._packing = Packing(self._solvable)
         prepared = prepared or prepare.prepare(domain, model, schedule)
@@ -107,6 +109,7 @@ class Recovery:
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._index = 0
+        self._surveyed: np.ndarray | None = None  # the survey's fitness, packed, once there is one
         self._evaluations = 0
         self._cost = 0  # evaluations of the iteration under way
         self._phase: Phase | None = None
@@ -215,6 +218,8 @@ class Recovery:
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None:
             arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
+        if self._surveyed is not None:
+            arrays["surveyed"] = self._surveyed
         iteration = self._phase.iteration if self._phase else 0
         return Checkpoint(self._index, iteration, self._evaluations, arrays)
 
@@ -222,6 +227,7 @@ class Recovery:
         """Go on from what ``state`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
+        self._surveyed = saved.arrays.get("surveyed")
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None
@@ -247,16 +253,23 @@ class Recovery:
     def _begin(self, index: int) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
-        if isinstance(self._stages[index], ResolvedPolish):
-            return RunningPolish(
-                self._stages[index], self.model, self.schedule, self._textures, self._estimates, self.entry
-            )
-        kind = RunningGenerations if self.schedule.swarm.update == "all" else RunningStage
-        return kind(self._stages[index], self.model, self.schedule, seed, self._textures, self._estimates, self.entry)
+        stage, model, schedule = self._stages[index], self.model, self.schedule
+        domain, estimates = self._textures, self._estimates
+        if isinstance(stage, ResolvedPolish):
+            judge = None
+            if self._surveyed is not None:
+                judge = Judge(model, schedule, domain, estimates, self._surveyed)
+            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, judge)
+        if isinstance(stage, ResolvedSurvey):
+            return RunningSurvey(stage, model, schedule, seed, domain, estimates, self.entry)
+        kind = RunningGenerations if schedule.swarm.update == "all" else RunningStage
+        return kind(stage, model, schedule, seed, domain, estimates, self.entry)
 
     def _finish_stage(self) -> None:
         self._phase.resolve()
         self._estimates.accept()
+        if isinstance(self._phase, RunningSurvey):
+            self._surveyed = self._phase.fitness()
         self._phase.close()
         self._index += 1
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None

@@ -11,7 +11,6 @@ from typing import Any, Literal, get_args
 from ..errors import InputError
 from ..files import load_shipped_table, shipped_names
 from ..paths import PRESETS
-from ..reflectance.model import Parameter, ReflectanceModel, Start
 
 Walls = Literal["clamp", "stop", "reflect"]
 Loss = Literal["l1", "l2", "robust"]
@@ -22,7 +21,6 @@ LinearKind = Literal["search", "solve"]
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # what no stage of the schedule names
-_USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 _TOP_KEYS = ("name", "title", "cycles", "threshold")
 _POLISH = "polish_"  # before the names of its settings, where they stand beside those of the swarm
 _CHOICES = {
@@ -112,6 +110,23 @@ class Polish:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """Normals first, on grey samples, by a model of few assumptions (shaders/survey/falloff_lobe.toml).
+
+    iterations: of its swarms, which move as a whole; 0 for no survey. polish_iterations: Levenberg–Marquardt steps
+    after them. shadow: samples under this fraction of a texel's scale weigh nothing. observations: with fewer it is
+    left out. trust: where the model that is asked for fits worse than the survey's by more than this factor, its polish
+    must not turn the survey's normal.
+    """
+
+    iterations: int = 0
+    polish_iterations: int = 5
+    shadow: float = 0.3
+    observations: int = 10
+    trust: float = 1.5
+
+
+@dataclass(frozen=True)
 class Stage:
     """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one.
 
@@ -126,7 +141,8 @@ class Stage:
 class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
-    threshold: the fitness h at which a swarm stops (0: never before the last iteration). polish: what follows them.
+    threshold: the fitness h at which a swarm stops (0: never before the last iteration). survey: what goes before the
+    stages, which then hold to its normals. polish: what follows them.
     """
 
     name: str
@@ -136,13 +152,14 @@ class Schedule:
     stages: tuple[Stage, ...]
     cycles: int = 1
     threshold: float = 0.0
+    survey: Survey = Survey()
     polish: Polish = Polish()
 
     def replaced(self, **changes: Any) -> Schedule:
         """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
 
-        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. A polish is another's, whole
-        (``polish=``), or a setting of it by its name with ``polish_`` before it.
+        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Survey and polish are
+        another's, whole (``polish=``), or their settings by name with ``survey_`` or ``polish_`` before it.
         """
         result = self
         if (search := changes.pop("search", None)) is not None:
@@ -157,14 +174,19 @@ class Schedule:
             names = {f.name for f in dataclasses.fields(group)} & set(changes)
             values = {name: changes.pop(name) for name in names}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
-        prefixed = {name.removeprefix(_POLISH): name for name in changes if name.startswith(_POLISH)}
-        if values := {f.name: changes.pop(prefixed[f.name]) for f in dataclasses.fields(Polish) if f.name in prefixed}:
-            result = dataclasses.replace(result, polish=dataclasses.replace(result.polish, **values))
-        if unknown := set(changes) - {"name", "title", "cycles", "threshold", "polish"}:
+        for part in _OPTIONAL:
+            group = getattr(result, part)
+            names = {f"{part}_{f.name}": f.name for f in dataclasses.fields(group)}
+            values = {names[name]: changes.pop(name) for name in names.keys() & set(changes)}
+            result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
+        if unknown := set(changes) - {"name", "title", "cycles", "threshold", *_OPTIONAL}:
             raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
         result = dataclasses.replace(result, **changes)
         _check(result)
         return result
+
+
+_OPTIONAL = {"survey": Survey, "polish": Polish}  # parts of a preset that may be absent: there is none then
 
 
 def shipped_presets() -> list[str]:
@@ -175,7 +197,7 @@ def shipped_presets() -> list[str]:
 def load_schedule(name_or_path: str | Path) -> Schedule:
     """Read a shipped preset by name, or a .toml file of one's own by path. Raises InputError."""
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
-    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", "polish"], str(path))
+    _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", *_OPTIONAL], str(path))
     rows = table.get("stage", [])
     if not isinstance(rows, list):
         raise InputError(f"{path}: stages are written [[stage]], with two brackets")
@@ -184,7 +206,7 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
         swarm=_build(Swarm, table.get("swarm"), f"{path}: [swarm]"),
         fitness=_build(Fitness, table.get("fitness"), f"{path}: [fitness]"),
         stages=tuple(_build(Stage, row, f"{path}: [[stage]]") for row in rows),
-        polish=_build(Polish, table["polish"], f"{path}: [polish]") if "polish" in table else Polish(),
+        **{part: _build(kind, table[part], f"{path}: [{part}]") for part, kind in _OPTIONAL.items() if part in table},
     )
     _check(schedule, str(path))
     return schedule
@@ -230,11 +252,21 @@ def _check(schedule: Schedule, where: str = "") -> None:
             raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
+    _check_survey(schedule.survey, where)
     _check_polish(schedule.polish, where)
     if schedule.polish.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
         raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
     if schedule.swarm.neighbourhood % 2 == 0:
         raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
+
+
+def _check_survey(survey: Survey, where: str) -> None:
+    for name in ("iterations", "polish_iterations", "observations"):
+        _check_whole(f"survey_{name}", getattr(survey, name), where, 0)
+    for name in ("shadow", "trust"):
+        value = getattr(survey, name)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
+            raise InputError(f"{where}: survey_{name} must be a number from 0, not {value!r}")
 
 
 def _check_polish(polish: Polish, where: str) -> None:
@@ -256,102 +288,3 @@ def _check_polish(polish: Polish, where: str) -> None:
 def _check_whole(name: str, value: Any, where: str, least: int = 1) -> None:
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise InputError(f"{where}: {name} must be a whole number from {least}, not {value!r}")
-
-
-@dataclass(frozen=True)
-class ResolvedStage:
-    """A stage for one model: the parameters that are searched, in the table's order, and for how long.
-
-    solved: those that are found in closed form for every particle instead.
-    """
-
-    parameters: tuple[Parameter, ...]
-    iterations: int
-    cycle: int = 0
-    solved: tuple[Parameter, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """What is searched, for people."""
-        return " + ".join(p.name for p in (*self.parameters, *self.solved))
-
-    def dimensions(self, normal: NormalSearch) -> int:
-        """Return n, the number of dimensions that a particle has."""
-        return sum(self.size(p, normal) for p in self.parameters)
-
-    @staticmethod
-    def size(parameter: Parameter, normal: NormalSearch) -> int:
-        """Return how many dimensions a parameter is searched in."""
-        return (2 if normal == "hemisphere" else 3) if parameter.is_normal else parameter.components
-
-
-@dataclass(frozen=True)
-class ResolvedPolish:
-    """The polish for one model: the parameters that are found together, and where to begin besides the estimate."""
-
-    parameters: tuple[Parameter, ...]
-    polish: Polish
-    starts: tuple[Start, ...]
-
-    title = "polish"
-
-    @property
-    def iterations(self) -> int:
-        """How many steps are made in all."""
-        settings = self.polish
-        from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
-        return from_starts + settings.iterations + settings.rounds * settings.round_iterations
-
-
-def _resolve_polish(
-    polish: Polish, model: ReflectanceModel, parameters: tuple[Parameter, ...]
-) -> tuple[ResolvedPolish, ...]:
-    if polish.iterations == 0:
-        return ()
-    names = {p.name for p in parameters}
-    starts = (tuple(row for row in start if row[0] in names) for start in model.starts if polish.starts)
-    return (ResolvedPolish(parameters, polish, tuple(dict.fromkeys(start for start in starts if start))),)
-
-
-def resolve(schedule: Schedule, model: ReflectanceModel, known: set[str]) -> tuple[ResolvedStage | ResolvedPolish, ...]:
-    """Return the stages that a model's unknown parameters leave to be done, for all cycles, and the polish after them.
-
-    Raises InputError.
-    """
-    names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
-    asked = {name for stage in schedule.stages for name in stage.search}
-    if unknown := sorted(asked - names - _USUAL_STAGES - {ALL, REST}):
-        offered = ", ".join(p.name for p in model.parameters)
-        raise InputError(f"search: model {model.name} has no parameter or stage '{unknown[0]}'; it has: {offered}")
-    resolved: list[ResolvedStage | ResolvedPolish] = []
-    found: set[str] = set()
-    for cycle in range(schedule.cycles):
-        for stage in schedule.stages:
-            wanted = [p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)]
-            found |= {p.name for p in wanted}
-            if not wanted or stage.iterations == 0:
-                continue
-            closed = {p.name for p in wanted if p.kind == "linear" and p.name in model.bases}
-            closed = closed if schedule.swarm.linear == "solve" else set()
-            result = ResolvedStage(
-                tuple(p for p in wanted if p.name not in closed),
-                stage.iterations,
-                cycle,
-                tuple(p for p in wanted if p.name in closed),
-            )
-            if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
-                raise InputError(
-                    f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
-                    " search fewer, give some as known, or search the normal on the hemisphere"
-                )
-            resolved.append(result)
-    if found:
-        resolved += _resolve_polish(schedule.polish, model, tuple(p for p in model.parameters if p.name in found))
-    if not resolved:
-        raise InputError("search: nothing is left to find; every parameter searched is given as known")
-    return tuple(resolved)
-
-
-def _is_asked(parameter: Parameter, stage: Stage, asked: set[str]) -> bool:
-    called = {parameter.name, parameter.stage}
-    return bool(({ALL} | called) & set(stage.search)) or (REST in stage.search and not called & asked)

@@ -14,7 +14,8 @@ from ..reflectance.model import ReflectanceModel
 from .codec import build_codec
 from .kernels import build_stage_passes
 from .reader import Reader
-from .schedule import ResolvedStage, Schedule
+from .resolve import ResolvedStage
+from .schedule import Schedule
 from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_states
 
 
@@ -180,6 +181,5 @@ def swarm_constants(
         "u_c3": neighbour_constant(schedule, iteration, stage.iterations),
         "u_v_max": swarm.v_max,
         "u_threshold": schedule.threshold,
-        # Errors are radiances, a texel's scale is radiance over intensity: the unit of the lights must not matter.
-        "u_delta": schedule.fitness.delta * float(domain.domain.intensities.mean()),
+        "u_delta": schedule.fitness.delta * domain.brightness,
     }

@@ -22,10 +22,13 @@ class DomainTextures:
     """A domain on the GPU, its solved texels packed.
 
     stack: (K, h, w, 4) the packed sample stack to use, weights and all. scale: (h, w) for a robust fitness.
+    brightness: mean intensity of the lights. Errors are radiances and a texel's scale is radiance over intensity: the
+    unit of the lights must not matter.
     """
 
     def __init__(self, domain: Domain, packing: Packing, stack: np.ndarray, scale: np.ndarray):
         self.domain, self.packing = domain, packing
+        self.brightness = float(domain.intensities.mean())
         self.defines = observation_defines(domain.lights, domain.views, domain.card)
         position, normal, tangent = (
             packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent)

@@ -30,7 +30,8 @@ vec3 view_at(Frame f, int k)
 }
 
 // Returns the weight of an observation, 0 where it tells nothing of this texel, and otherwise its light and radiance.
-// With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has.
+// With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has, and what is
+// under GREY_SHADOW of the texel's scale is taken for shadow.
 float observe(ivec2 texel, Frame f, int k, out vec3 l, out vec3 intensity, out vec3 radiance)
 {
     vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
@@ -50,6 +51,9 @@ float observe(ivec2 texel, Frame f, int k, out vec3 l, out vec3 intensity, out v
     // A channel that the light lacks is divided by 1 and counts nothing.
     radiance = vec3(dot(has * radiance, 1.0 / mix(vec3(1.0), intensity, has)) / channels);
     intensity = vec3(1.0);
+    if (radiance.r < GREY_SHADOW * scale_at(texel)) {
+        return 0.0;
+    }
 #endif
     return reference.a;
 }

@@ -66,18 +66,19 @@ Sums linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * U
     float scale = loss_scale(texel);
     Sums sums = Sums(0.0, 0.0);
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float counted = observe(texel, f, k, l, intensity, radiance);
+        if (counted == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
         vec3 v = view_at(f, k);
         vec3 render = reflectance(s, l, v);
-        vec3 error = intensity * render - reference.rgb;
-        sums.fitness += reference.a * loss_of(scale * error);
-        sums.weights += reference.a;
-        vec3 weight = reference.a * loss_weight(scale * error);
+        vec3 error = intensity * render - radiance;
+        sums.fitness += counted * loss_of(scale * error);
+        sums.weights += counted;
+        vec3 weight = counted * loss_weight(scale * error);
         vec3 slopes[UNKNOWNS];
         linear_slopes(s, l, v, slopes);
         for (int i = 0; i < STEPPED; i++) {
@@ -197,16 +198,17 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     }
     float scale = loss_scale(texel);
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float counted = observe(texel, f, k, l, intensity, radiance);
+        if (counted == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
         vec3 v = view_at(f, k);
         for (int p = 0; p < CANDIDATES; p++) {
-            vec3 error = intensity * reflectance(tried[p], l, v) - reference.rgb;
-            sum[p] += reference.a * loss_of(scale * error);
+            vec3 error = intensity * reflectance(tried[p], l, v) - radiance;
+            sum[p] += counted * loss_of(scale * error);
         }
     }
     int chosen = -1;

@@ -81,18 +81,19 @@ bool texel_kernel(ivec2 texel)
     float weights = 0.0;
     float scale = loss_scale(texel);
     for (int k = 0; k < u_observations; k++) {
-        vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-        if (reference.a <= 0.0) {
+        vec3 l;
+        vec3 intensity;
+        vec3 radiance;
+        float counted = observe(texel, f, k, l, intensity, radiance);
+        if (counted == 0.0) {
             continue;
         }
-        vec3 intensity;
-        vec3 l = light_at(f, k, intensity);
         vec3 v = view_at(f, k);
         for (int p = 0; p < OFFERS; p++) {
-            vec3 error = intensity * reflectance(tried[p], l, v) - reference.rgb;
-            sum[p] += reference.a * loss_of(scale * error);
+            vec3 error = intensity * reflectance(tried[p], l, v) - radiance;
+            sum[p] += counted * loss_of(scale * error);
         }
-        weights += reference.a;
+        weights += counted;
     }
     o_status.w += float(OFFERS);
     float least = DARING * status.x * 3.0 * weights;

@@ -12,7 +12,8 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.polish import RunningPolish
-from irpso_addon.solver.schedule import Polish, ResolvedPolish, load_schedule
+from irpso_addon.solver.resolve import ResolvedPolish
+from irpso_addon.solver.schedule import Polish, load_schedule
 from irpso_addon.solver.state import DomainTextures, Estimates
 from tests import confidence_oracle
 from tests.polish_oracle import Texel

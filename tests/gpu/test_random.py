@@ -12,7 +12,8 @@ from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels import copy_pass
 from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.schedule import load_schedule, resolve
+from irpso_addon.solver.resolve import resolve
+from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.stage import RunningStage
 from irpso_addon.solver.state import DomainTextures, Estimates
 from tests import swarm_oracle as oracle

@@ -11,7 +11,8 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule, resolve
+from irpso_addon.solver.resolve import resolve
+from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.stage import RunningStage, particle_count
 from irpso_addon.solver.state import DomainTextures, Estimates
 from tests import swarm_oracle as oracle

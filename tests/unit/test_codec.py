@@ -9,7 +9,8 @@ import pytest
 from irpso_addon.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.codec import build_codec
-from irpso_addon.solver.schedule import load_schedule, resolve
+from irpso_addon.solver.resolve import resolve
+from irpso_addon.solver.schedule import load_schedule
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 

@@ -8,7 +8,8 @@ from irpso_addon.errors import InputError
 from irpso_addon.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.polish import tracks_of
-from irpso_addon.solver.schedule import ResolvedPolish, Stage, load_schedule, resolve, shipped_presets
+from irpso_addon.solver.resolve import ResolvedPolish, resolve
+from irpso_addon.solver.schedule import Stage, load_schedule, shipped_presets
 from irpso_addon.solver.stage import neighbour_constant, particle_count
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")

@@ -1,0 +1,216 @@
+"""The survey: normals found with a model of few assumptions, before the surface's own model is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..gpu import textures
+from ..gpu.bands import Bands
+from ..gpu.passes import Entry, Kernel, Pass
+from ..reflectance.model import ReflectanceModel
+from . import kernels
+from .generations import RunningGenerations
+from .phase import Phase
+from .polish import RunningPolish
+from .resolve import ResolvedSurvey, survey_model
+from .schedule import Schedule
+from .state import DomainTextures, Estimates
+
+_TRUST_FLOOR = 1e-3  # of fitness, mean squared errors in δ: under it a fit is as good as the pictures
+
+
+class RunningSurvey:
+    """The survey under way, a Phase: swarms, then Levenberg–Marquardt, on grey samples with the survey's own model.
+
+    What it resolves are the estimates of the recovery's model, with the survey's normals put in.
+    """
+
+    title = ResolvedSurvey.title
+
+    def __init__(
+        self,
+        resolved: ResolvedSurvey,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+    ):
+        self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
+        self._domain, self._estimates = grey(domain, schedule), estimates
+        self._model = survey_model()
+        self._own = _begun(self._model, model, estimates)
+        self._adopt = _adopt_pass(model, domain.defines)
+        self._polishing = False
+        self._inner: Phase = RunningGenerations(
+            resolved.stage, self._model, schedule, seed, self._domain, self._own, entry
+        )
+        self.iterations = resolved.iterations
+
+    @property
+    def iteration(self) -> int:
+        """How many iterations were made, those of the polish on top of the swarms'."""
+        return self._inner.iteration + (self._resolved.stage.iterations if self._polishing else 0)
+
+    @property
+    def done(self) -> bool:
+        """Whether all iterations have been made."""
+        return self.iteration >= self.iterations
+
+    @property
+    def evaluations(self) -> int:
+        """Renders of all observations that the next iteration makes at a texel."""
+        return self._inner.evaluations
+
+    @property
+    def reach(self) -> int:
+        """How many texels away the next iteration reads what others have found."""
+        return self._inner.reach
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        yield from self._inner.advance(bands, seconds)
+        if self._inner.done and not self._polishing:
+            self._inner.resolve()
+            self._own.accept()
+            self._begin_polish()
+
+    def resolve(self) -> None:
+        """Put the normals that have been found so far into the resolved estimates."""
+        self._inner.resolve()
+        survey = {f"u_survey_{i}": texture for i, texture in enumerate(self._own.resolved)}
+        inputs = {**self._estimates.bindings(), **self._domain.textures, **survey}
+        self._adopt.run(self._estimates.resolved, inputs)
+
+    def fence(self) -> None:
+        """Wait until the last pass of an iteration is done."""
+        self._inner.fence()
+
+    def reached(self, threshold: float) -> bool:
+        """Return False: a survey's fitness says nothing of the recovery's threshold."""
+        return False
+
+    def fitness(self) -> np.ndarray:
+        """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits, at the end."""
+        return self._inner.fitness()
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
+        return self._inner.halo()
+
+    def take_halo(self, values: np.ndarray) -> None:
+        """Take (H, W, n) for the texels that belong to neighbouring tiles; others are left alone."""
+        self._inner.take_halo(values)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that outlives an iteration."""
+        own = {f"own_{i}": textures.download(texture) for i, texture in enumerate(self._own.current)}
+        return {**self._inner.state(), **own}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Go on from what ``state`` returned at an iteration."""
+        self._own.current = [textures.upload(arrays[f"own_{i}"]) for i in range(self._own.count)]
+        swarm = self._resolved.stage.iterations
+        if iteration >= swarm and not self._polishing:
+            self._begin_polish()
+        self._inner.restore(arrays, iteration - (swarm if self._polishing else 0))
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        self._inner.close()
+        self._adopt.close()
+        self._own = None
+
+    def _begin_polish(self) -> None:
+        self._inner.close()
+        self._inner = RunningPolish(
+            self._resolved.polish, self._model, self._schedule, self._domain, self._own, self._entry
+        )
+        self._polishing = True
+
+
+class Judge:
+    """Decides at every texel whether the polish of the recovery's model may turn the survey's normal.
+
+    fitness: (h, w) the survey's own, packed. It swaps what it decides into the resolved estimates.
+    """
+
+    def __init__(
+        self,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        fitness: np.ndarray,
+    ):
+        self._domain, self._estimates = grey(domain, schedule), estimates
+        self._fitness = textures.upload(fitness)
+        self._delta = schedule.fitness.delta
+        self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+        self._pass = _judge_pass(model, schedule, self._domain.defines)
+
+    def decide(self) -> None:
+        """Put into the resolved estimates what is to be believed of them."""
+        work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
+        inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_survey_fitness": self._fitness}
+        constants = {"u_observations": self._domain.domain.observations, "u_delta": self._delta}
+        self._pass.run(self._decided, inputs, constants)
+        self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
+
+    def close(self) -> None:
+        """Free shader and textures."""
+        self._pass.close()
+        self._fitness = self._decided = None
+
+
+def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
+    """Return a domain's textures, shared, for kernels that see grey samples under lights of intensity 1."""
+    result = object.__new__(DomainTextures)
+    result.__dict__.update(domain.__dict__)
+    result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.survey.shadow:.9f}"}
+    result.brightness = 1.0
+    return result
+
+
+def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates) -> Estimates:
+    """The survey's first estimates: the normals that the recovery begins with, and defaults."""
+    normal = next(p.name for p in model.parameters if p.is_normal)
+    packed = np.concatenate([textures.download(t) for t in estimates.current], axis=-1)
+    at = model.offset(normal)
+    values = {
+        p.name: packed[..., at : at + 3]
+        if p.is_normal
+        else np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components))
+        for p in own.parameters
+    }
+    return Estimates(own, values)
+
+
+def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
+    normal = next(p.name for p in model.parameters if p.is_normal)
+    samplers = {**kernels.estimate_samplers(model), **kernels.GEOMETRY, "u_survey_0": kernels.FLOAT_2D}
+    defines = {**defines, **kernels.estimate_defines(model), "NORMAL_COMPONENT": model.offset(normal)}
+    return Pass(
+        Kernel(
+            "survey/adopt.glsl", kernels.estimate_outputs(model), samplers, {}, defines, kernels.model_includes(model)
+        )
+    )
+
+
+def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
+    count = kernels.estimate_defines(model)["ESTIMATES"]
+    samplers = {
+        **kernels.estimate_samplers(model), **kernels.OBSERVATIONS, "u_survey_fitness": kernels.FLOAT_2D,
+        **{f"u_work_{i}": kernels.FLOAT_2D for i in range(count)},
+    }  # fmt: skip
+    defines = {
+        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES[schedule.fitness.loss],
+        "TRUST": f"{schedule.survey.trust:.9f}", "TRUST_FLOOR": f"{_TRUST_FLOOR:.9f}",
+    }  # fmt: skip
+    constants = {"u_observations": "INT", "u_delta": "FLOAT"}
+    given = kernels.model_includes(model)
+    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, constants, defines, given))

