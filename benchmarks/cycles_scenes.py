@@ -8,6 +8,10 @@ handed to the public command ``python -m irpso_addon recover``. The maps it writ
 material that it writes is rendered by Cycles under 10 lights that were not in the capture. PSNR and SSIM (Wang et al.
 2004) are of pictures in sRGB (the Standard view), over the subject. Pictures stay in the cache: empty it after changing
 a mesh or a map.
+
+The true maps are reduced to --detail texels along a side, so that pictures of --size pixels resolve them. With as much
+detail as texels, what is recovered is nearest to the truth blurred by .6 texels: on the rock monkey 2.5° of median
+against 4.0° without the blur, the pictures' limit and not the fit's.
 """
 
 from __future__ import annotations
@@ -55,9 +59,9 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
     """Photograph a scene, recover it with every preset, and compare."""
     view = render.View(options.size, options.size, samples=options.samples)
     directions, unseen = seen_and_unseen()
-    key = repr((scene.note, view, options.resolution, directions.tobytes(), unseen.tobytes()))
+    key = repr((scene.note, view, options.resolution, options.detail, directions.tobytes(), unseen.tobytes()))
     folder = options.cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
-    truth = scene.maps(options.resolution)
+    truth = scene.maps(options.resolution, options.detail)
     textured.prepare(scene, view, folder)
     true_pictures, mask = textured.photograph(truth, view, folder, directions, unseen)
     results = []
@@ -132,6 +136,7 @@ def main() -> None:
     parser.add_argument(
         "--resolution", type=int, default=256, help="texels along a side of the maps, a divisor of 1024"
     )
+    parser.add_argument("--detail", type=int, default=128, help="texels along a side that the true maps really have")
     parser.add_argument("--samples", type=int, default=32, help="for each pixel and light")
     options = parser.parse_args()
     options.out = options.out or options.cache / "recovered"

@@ -17,6 +17,7 @@ from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.blender_images import decode
 
 from . import materials, render, subjects
+from .resample import resampled
 
 NAME = "Subject"
 CAPTURE, BLEND = "capture", "scene.blend"
@@ -40,10 +41,10 @@ class TrueMaps:
 
 @dataclass(frozen=True)
 class TexturedScene:
-    """mesh: makes the subject. maps: reads its true maps at so many texels along a side. note: for readers."""
+    """mesh: makes the subject. maps: reads its true maps, given texels and detail (``resampled``). note: for all."""
 
     mesh: Callable
-    maps: Callable[[int], TrueMaps]
+    maps: Callable[[int, int], TrueMaps]
     note: str = ""
 
 
@@ -62,23 +63,18 @@ def scene_table(data: Path) -> dict[str, TexturedScene]:
     }
 
 
-def cc0_maps(folder: Path, size: int) -> TrueMaps:
+def cc0_maps(folder: Path, size: int, detail: int) -> TrueMaps:
     """Return the maps of an ambientCG material."""
     albedo, normal, roughness = (_pixels(folder / f"{name}.jpg") for name in ("albedo", "normal", "roughness"))
-    return _reduced_maps(srgb_to_linear(albedo), normal, roughness[..., 0], size)
+    return _true_maps(srgb_to_linear(albedo), normal, roughness[..., 0], size, detail)
 
 
-def head_maps(folder: Path, size: int) -> TrueMaps:
+def head_maps(folder: Path, size: int, detail: int) -> TrueMaps:
     """Return the head's own colours and normals, and a roughness authored from its specular map."""
     names = ("Map-COL", "Infinite-Level_02_Tangent_SmoothUV", "Map-SPEC")
     colour, normal, shine = (_pixels(folder / f"{name}.jpg") for name in names)
-    return _reduced_maps(srgb_to_linear(colour), normal, _HEAD_ROUGHNESS[0] - _HEAD_ROUGHNESS[1] * shine[..., 0], size)
-
-
-def reduced(values: np.ndarray, size: int) -> np.ndarray:
-    """Return (size, size, …) the means over blocks of a square map whose side is a multiple of ``size``."""
-    step = values.shape[0] // size
-    return values.reshape(size, step, size, step, *values.shape[2:]).mean(axis=(1, 3))
+    roughness = _HEAD_ROUGHNESS[0] - _HEAD_ROUGHNESS[1] * shine[..., 0]
+    return _true_maps(srgb_to_linear(colour), normal, roughness, size, detail)
 
 
 def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
@@ -161,8 +157,8 @@ def _pixels(path: Path) -> np.ndarray:
     return decode(path).values[..., :3].astype(np.float64)
 
 
-def _reduced_maps(colour: np.ndarray, normal: np.ndarray, roughness: np.ndarray, size: int) -> TrueMaps:
-    vectors = reduced(2 * normal - 1, size)
+def _true_maps(colour: np.ndarray, normal: np.ndarray, roughness: np.ndarray, size: int, detail: int) -> TrueMaps:
+    vectors = resampled(2 * normal - 1, size, detail)
     vectors[..., 2] = np.maximum(vectors[..., 2], 0.05)
     vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return TrueMaps(reduced(colour, size), vectors, reduced(roughness, size))
+    return TrueMaps(resampled(colour, size, detail), vectors, resampled(roughness, size, detail))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes.lights import dome_lights, grid_lights, seen_and_unseen, uneven_intensities
+from benchmarks.scenes.resample import resampled
 from benchmarks.scenes.sensor import Sensor
 
 scores = pytest.importorskip("benchmarks.scenes.scores", reason="scores need scipy")
@@ -89,3 +90,18 @@ def test_angles_keep_their_digits_where_they_are_small():
     other = np.array([np.sin(tilt), 0, np.cos(tilt)])
     assert scores.angles(np.array([0.0, 0, 1]), other) == pytest.approx(np.degrees(tilt), rel=1e-6)
     assert scores.angles(np.array([0.0, 0, 1]), np.array([0.0, 1, 0])) == pytest.approx(90)
+
+
+def test_resampling_keeps_a_wave_that_fits_and_its_place():
+    def wave(size):
+        middles = (np.arange(size) + 0.5) / size
+        return np.sin(2 * np.pi * (middles[:, None] + 2 * middles[None])) + 0.3
+
+    found = resampled(wave(512), 128, 64)
+    assert found.shape == (128, 128)
+    np.testing.assert_allclose(found, wave(128), atol=0.012)  # linear between 32 points of a wave: (π/32)²/2 + block
+
+
+def test_resampling_to_the_same_detail_takes_the_mean_of_blocks():
+    values = np.random.default_rng(0).random((8, 8, 3))
+    np.testing.assert_allclose(resampled(values, 4, 4)[1, 2], values[2:4, 4:6].mean(axis=(0, 1)))
