@@ -40,13 +40,20 @@ def make_plan(
     observations: int,
     held_out: int,
     stack_on: str | None = None,
+    resumed: Path | None = None,
 ) -> Plan:
-    """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError."""
+    """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
+
+    stack_on: where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles.
+    """
     device = context.describe()
     memory = machine_memory(options.memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
     need = recovery_need(model, schedule, known, observations, held_out, options.entry != "fragment")
-    return plan_recovery(coverage, need, memory, limits, stack_on)
+    boxes = []
+    if resumed is not None:
+        boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
+    return plan_recovery(coverage, need, memory, limits, stack_on, boxes)
 
 
 def scratch_folder(output: Path) -> Path:
@@ -73,16 +80,10 @@ def planned_recovery(
     schedule: Schedule,
     known: dict[str, np.ndarray],
     options: Namespace,
-    resumed: Path | None,
 ) -> Recovery | TiledRecovery:
-    """Return the recovery that the plan asks for; a run that is resumed keeps the tiles that it had."""
+    """Return the recovery that the plan asks for."""
     settings = (domain, model, schedule, options.seed, known, options.entry)
-    boxes, halo = plan.boxes, plan.halo
-    if resumed is not None:
-        boxes, halo = checkpoint.tiles_of(resumed)
-    elif len(boxes) == 1:
-        boxes = []
-    if not boxes:
+    if plan.boxes == [(0, 0, domain.shape[1], domain.shape[0])]:
         return Recovery(*settings)
     scratch = scratch_folder(Path(options.output)) if plan.state_on == "scratch" else None
-    return TiledRecovery(*settings, boxes=boxes, halo=halo, resident=plan.resident, scratch=scratch)
+    return TiledRecovery(*settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=scratch)

@@ -77,8 +77,7 @@ def run(options: Namespace) -> dict:
     kept = [k for k in range(domain.observations) if k not in job.held_out]
     plan = _plan(options, job, domain.solvable, plan.stack_on)
     started = time.perf_counter()
-    fitted, resumed = subset(domain, kept), job.folder / CHECKPOINT if options.resume else None
-    with planned_recovery(plan, fitted, job.model, job.schedule, job.known, options, resumed) as recovery:
+    with planned_recovery(plan, subset(domain, kept), job.model, job.schedule, job.known, options) as recovery:
         job.seconds["prepare"] = time.perf_counter() - started
         history = History(recovery, job.truth)
         maps = _solve(recovery, history, job, options)
@@ -142,7 +141,8 @@ def _subject(options: Namespace) -> tuple[object | None, MeshData | None]:
 
 def _plan(options: Namespace, job: _Job, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
     counts = len(job.capture.observations), len(job.held_out)
-    return make_plan(options, coverage, job.model, job.schedule, job.known, *counts, stack_on)
+    resumed = job.folder / CHECKPOINT if options.resume else None
+    return make_plan(options, coverage, job.model, job.schedule, job.known, *counts, stack_on, resumed)
 
 
 def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, subject: object | None) -> Domain:

@@ -17,6 +17,8 @@ _PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 1
 _PREPARING = 512 << 20  # on the host, whatever the domain: chunks of the preparation, Blender itself
 _SMALLEST = 8  # texels along the longer side from which on a tile is not cut again
 
+Box = tuple[int, int, int, int]  # x0, y0, width, height
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -48,9 +50,9 @@ class Plan:
     """How a recovery is done within a budget of memory.
 
     shape: (H, W) of the domain. texels: covered. tiles: rectangles that together hold all of them, with ``halo``
-    texels around each. resident: whether all tiles stay on the device; else they take turns. stack_on, state_on: where
-    the sample stack, and the state of tiles that are not on the device, lie: "memory" or "scratch" (a file).
-    passes: how often every tile is gone over: 1 + exchanges. device, host, scratch: bytes at the most.
+    texels around each. on_device: how many of them lie on the device at once; fewer than all take turns. stack_on,
+    state_on: where the sample stack, and the state of tiles that are not on the device, lie: "memory" or "scratch" (a
+    file). passes: how often every tile is gone over: 1 + exchanges. device, host, scratch: bytes at the most.
     """
 
     shape: tuple[int, int]
@@ -58,7 +60,7 @@ class Plan:
     observations: int
     tiles: tuple[Tile, ...]
     halo: int
-    resident: bool
+    on_device: int
     stack_on: str
     state_on: str
     passes: int
@@ -69,20 +71,25 @@ class Plan:
     memory: Memory
 
     @property
-    def boxes(self) -> list[tuple[int, int, int, int]]:
+    def resident(self) -> bool:
+        """Whether all tiles stay on the device."""
+        return self.on_device == len(self.tiles)
+
+    @property
+    def boxes(self) -> list[Box]:
         """The tiles as (x0, y0, width, height)."""
         return [(t.x0, t.y0, t.width, t.height) for t in self.tiles]
 
     def as_dict(self) -> dict:
         """Return the plan as plain data."""
-        return asdict(self)
+        return asdict(self) | {"resident": self.resident}
 
     def lines(self) -> list[str]:
         """Return the plan for people."""
         height, width = self.shape
         count = len(self.tiles)
         share = [t.texels for t in self.tiles]
-        how = "all on the device at once" if self.resident else "taking turns on the device"
+        how = f"{'all' if self.resident else self.on_device} on the device at once"
         lines = [
             f"domain        {width} × {height}, {self.texels} texels covered, {self.observations} observations",
             f"tiles         {count}" + (f" of {min(share)} to {max(share)} texels, {how}" if count > 1 else ""),
@@ -101,14 +108,19 @@ class Plan:
 
 
 def plan_recovery(
-    coverage: np.ndarray, need: Need, memory: Memory, limits: Limits = Limits(), stack_on: str | None = None
+    coverage: np.ndarray,
+    need: Need,
+    memory: Memory,
+    limits: Limits = Limits(),
+    stack_on: str | None = None,
+    boxes: Sequence[Box] = (),
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
 
     The domain is cut across its longer side by the number of covered texels, and the parts again, into as many as are
     needed for each to fit the device. Where the host has no room for it the sample stack goes into a scratch file, then
-    the state of tiles that wait. stack_on: where the stack lies already, if it does. Raises InputError, naming the
-    setting, where even small tiles do not fit, and where no texel is covered.
+    the state of tiles that wait. stack_on: where the stack lies already, if it does. boxes: the tiles, where they are
+    given. Raises InputError, naming the setting, where even small tiles do not fit, and where no texel is covered.
     """
     if need.observations > limits.layers:
         raise InputError(
@@ -117,15 +129,17 @@ def plan_recovery(
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
-    boxes = [whole] if _fits(coverage, whole, need, memory, limits) else _cut(coverage, need, memory, limits)
+    if not boxes:
+        boxes = [whole] if _fits(coverage, whole, need, memory, limits) else _cut(coverage, need, memory, limits)
     tiles = tuple(_tile(coverage, box, need) for box in boxes)
-    together = sum(tile.device for tile in tiles)
-    resident = together <= memory.device
+    largest = max(tile.device for tile in tiles)
+    resident = sum(tile.device for tile in tiles) <= memory.device
+    on_device = len(tiles) if resident else max(1, memory.device // largest)
     host, scratch, stack_on, state_on = _places(coverage.size, tiles, need, memory, resident, stack_on)
     texels = _texels(coverage)
     return Plan(
-        coverage.shape, texels, need.observations, tiles, need.reach if len(tiles) > 1 else 0, resident, stack_on,
-        state_on, 1 if resident else 1 + need.exchanges, together if resident else max(t.device for t in tiles),
+        coverage.shape, texels, need.observations, tiles, need.reach if len(tiles) > 1 else 0, on_device, stack_on,
+        state_on, 1 if resident else 1 + need.exchanges, sum(sorted(t.device for t in tiles)[-on_device:]),
         host, scratch, texels * need.evaluations, memory,
     )  # fmt: skip
 
@@ -152,13 +166,13 @@ def _texels(coverage: np.ndarray) -> int:
     return int(np.count_nonzero(coverage))
 
 
-def _around(box: tuple[int, int, int, int], halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
+def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
     x0, y0, width, height = box
     rows = slice(max(0, y0 - halo), min(shape[0], y0 + height + halo))
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
 
 
-def _tile(coverage: np.ndarray, box: tuple[int, int, int, int], need: Need) -> Tile:
+def _tile(coverage: np.ndarray, box: Box, need: Need) -> Tile:
     part = coverage[_around(box, need.reach, coverage.shape)]
     own = coverage[_around(box, 0, coverage.shape)]
     texels = _texels(part)
@@ -167,7 +181,7 @@ def _tile(coverage: np.ndarray, box: tuple[int, int, int, int], need: Need) -> T
     )  # fmt: skip
 
 
-def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> list[tuple[int, int, int, int]]:
+def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> list[Box]:
     """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
     count = 1
     while True:
@@ -185,7 +199,7 @@ def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> li
         count = max(count + 1, int(1.1 * count))
 
 
-def _divided(coverage: np.ndarray, box: tuple[int, int, int, int], count: int) -> Iterator[tuple[int, int, int, int]]:
+def _divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
     """Yield ``count`` boxes of a box, cut in two across the longer side by the number of covered texels, and so on."""
     x0, y0, _, _ = box
     part = coverage[_around(box, 0, coverage.shape)]
@@ -208,7 +222,7 @@ def _divided(coverage: np.ndarray, box: tuple[int, int, int, int], count: int) -
         yield from _divided(coverage, half, share)
 
 
-def _fits(coverage: np.ndarray, box: tuple[int, int, int, int], need: Need, memory: Memory, limits: Limits) -> bool:
+def _fits(coverage: np.ndarray, box: Box, need: Need, memory: Memory, limits: Limits) -> bool:
     part = coverage[_around(box, need.reach, coverage.shape)]
     device = device_bytes(_texels(part), part.size, need)
     return device <= memory.device and _fits_textures(_texels(part), part.shape, need, limits)

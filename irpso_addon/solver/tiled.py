@@ -79,9 +79,9 @@ class TiledRecovery:
     """One run over tiles, with the face of Recovery: the maps are those of the whole domain at once, bit for bit.
 
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
-    least the reach of every phase. resident: whether all tiles stay on the device; else they take turns, each making
-    as many iterations as need no neighbours, and what they remember waits in memory, or in files in the folder
-    ``scratch``. Needs, and raises, what Recovery does.
+    least the reach of every phase. on_device: how many tiles lie on the device at once, None for all; fewer take turns,
+    each making as many iterations as need no neighbours, and what the others remember waits in memory, or in files in
+    the folder ``scratch``. Needs, and raises, what Recovery does.
     """
 
     def __init__(
@@ -95,26 +95,32 @@ class TiledRecovery:
         *,
         boxes: Sequence[Box],
         halo: int,
-        resident: bool = True,
+        on_device: int | None = None,
         scratch: Path | None = None,
     ):
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        self.resident, self._halo, self._scratch = resident, halo, scratch
+        self._halo, self._scratch = halo, scratch
         self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         _check_boxes(boxes, domain)
         prepared = prepare.prepare(domain, model, schedule)
         self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[_part(box)].any()]
         self._meetings = _meetings(self._tiles)
-        self._active = 0  # the tile that was used last; where tiles take turns, the one on the device
+        self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
+        self._active = 0  # the tile that was used last
         self._told = False  # whether strips are those of the iteration that all tiles are at
         self._made = 0  # iterations of the burst that was made last
         self._work: Iterator[None] | None = None
-        for number in range(len(self._tiles) if resident else 1):
+        for number in range(self._most):
             self._recovery(number)
         for part in self._tiles:  # a tile that has not been on the device is where the first one is
             part.progress = part.progress or self._tiles[0].progress
+
+    @property
+    def resident(self) -> bool:
+        """Whether all tiles stay on the device."""
+        return self._most == len(self._tiles)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, or for about so long, or to the end; return the progress, as Recovery.step.
@@ -188,13 +194,11 @@ class TiledRecovery:
             evaluations = int(saved.arrays[_EVALUATIONS][number])
             state = Checkpoint(saved.stage, saved.iteration, evaluations, arrays)
             part.state = self._stored(part, state) if arrays else None
+        for number in range(self._most):
+            self._recovery(number)
         for number, part in enumerate(self._tiles):
-            if self.resident or number == 0:
-                self._recovery(number)
             evaluations = int(saved.arrays[_EVALUATIONS][number])
-            part.progress = replace(
-                part.progress if self.resident else self._tiles[0].progress, evaluations=evaluations
-            )
+            part.progress = replace(self._tiles[0].progress, evaluations=evaluations)
         return named(saved.arrays, NOTE)
 
     def close(self) -> None:
@@ -272,18 +276,19 @@ class TiledRecovery:
             self._work = None
 
     def _order(self) -> list[int]:
-        """The tiles, the one on the device first: every turn spared is an upload of its part of the sample stack."""
-        return sorted(range(len(self._tiles)), key=lambda number: number != self._active)
+        """The tiles, those on the device first: every turn spared is an upload of a part of the sample stack."""
+        return sorted(range(len(self._tiles)), key=lambda number: self._tiles[number].recovery is None)
 
     def _recovery(self, number: int) -> _TileRecovery:
         """Return a tile's recovery, put on the device if it is not there."""
         part = self._tiles[number]
         if part.recovery is None:
-            active = self._tiles[self._active]
-            if not self.resident and active.recovery is not None:
-                active.state = self._stored(active, active.recovery.state())
-                active.recovery.close()
-                active.recovery = None
+            if sum(other.recovery is not None for other in self._tiles) == self._most:
+                # The one used last: those before it stay for the next round, which begins with them.
+                last = self._tiles[self._active]
+                last.state = self._stored(last, last.recovery.state())
+                last.recovery.close()
+                last.recovery = None
             part.recovery = _TileRecovery(
                 part.domain, self.model, self.schedule, self.seed, part.known, self.entry, part.prepared, part.state
             )

@@ -10,7 +10,7 @@ from irpso_addon.solver.checkpoint import tiles_of
 from irpso_addon.solver.need import recovery_need
 from irpso_addon.solver.plan import device_bytes
 from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.schedule import Polish, load_schedule
 from irpso_addon.solver.tiled import TiledRecovery
 from tests.swarm_subjects import SHORT, subject
 
@@ -25,6 +25,7 @@ SCHEDULES = {
     "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
     "several stages": load_schedule("paper").replaced(iterations=6, cycles=2, particles=4, c3=0.3, search=["normal"]),
     "standard": load_schedule("standard").replaced(iterations=8),
+    "polish": load_schedule("standard").replaced(iterations=6, polish=Polish(iterations=3, rounds=2)),
 }
 
 
@@ -48,7 +49,8 @@ def whole_of(domain, schedule, entry="fragment", model=TWO_LOBES, **options):
         return everything(whole.maps()), progress
 
 
-def tiled(domain, schedule, boxes=BOXES, entry="fragment", halo=2, model=TWO_LOBES, **options):
+def tiled(domain, schedule, boxes=BOXES, entry="fragment", halo=2, model=TWO_LOBES, resident=True, **options):
+    options = {"on_device": None if resident else 1, **options}
     return TiledRecovery(domain, model, schedule, 1, entry=entry, boxes=boxes, halo=halo, **options)
 
 
@@ -72,6 +74,18 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
         assert everything(recovery.maps()) == wanted
         assert sum(part.recovery is not None for part in recovery._tiles) == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("on_device", [2, 4])
+def test_as_many_tiles_as_are_allowed_stay_on_the_device(on_device):
+    domain = with_hole(card=False)
+    wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
+    boxes = [(0, 0, 9, 6), (9, 0, 8, 6), (0, 6, 4, 7), (4, 6, 5, 7), (9, 6, 8, 7)]
+    with tiled(domain, SCHEDULES["wide window"], boxes, model=LAMBERT, on_device=on_device) as recovery:
+        while not recovery.step(iterations=1).done:
+            assert sum(part.recovery is not None for part in recovery._tiles) == on_device
+        assert recovery.progress == progress and not recovery.resident
+        assert everything(recovery.maps()) == wanted
 
 
 def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
@@ -182,11 +196,14 @@ def test_a_halo_narrower_than_the_reach_and_tiles_with_gaps_are_refused():
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("model", ["lambert", "cook_torrance_two_lobe"])
-@pytest.mark.parametrize("preset", ["swarm", "standard", "paper"])
+@pytest.mark.parametrize("preset", ["swarm", "standard", "paper", "polish alone"])
 def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, monkeypatch):
-    schedule = load_schedule(preset).replaced(iterations=2, cycles=1)
+    schedule = load_schedule(preset if " " not in preset else "standard").replaced(iterations=2, cycles=1)
+    schedule = schedule.replaced(polish=Polish())
     if preset == "paper":
         schedule = schedule.replaced(search=["normal"])
+    elif preset == "polish alone":
+        schedule = schedule.replaced(polish=Polish(iterations=2, rounds=1), iterations=0)
     domain, _ = subject(20, 20, model=model, holes=False, observations=9)
     domain.bake.coverage[15:] = False
     taken = []
