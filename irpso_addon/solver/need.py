@@ -8,7 +8,8 @@ from typing import Any
 
 from ..reflectance.model import ReflectanceModel
 from .polish_kernels import renders
-from .resolve import ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve, survey_model
+from .prior_kernels import evaluations_of, reach_of
+from .resolve import ResolvedPolish, ResolvedPrior, ResolvedStage, ResolvedSurvey, resolve, survey_model
 from .schedule import Schedule
 from .stage import particle_count, reach_at
 from .state import plan_atlas
@@ -101,6 +102,8 @@ def _phase_need(resolved: Any, model: ReflectanceModel, schedule: Schedule) -> P
         return _swarm_need(resolved, schedule)
     if isinstance(resolved, ResolvedSurvey):
         return _survey_need(resolved, schedule)
+    if isinstance(resolved, ResolvedPrior):
+        return _prior_need(resolved, model)
     return _polish_need(resolved, model)
 
 
@@ -126,6 +129,15 @@ def _polish_need(resolved: ResolvedPolish, model: ReflectanceModel) -> PhaseNeed
     evaluations = resolved.iterations * step + settings.rounds * spread
     textures = 3 * held + 2 * FLOAT4  # one that shows, one to begin with
     return PhaseNeed(1, textures, 2 * held, int(settings.rounds > 0), settings.rounds, evaluations)
+
+
+def _prior_need(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseNeed:
+    """Return the need of a prior, whose textures are those of PriorTextures."""
+    held = -(-model.components // 4)
+    textures = FLOAT4 * (2 + 5 * held + 2 * (held + 1)) + FLOAT
+    kept = FLOAT4 * (1 + 3 * held + held + 1) + FLOAT
+    evaluations = sum(evaluations_of(resolved, model, i) for i in range(resolved.iterations))
+    return PhaseNeed(1, textures, kept, reach_of(resolved.prior), 1 + resolved.prior.rounds, evaluations)
 
 
 def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:

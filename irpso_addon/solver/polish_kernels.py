@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..gpu.passes import Entry, Kernel, Output, Pass
+from ..paths import SHADERS
 from ..reflectance.model import ReflectanceModel
 from .kernels import (
     FLOAT_2D,
@@ -18,7 +19,7 @@ from .kernels import (
     model_includes,
 )
 from .resolve import ResolvedPolish
-from .schedule import Fitness
+from .schedule import Fitness, Polish
 from .unknowns import Unknowns, build_slopes, build_starts
 
 CANDIDATES = 3  # dampings that are tried together
@@ -55,6 +56,15 @@ def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int
     return evaluations, _OFFERS[unknowns.defines["SEARCHED"] > 0]
 
 
+def step_defines(settings: Polish) -> dict[str, str | int]:
+    """Return the constants of a step that are compiled in."""
+    return {
+        "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
+        "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
+        **({"CENTRAL": 1} if settings.central else {}),
+    }  # fmt: skip
+
+
 def build_polish_passes(
     model: ReflectanceModel, resolved: ResolvedPolish, fitness: Fitness, domain_defines: dict[str, int], entry: Entry
 ) -> PolishPasses:
@@ -63,13 +73,11 @@ def build_polish_passes(
     evaluations, offers = renders(model, resolved)
     defines = {
         **domain_defines, **unknowns.defines, **estimate_defines(model),
-        "FITNESS": LOSSES[fitness.loss], "CANDIDATES": CANDIDATES, "EVALUATIONS": evaluations,
-        "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
-        "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
-        **({"CENTRAL": 1} if settings.central else {}),
+        "FITNESS": LOSSES[fitness.loss], "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
     given = {
-        **model_includes(model), "unknowns.glsl": unknowns.source, "starts.glsl": build_starts(model, resolved.starts)
+        **model_includes(model), "unknowns.glsl": unknowns.source, "starts.glsl": build_starts(model, resolved.starts),
+        "penalty.glsl": SHADERS / "swarm" / "no_penalty.glsl",
     }  # fmt: skip
     outputs = (*estimate_outputs(model), Output("o_status"))
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}

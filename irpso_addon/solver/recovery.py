@@ -27,7 +27,8 @@ from .packing import Packing
 from .phase import Phase
 from .polish import RunningPolish
 from .prepare import Prepared
-from .resolve import ResolvedPolish, ResolvedSurvey, resolve
+from .prior import RunningPrior
+from .resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
 from .schedule import Schedule
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
@@ -256,14 +257,18 @@ class Recovery:
         stage, model, schedule = self._stages[index], self.model, self.schedule
         domain, estimates = self._textures, self._estimates
         if isinstance(stage, ResolvedPolish):
-            judge = None
-            if self._surveyed is not None:
-                judge = Judge(model, schedule, domain, estimates, self._surveyed)
-            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, judge)
+            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, self._judge())
+        if isinstance(stage, ResolvedPrior):
+            return RunningPrior(stage, model, schedule, domain, estimates, self.entry, self._judge())
         if isinstance(stage, ResolvedSurvey):
             return RunningSurvey(stage, model, schedule, seed, domain, estimates, self.entry)
         kind = RunningGenerations if schedule.swarm.update == "all" else RunningStage
         return kind(stage, model, schedule, seed, domain, estimates, self.entry)
+
+    def _judge(self) -> Judge | None:
+        if self._surveyed is None:
+            return None
+        return Judge(self.model, self.schedule, self._textures, self._estimates, self._surveyed)
 
     def _finish_stage(self) -> None:
         self._phase.resolve()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..errors import InputError
 from ..paths import SHADERS
 from ..reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .schedule import ALL, MAX_DIMENSIONS, REST, NormalSearch, Polish, Schedule, Stage, Survey
+from .schedule import ALL, MAX_DIMENSIONS, REST, NormalSearch, Polish, Prior, Schedule, Stage, Survey
 
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
@@ -72,7 +72,27 @@ class ResolvedSurvey:
         return self.stage.iterations + self.polish.iterations
 
 
-Resolved = ResolvedSurvey | ResolvedStage | ResolvedPolish
+@dataclass(frozen=True)
+class ResolvedPrior:
+    """The spatial prior for one model.
+
+    parameters: all that is found. pooled: the scalars that neighbours say something of. step: what is then moved.
+    """
+
+    parameters: tuple[Parameter, ...]
+    pooled: tuple[Parameter, ...]
+    prior: Prior
+    step: ResolvedPolish
+
+    title = "prior"
+
+    @property
+    def iterations(self) -> int:
+        """How many there are: the noise, what the samples tell, the rounds, and the steps."""
+        return 2 + self.prior.rounds + self.prior.iterations
+
+
+Resolved = ResolvedSurvey | ResolvedStage | ResolvedPolish | ResolvedPrior
 
 
 def survey_model() -> ReflectanceModel:
@@ -99,10 +119,18 @@ def _resolve_polish(
     return (ResolvedPolish(parameters, polish, tuple(dict.fromkeys(start for start in starts if start))),)
 
 
+def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedPrior, ...]:
+    prior, pooled = schedule.prior, tuple(p for p in parameters if p.components == 1)
+    if prior.rounds == 0 or not pooled:
+        return ()
+    moved = tuple(p for p in parameters if prior.turn or not p.is_normal)
+    return (ResolvedPrior(parameters, pooled, prior, ResolvedPolish(moved, schedule.polish, ())),)
+
+
 def resolve(
     schedule: Schedule, model: ReflectanceModel, known: set[str], observations: int = 0
 ) -> tuple[Resolved, ...]:
-    """Return what a model's unknown parameters leave to be done: the survey, the stages for all cycles, the polish.
+    """Return what a model's unknown parameters leave to be done: the survey, all stages, the polish, the prior.
 
     observations: how many there are; a survey needs some. Raises InputError.
     """
@@ -144,7 +172,9 @@ def resolve(
                 )
             resolved.append(result)
     if found:
-        resolved += _resolve_polish(schedule.polish, model, tuple(p for p in model.parameters if p.name in found))
+        parameters = tuple(p for p in model.parameters if p.name in found)
+        resolved += _resolve_polish(schedule.polish, model, parameters)
+        resolved += _resolve_prior(schedule, parameters)
     if not resolved:
         raise InputError("search: nothing is left to find; every parameter searched is given as known")
     return tuple(resolved)

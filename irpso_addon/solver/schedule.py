@@ -127,6 +127,30 @@ class Survey:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What neighbours say of the numbers that a texel's own samples do not tell, after the polish.
+
+    rounds: how often the scalars are pooled over neighbours, 0 for no prior; scales: a round reaches 2^scales texels.
+    iterations: Levenberg–Marquardt steps with the prior then, with the polish's damping. likeness: neighbours are alike
+    that differ by this fraction of a scalar's range, or by the fraction likeness_color of a colour. spread: scalars of
+    like texels are taken to differ by this fraction of the range or more. noise_freedom: for how many samples of a
+    texel's own the neighbours' noise counts with it. share: a texel is left alone of which the prior would have less.
+    tolerance: by how many σ of the noise the fit may become worse. turn: whether normals are moved too.
+    """
+
+    rounds: int = 0
+    scales: int = 4
+    iterations: int = 6
+    likeness: float = 0.1
+    likeness_color: float = 0.1
+    spread: float = 0.02
+    noise_freedom: float = 10.0
+    share: float = 0.02
+    tolerance: float = 3.0
+    turn: bool = True
+
+
+@dataclass(frozen=True)
 class Stage:
     """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one.
 
@@ -142,7 +166,7 @@ class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
     threshold: the fitness h at which a swarm stops (0: never before the last iteration). survey: what goes before the
-    stages, which then hold to its normals. polish: what follows them.
+    stages, which then hold to its normals. polish: what follows them; prior: what follows that.
     """
 
     name: str
@@ -154,12 +178,13 @@ class Schedule:
     threshold: float = 0.0
     survey: Survey = Survey()
     polish: Polish = Polish()
+    prior: Prior = Prior()
 
     def replaced(self, **changes: Any) -> Schedule:
         """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
 
-        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Survey and polish are
-        another's, whole (``polish=``), or their settings by name with ``survey_`` or ``polish_`` before it.
+        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Survey, polish and prior
+        are another's, whole (``polish=``), or their settings by name with ``polish_`` (…) before it.
         """
         result = self
         if (search := changes.pop("search", None)) is not None:
@@ -186,7 +211,7 @@ class Schedule:
         return result
 
 
-_OPTIONAL = {"survey": Survey, "polish": Polish}  # parts of a preset that may be absent: there is none then
+_OPTIONAL = {"survey": Survey, "polish": Polish, "prior": Prior}  # may be absent: there is none then
 
 
 def shipped_presets() -> list[str]:
@@ -254,6 +279,7 @@ def _check(schedule: Schedule, where: str = "") -> None:
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
     _check_survey(schedule.survey, where)
     _check_polish(schedule.polish, where)
+    _check_prior(schedule.prior, where)
     if schedule.polish.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
         raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
     if schedule.swarm.neighbourhood % 2 == 0:
@@ -283,6 +309,20 @@ def _check_polish(polish: Polish, where: str) -> None:
             raise InputError(f"{where}: {_POLISH}{name} must be a number from 0, not {value!r}")
     if polish.damping == 0:
         raise InputError(f"{where}: {_POLISH}damping must be above 0")
+
+
+def _check_prior(prior: Prior, where: str) -> None:
+    _check_whole("prior_rounds", prior.rounds, where, 0)
+    for name in ("scales", "iterations"):
+        _check_whole(f"prior_{name}", getattr(prior, name), where)
+    if prior.scales > 6:
+        raise InputError(f"{where}: prior_scales must be at most 6, which is 64 texels, not {prior.scales}")
+    if not isinstance(prior.turn, bool):
+        raise InputError(f"{where}: prior_turn must be true or false, not {prior.turn!r}")
+    for name in ("likeness", "likeness_color", "spread", "noise_freedom", "share", "tolerance"):
+        value = getattr(prior, name)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < float("inf"):
+            raise InputError(f"{where}: prior_{name} must be a number above 0, not {value!r}")
 
 
 def _check_whole(name: str, value: Any, where: str, least: int = 1) -> None:

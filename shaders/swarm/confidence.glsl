@@ -1,5 +1,6 @@
 // Over W×H texels: the standard deviation of every parameter that was not given, from (JᵀJ)⁻¹ and the residual, over
-// all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table.
+// all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN
+// the variance of the noise in u_noise.z.
 // Writes o_deviation_0 …, packed as the estimates are: a number a component, in the parameter's own units; the first
 // component of a normal has the root of its two tangent variances, in radians, the others 0.
 
@@ -152,6 +153,17 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
     }
 }
 
+// The variance of the noise, below 0 where there are too few samples to tell.
+float variance_of(ivec2 texel, float errors, float weights)
+{
+#ifdef NOISE_GIVEN
+    return texelFetch(u_noise, texel, 0).z;
+#else
+    float freedom = 3.0 * weights - float(UNKNOWNS);
+    return freedom > 0.0 ? errors / freedom : -1.0;
+#endif
+}
+
 bool texel_kernel(ivec2 texel)
 {
     float sigma[12];
@@ -167,16 +179,16 @@ bool texel_kernel(ivec2 texel)
         float weights;
         accumulate(texel, c, a, errors, energy, weights);
         float deviation[UNKNOWNS];
-        float freedom = 3.0 * weights - float(UNKNOWNS);
-        if (freedom > 0.0) {
-            deviations_from(a, errors / freedom, energy, deviation);
+        float variance = variance_of(texel, errors, weights);
+        if (variance >= 0.0) {
+            deviations_from(a, variance, energy, deviation);
         }
         for (int u = 0; u < UNKNOWNS; u++) {
             int at;
             float low;
             float width;
             unknown_at(u, at, low, width);
-            float own = width * (freedom > 0.0 ? deviation[u] : 1.0);
+            float own = width * (variance >= 0.0 ? deviation[u] : 1.0);
             // The two of a normal share a component: their variances add up, to its range at most.
             sigma[at] = min(width, length(vec2(sigma[at], own)));
         }

@@ -4,11 +4,14 @@
 // The first loop over the observations adds up JᵀWJ and JᵀWe, the second renders the steps of CANDIDATES dampings, so
 // that an observation is read twice an iteration. Linear parameters have their basis for a derivative, the others a
 // difference: unknowns.glsl is generated for both (solver/unknowns.py).
+// penalty.glsl is what the loss is added to: no_penalty.glsl, or a prior's.
 
 #include "swarm/fitness.glsl"
 #include "swarm/polish_state.glsl"
 #include "swarm/differences.glsl"
 #include "swarm/normal_equations.glsl"
+#include "swarm/lobes.glsl"
+#include "penalty.glsl"
 
 // The ratio of the dampings that are tried together, and their bounds: below 2⁻²⁰ damping is lost in rounding.
 #define RATIO 8.0
@@ -132,28 +135,14 @@ void stepped(inout float given[12], inout float by[UNKNOWNS], out float c[12])
 #endif
 }
 
-// Interchangeable lobes stay in rising order.
-void order_lobes(inout float c[12])
-{
-#ifdef LOBE_FIRST
-    if (c[LOBE_FIRST] > c[LOBE_SECOND]) {
-        float kept = c[LOBE_FIRST];
-        c[LOBE_FIRST] = c[LOBE_SECOND];
-        c[LOBE_SECOND] = kept;
-#ifdef LOBE_WEIGHT
-        c[LOBE_WEIGHT] = 1.0 - c[LOBE_WEIGHT];
-#endif
-    }
-#endif
-}
-
 void improve(ivec2 texel, inout float c[12], inout vec4 status)
 {
     Frame f = frame_at(texel);
     float a[UNKNOWNS * UNKNOWNS];
     float slope[UNKNOWNS];
     Sums sums = linearise(texel, f, c, a, slope);
-    float before = sums.fitness / (3.0 * sums.weights);
+    add_penalty(texel, c, a, slope);
+    float before = (sums.fitness + penalty_of(texel, c)) / (3.0 * sums.weights);
     status.w += float(EVALUATIONS);
     // Written so that NaN ends here too: nothing can be made better than what has no fitness.
     if (!(sums.weights > 0.0 && before < UNFIT)) {
@@ -194,7 +183,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         float candidate[12];
         stepped(c, by, candidate);
         tried[p] = material_from(candidate);
-        sum[p] = 0.0;
+        sum[p] = penalty_of(texel, candidate);
     }
     float scale = loss_scale(texel);
     for (int k = 0; k < u_observations; k++) {

@@ -1,0 +1,53 @@
+// Over W×H texels: the fit with the prior (u_work_0 …, u_work_status), where with its penalty it is better than what the
+// texel had and without it is not worse by more than TOLERANCE² in deviance; elsewhere the estimates as they were.
+// Reads u_noise (whose x are the losses of the estimates), u_penalty (theirs), the geometry and the sample stack.
+
+#include "common/estimate.glsl"
+#include "swarm/fitness.glsl"
+#include "swarm/lobes.glsl"
+#include "swarm/polish_state.glsl"
+#include "swarm/prior_unit.glsl"
+
+Material work_at(ivec2 texel)
+{
+    float c[12];
+    for (int i = 0; i < 12; i++) {
+        c[i] = 0.0;
+    }
+    vec4 part = texelFetch(u_work_0, texel, 0);
+    for (int i = 0; i < 4; i++) {
+        c[i] = part[i];
+    }
+#if ESTIMATES > 1
+    part = texelFetch(u_work_1, texel, 0);
+    for (int i = 0; i < 4; i++) {
+        c[4 + i] = part[i];
+    }
+#endif
+#if ESTIMATES > 2
+    part = texelFetch(u_work_2, texel, 0);
+    for (int i = 0; i < 4; i++) {
+        c[8 + i] = part[i];
+    }
+#endif
+    order_lobes(c);
+    return material_from(c);
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    Material result = estimate_at(texel);
+    float objective = texelFetch(u_work_status, texel, 0).x;
+    if (state_at(texel) == TEXEL_SOLVED && objective < UNFIT) {
+        vec4 noise = texelFetch(u_noise, texel, 0);
+        float unit = loss_unit(texel);
+        Material work = work_at(texel);
+        float loss = fitness_of(texel, frame_at(texel), work) * noise.y;
+        bool better = objective * noise.y < noise.x * unit + texelFetch(u_penalty, texel, 0).x;
+        if (better && loss <= (noise.x + TOLERANCE * TOLERANCE * deviance_unit(noise.w)) * unit) {
+            result = work;
+        }
+    }
+    write_estimate(result);
+    return true;
+}

@@ -1,0 +1,38 @@
+// Over W×H texels: what the fit leaves of the samples. Writes o_noise: (sum of the losses in loss_unit(), number of the
+// samples' channels, 0, 0), and o_mean_0 …: the estimates, as the neighbours are to see them.
+
+#include "common/estimate.glsl"
+#include "swarm/fitness.glsl"
+#include "swarm/prior_unit.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    float sum = 0.0;
+    float weights = 0.0;
+    if (state_at(texel) == TEXEL_SOLVED) {
+        Frame f = frame_at(texel);
+        Material s = estimate_at(texel);
+        float scale = loss_scale(texel);
+        for (int k = 0; k < u_observations; k++) {
+            vec3 l;
+            vec3 intensity;
+            vec3 radiance;
+            float weight = observe(texel, f, k, l, intensity, radiance);
+            if (weight == 0.0) {
+                continue;
+            }
+            vec3 error = intensity * reflectance(s, l, view_at(f, k)) - radiance;
+            sum += weight * loss_of(scale * error);
+            weights += weight;
+        }
+    }
+    o_noise = vec4(sum / loss_unit(texel), 3.0 * weights, 0.0, 0.0);
+    o_mean_0 = texelFetch(u_estimate_0, texel, 0);
+#if ESTIMATES > 1
+    o_mean_1 = texelFetch(u_estimate_1, texel, 0);
+#endif
+#if ESTIMATES > 2
+    o_mean_2 = texelFetch(u_estimate_2, texel, 0);
+#endif
+    return true;
+}
