@@ -33,7 +33,8 @@ class Limits:
 class Tile:
     """Texels [x0, x0 + width) × [y0, y0 + height) of the domain: how many are covered, and the bytes they take.
 
-    texels: covered, its own; device, host: bytes while it is solved, halo included.
+    texels: covered, its own; device, host: bytes while it is solved, halo included. restored: bytes of its state, which
+    lies on the device twice for a moment when its turn comes.
     """
 
     x0: int
@@ -43,6 +44,7 @@ class Tile:
     texels: int
     device: int
     host: int
+    restored: int
 
 
 @dataclass(frozen=True)
@@ -133,14 +135,15 @@ def plan_recovery(
         boxes = [whole] if _fits(coverage, whole, need, memory, limits) else _cut(coverage, need, memory, limits)
     tiles = tuple(_tile(coverage, box, need) for box in boxes)
     largest = max(tile.device for tile in tiles)
+    restored = max(tile.restored for tile in tiles)
     resident = sum(tile.device for tile in tiles) <= memory.device
-    on_device = len(tiles) if resident else max(1, memory.device // largest)
+    on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
     host, scratch, stack_on, state_on = _places(coverage.size, tiles, need, memory, resident, stack_on)
+    device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
     texels = _texels(coverage)
     return Plan(
         coverage.shape, texels, need.observations, tiles, need.reach if len(tiles) > 1 else 0, on_device, stack_on,
-        state_on, 1 if resident else 1 + need.exchanges, sum(sorted(t.device for t in tiles)[-on_device:]),
-        host, scratch, texels * need.evaluations, memory,
+        state_on, 1 if resident else 1 + need.exchanges, device, host, scratch, texels * need.evaluations, memory,
     )  # fmt: skip
 
 
@@ -154,6 +157,11 @@ def host_bytes(texels: int, rectangle: int, need: Need) -> int:
     """Return the bytes on the host while a tile is put on the device or taken off: its stack, geometry and state."""
     geometry = 3 * FLOAT4 + FLOAT2
     return _places_of(texels) * (FLOAT4 * need.observations + geometry + need.kept) + FLOAT2 * rectangle
+
+
+def restored_bytes(texels: int, need: Need) -> int:
+    """Return the bytes of what a tile that comes back to the device has taken along."""
+    return _places_of(texels) * need.kept
 
 
 def _places_of(texels: int) -> int:
@@ -176,9 +184,8 @@ def _tile(coverage: np.ndarray, box: Box, need: Need) -> Tile:
     part = coverage[_around(box, need.reach, coverage.shape)]
     own = coverage[_around(box, 0, coverage.shape)]
     texels = _texels(part)
-    return Tile(
-        *box, _texels(own), device_bytes(texels, part.size, need), host_bytes(texels, part.size, need)
-    )  # fmt: skip
+    device, host = device_bytes(texels, part.size, need), host_bytes(texels, part.size, need)
+    return Tile(*box, _texels(own), device, host, restored_bytes(texels, need))
 
 
 def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> list[Box]:
@@ -186,7 +193,7 @@ def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> li
     count = 1
     while True:
         boxes = list(_divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
-        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits)]
+        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, in_turns=True)]
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
@@ -222,9 +229,9 @@ def _divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
         yield from _divided(coverage, half, share)
 
 
-def _fits(coverage: np.ndarray, box: Box, need: Need, memory: Memory, limits: Limits) -> bool:
+def _fits(coverage: np.ndarray, box: Box, need: Need, memory: Memory, limits: Limits, in_turns: bool = False) -> bool:
     part = coverage[_around(box, need.reach, coverage.shape)]
-    device = device_bytes(_texels(part), part.size, need)
+    device = device_bytes(_texels(part), part.size, need) + in_turns * restored_bytes(_texels(part), need)
     return device <= memory.device and _fits_textures(_texels(part), part.shape, need, limits)
 
 
