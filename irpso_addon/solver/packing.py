@@ -40,7 +40,7 @@ class Packing:
         """Return (H, W, …) of (h, w, …), with ``fill`` where no texel is solved."""
         result = np.empty((*self.shape, *array.shape[2:]), array.dtype)
         result[:] = fill
-        flat = array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])  # not -1: of no channels nothing follows
+        flat = array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])  # −1 fails for 0 channels
         result[self._rows, self._columns] = flat[: len(self._rows)]
         return result
 
