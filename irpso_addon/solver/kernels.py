@@ -20,7 +20,7 @@ MOVE = {
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
 }  # fmt: skip
-LOSSES = {"l1": 0, "l2": 1, "robust": 2}  # FITNESS_… in shaders/swarm/fitness.glsl
+LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/fitness.glsl
 _WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/move.glsl
 
 

@@ -123,7 +123,8 @@ class Survey:
     polish_iterations: int = 5
     shadow: float = 0.3
     observations: int = 10
-    trust: float = 1.5
+    judge_delta: float = 0.0125
+    trust: float = 1.2
 
 
 @dataclass(frozen=True)
@@ -289,7 +290,7 @@ def _check(schedule: Schedule, where: str = "") -> None:
 def _check_survey(survey: Survey, where: str) -> None:
     for name in ("iterations", "polish_iterations", "observations"):
         _check_whole(f"survey_{name}", getattr(survey, name), where, 0)
-    for name in ("shadow", "trust"):
+    for name in ("shadow", "judge_delta", "trust"):
         value = getattr(survey, name)
         if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
             raise InputError(f"{where}: survey_{name} must be a number from 0, not {value!r}")

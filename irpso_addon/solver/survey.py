@@ -9,7 +9,7 @@ import numpy as np
 
 from ..gpu import textures
 from ..gpu.bands import Bands
-from ..gpu.passes import Entry, Kernel, Pass
+from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..reflectance.model import ReflectanceModel
 from . import kernels
 from .generations import RunningGenerations
@@ -19,7 +19,8 @@ from .resolve import ResolvedSurvey, survey_model
 from .schedule import Schedule
 from .state import DomainTextures, Estimates
 
-_TRUST_FLOOR = 1e-3  # of fitness, mean squared errors in δ: under it a fit is as good as the pictures
+_TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
+_JUDGED = {"u_observations": "INT", "u_delta": "FLOAT"}
 
 
 class RunningSurvey:
@@ -96,7 +97,13 @@ class RunningSurvey:
 
     def fitness(self) -> np.ndarray:
         """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits, at the end."""
-        return self._inner.fitness()
+        self._inner.resolve()
+        measure = _measure_pass(self._model, self._domain.defines)
+        target = textures.empty(*self._own.size, "R32F")
+        inputs = {**self._own.bindings(resolved=True), **self._domain.textures}
+        measure.run([target], inputs, _judge_constants(self._domain, self._schedule))
+        measure.close()
+        return textures.download(target)[..., 0]
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
@@ -149,7 +156,7 @@ class Judge:
     ):
         self._domain, self._estimates = grey(domain, schedule), estimates
         self._fitness = textures.upload(fitness)
-        self._delta = schedule.fitness.delta
+        self._schedule = schedule
         self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         self._pass = _judge_pass(model, schedule, self._domain.defines)
 
@@ -157,8 +164,7 @@ class Judge:
         """Put into the resolved estimates what is to be believed of them."""
         work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
         inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_survey_fitness": self._fitness}
-        constants = {"u_observations": self._domain.domain.observations, "u_delta": self._delta}
-        self._pass.run(self._decided, inputs, constants)
+        self._pass.run(self._decided, inputs, _judge_constants(self._domain, self._schedule))
         self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
 
     def close(self) -> None:
@@ -208,9 +214,19 @@ def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, 
         **{f"u_work_{i}": kernels.FLOAT_2D for i in range(count)},
     }  # fmt: skip
     defines = {
-        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES[schedule.fitness.loss],
+        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"],
         "TRUST": f"{schedule.survey.trust:.9f}", "TRUST_FLOOR": f"{_TRUST_FLOOR:.9f}",
     }  # fmt: skip
-    constants = {"u_observations": "INT", "u_delta": "FLOAT"}
     given = kernels.model_includes(model)
-    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, constants, defines, given))
+    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, _JUDGED, defines, given))
+
+
+def _measure_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
+    samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS}
+    defines = {**defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"]}
+    outputs = (Output("o_fitness", "R32F"),)
+    return Pass(Kernel("survey/measure.glsl", outputs, samplers, _JUDGED, defines, kernels.model_includes(model)))
+
+
+def _judge_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+    return {"u_observations": domain.domain.observations, "u_delta": schedule.survey.judge_delta}

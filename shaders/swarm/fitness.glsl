@@ -27,6 +27,10 @@ float fitness_of(ivec2 texel, Frame f, Material s)
         vec3 v = view_at(f, k);
 #endif
         vec3 error = intensity * reflectance(s, l, v) - radiance;
+#ifdef GREY
+        // Of a model in colour it is the grey that is compared.
+        error = vec3((error.r + error.g + error.b) / 3.0);
+#endif
         sum += weight * loss_of(scale * error);
         weights += weight;
     }

@@ -4,11 +4,12 @@
 #define FITNESS_L1 0
 #define FITNESS_L2 1
 #define FITNESS_ROBUST 2
+#define FITNESS_BOUNDED 3
 
 // Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale.
 float loss_scale(ivec2 texel)
 {
-#if FITNESS == FITNESS_ROBUST
+#if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_BOUNDED
     return 1.0 / (scale_at(texel) * u_delta);
 #else
     return 1.0;
@@ -21,6 +22,10 @@ float loss_of(vec3 error)
     error = abs(error);
 #elif FITNESS == FITNESS_L2
     error = error * error;
+#elif FITNESS == FITNESS_BOUNDED
+    // Geman & McClure 1987, Statistical Methods for Tomographic Image Reconstruction: no sample costs more than 1, so
+    // that the mean tells how well the bulk is met.
+    error = error * error / (1.0 + error * error);
 #else
     // Cauchy's loss: a sample in cast shadow or on a reflection costs little more however wrong it is.
     error = log(1.0 + error * error);
@@ -36,6 +41,9 @@ vec3 loss_weight(vec3 error)
     return 1.0 / max(abs(error), vec3(1e-4));
 #elif FITNESS == FITNESS_L2
     return vec3(1.0);
+#elif FITNESS == FITNESS_BOUNDED
+    vec3 inside = 1.0 / (1.0 + error * error);
+    return inside * inside;
 #else
     return 1.0 / (1.0 + error * error);
 #endif
