@@ -79,6 +79,20 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("resident", [True, False])
+@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
+def test_a_prior_that_looks_far_beyond_its_tile_is_that_of_the_whole(card, resident):
+    domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
+    schedule = load_schedule("standard").replaced(iterations=2, prior_rounds=2, prior_scales=2)
+    need = recovery_need(TWO_LOBES, schedule, (), 12)
+    assert need.reach == 4
+    wanted, progress = whole_of(domain, schedule)
+    boxes = FEW if resident else [(0, 0, 9, 13), (9, 0, 8, 13)]
+    with tiled(domain, schedule, boxes, halo=need.reach, resident=resident) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+
+
 @pytest.mark.parametrize("on_device", [2, 4])
 def test_as_many_tiles_as_are_allowed_stay_on_the_device(on_device):
     domain = with_hole(card=False)
