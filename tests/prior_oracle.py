@@ -1,0 +1,76 @@
+"""The pooling of a spatial prior in float64: what the shaders are compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TOLD, FINEST = 0.25, 1 / 1024  # of a range
+
+
+def taps(scales):
+    """(n, 2) offsets (x, y): all of 5×5 but the middle, and the rim of 5×5 at every doubled distance."""
+    grid = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
+    rims = [(x << s, y << s) for s in range(1, scales) for x, y in grid if max(abs(x), abs(y)) == 2]
+    return np.array(grid + rims)
+
+
+def around(shape, covered, row, column, scales):
+    """Rows and columns of the covered texels that one looks at."""
+    rows, columns = row + taps(scales)[:, 1], column + taps(scales)[:, 0]
+    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    rows, columns = rows[inside], columns[inside]
+    there = covered[rows, columns]
+    return rows[there], columns[there]
+
+
+def likeness(prior, model, x, own, y, theirs):
+    """(n,) how alike n neighbours are to a texel; x, own: (C,), y, theirs: (n, C) over all components."""
+    apart = np.zeros(len(y))
+    for p in model.parameters:
+        if p.is_normal:
+            continue
+        at, width = model.offset(p.name), p.range[1] - p.range[0]
+        for c in range(at, at + p.components):
+            h = prior.likeness * width
+            if p.components > 1:
+                h = prior.likeness_color * np.maximum(abs(x[c]), abs(y[:, c])) + FINEST * width
+            apart += (x[c] - y[:, c]) ** 2 / (h**2 + own[c] ** 2 + theirs[:, c] ** 2)
+    return np.exp(-apart / 2)
+
+
+def random_effects(s, y, sigma, least):
+    """(mean, deviation) of DerSimonian & Laird over values of known deviations, each counted s times."""
+    w = 1 / sigma**2
+    fixed = (s * w * y).sum() / (s * w).sum()
+    q = (s * w * (y - fixed) ** 2).sum()
+    left = (s * w).sum() - (s * w**2).sum() / (s * w).sum()
+    between = max(least, (q - (s.sum() - 1)) / left if left > 0 else 0.0)
+    w = 1 / (sigma**2 + between)
+    return (s * w * y).sum() / (s * w).sum(), np.sqrt(between + 1 / (s * w).sum())
+
+
+def pooled(prior, model, covered, estimates, own):
+    """(H, W, C) means and deviations of the prior after all rounds; deviation 0 where nothing is said.
+
+    estimates, own: (H, W, C) what the samples tell, and how well.
+    """
+    belief, deviation = estimates.copy(), own.copy()
+    for number in range(prior.rounds):
+        last = number == prior.rounds - 1
+        mean, spread = belief.copy(), np.zeros_like(deviation) if last else deviation.copy()
+        for row, column in np.argwhere(covered):
+            x, sigma = estimates[row, column], own[row, column]
+            rows, columns = around(covered.shape, covered, row, column, prior.scales)
+            y, theirs = belief[rows, columns], deviation[rows, columns]
+            s = likeness(prior, model, x, sigma, y, theirs)
+            for p in model.parameters:
+                c, width = model.offset(p.name), p.range[1] - p.range[0]
+                told = theirs[:, c] < TOLD * width
+                if p.components > 1 or s[told].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
+                    continue
+                known = np.maximum(theirs[told, c], FINEST * width)
+                mean[row, column, c], spread[row, column, c] = random_effects(
+                    s[told], y[told, c], known, (prior.spread * width) ** 2
+                )
+        belief, deviation = mean, spread
+    return belief, deviation
