@@ -7,6 +7,7 @@ import numpy as np
 from tests import oracles
 
 _STEP = 1e-6  # of a range
+_FARTHEST = 0.2  # as in shaders/swarm/polish.glsl
 
 
 class Texel:
@@ -83,10 +84,11 @@ class Texel:
         return np.array(by)
 
     def inside(self, values, by):
-        """Whether a step stays in all ranges, and the normal above the horizon."""
+        """Whether a step stays in all ranges, and takes no searched number farther than the polish lets it."""
         for (p, i), one in zip(self.unknowns, by, strict=True):
             x = 0.5 if p.is_normal else (values[p.name][i] - p.range[0]) / (p.range[1] - p.range[0])
-            if not 0 < x + one < 1:
+            bounded = not p.is_normal and p.kind == "search"
+            if not 0 < x + one < 1 or (bounded and abs(one) >= _FARTHEST):
                 return False
         return True
 

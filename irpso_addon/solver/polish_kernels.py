@@ -49,7 +49,7 @@ class PolishPasses:
 
 def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int]:
     """Return how many renders of all observations a step makes at a texel, and a spread."""
-    unknowns = _slopes(model, resolved)
+    unknowns, _ = resolved_slopes(model, resolved)
     stepped = unknowns.defines["STEPPED"] * (2 if resolved.polish.central else 1)
     # The bases of the linear parameters make up another render.
     evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
@@ -61,7 +61,6 @@ def step_defines(settings: Polish) -> dict[str, str | int]:
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
         "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
-        **({"CENTRAL": 1} if settings.central else {}),
     }  # fmt: skip
 
 
@@ -69,14 +68,16 @@ def build_polish_passes(
     model: ReflectanceModel, resolved: ResolvedPolish, fitness: Fitness, domain_defines: dict[str, int], entry: Entry
 ) -> PolishPasses:
     """Compile the passes of a polish."""
-    settings, unknowns = resolved.polish, _slopes(model, resolved)
+    settings = resolved.polish
+    unknowns, slopes = resolved_slopes(model, resolved)
     evaluations, offers = renders(model, resolved)
     defines = {
         **domain_defines, **unknowns.defines, **estimate_defines(model),
         "FITNESS": LOSSES[fitness.loss], "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
     given = {
-        **model_includes(model), "unknowns.glsl": unknowns.source, "starts.glsl": build_starts(model, resolved.starts),
+        **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
+        "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": SHADERS / "swarm" / "no_penalty.glsl",
     }  # fmt: skip
     outputs = (*estimate_outputs(model), Output("o_status"))
@@ -96,5 +97,7 @@ def build_polish_passes(
     )
 
 
-def _slopes(model: ReflectanceModel, resolved: ResolvedPolish) -> Unknowns:
-    return build_slopes(model, {p.name for p in model.parameters} - {p.name for p in resolved.parameters})
+def resolved_slopes(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[Unknowns, str]:
+    """Return the unknowns of a polish, and its slopes.glsl."""
+    known = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
+    return build_slopes(model, known, resolved.polish.central)

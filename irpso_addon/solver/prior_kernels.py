@@ -19,7 +19,7 @@ from .kernels import (
     estimate_samplers,
     model_includes,
 )
-from .polish_kernels import renders, step_defines
+from .polish_kernels import renders, resolved_slopes, step_defines
 from .resolve import ResolvedPrior
 from .schedule import Polish, Prior, Schedule
 from .unknowns import build_slopes, build_unknowns
@@ -133,7 +133,7 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
 def _step_pass(
     model: ReflectanceModel, resolved: ResolvedPrior, common: dict, samplers: dict, includes: dict, entry: Entry
 ) -> Pass:
-    unknowns = build_slopes(model, _held(model, resolved.step.parameters))
+    unknowns, slopes_source = resolved_slopes(model, resolved.step)
     # Lobes are put in order at the end: what a prior says is said of the one or of the other.
     slopes = {name: value for name, value in unknowns.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
@@ -143,7 +143,7 @@ def _step_pass(
             "swarm/polish.glsl", (*estimate_outputs(model), Output("o_status")),
             {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, CONSTANTS,
             {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
-            {**includes, "unknowns.glsl": unknowns.source, "penalty.glsl": penalty},
+            {**includes, "unknowns.glsl": unknowns.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
         ),
         entry,
     )  # fmt: skip
@@ -162,7 +162,7 @@ def _settings(prior: Prior, polish: Polish) -> dict[str, str | int]:
 
 
 def _lobes(model: ReflectanceModel, held: set[str]) -> dict[str, int]:
-    defines = build_slopes(model, held).defines
+    defines = build_slopes(model, held, central=False)[0].defines
     return {name: value for name, value in defines.items() if name.startswith("LOBE_")}
 
 

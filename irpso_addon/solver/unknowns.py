@@ -40,40 +40,92 @@ def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
     return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows)})
 
 
-def build_slopes(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
-    """Return the unknowns with ``stepped_at(i)``, ``searched(u)`` and ``linear_slopes(s, l, v, slopes)`` beside them.
+def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool) -> tuple[Unknowns, str]:
+    """Return the unknowns with ``searched(u)`` beside their table, and slopes.glsl: sums of the normal equations.
 
-    STEPPED unknowns, those of stepped_at, have no derivative but by differences; SEARCHED are those that are no normal.
-    linear_slopes tells the derivative of the others, which is their basis, times the width of their range. LOBE_… name
-    the components of interchangeable lobes.
+    STEPPED unknowns have no derivative but by differences; SEARCHED are those of them that are no normal. The others'
+    derivative is their basis. central: differences to both sides, else to one. LOBE_… name the components of
+    interchangeable lobes.
+
+    slopes.glsl is written out, number by number: in loops over arrays a compiler that does not unroll them copies whole
+    arrays at every observation, which took half of a step's time.
     """
     unknowns = build_unknowns(model, known)
-    stepped, searched, slopes, u = [], [], [], 0
+    stepped, searched, channels = [], [], []
+    lines = ["vec3 basis = vec3(0.0);"]
     for p in _unknown(model, known):
-        count = 2 if p.is_normal else p.components
+        u, count = len(channels), 2 if p.is_normal else p.components
         if p.kind == "linear" and p.name in model.bases and p.components in (1, 3):
-            slopes.append(f"    basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
-            slopes += [f"    slopes[{u + i}] = {_channel(i, p.components)};" for i in range(p.components)]
+            lines.append(f"basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
+            lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
+            # A colour's number has a slope in its own channel alone.
+            channels += [""] if p.components == 1 else list("rgb")
         else:
+            for i in range(u, u + count):
+                other = f"reflectance(p.behind_{i}, l, v)" if central else "render"
+                lines.append(f"vec3 slope_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
             stepped += range(u, u + count)
             searched += [] if p.is_normal else range(u, u + count)
-        u += count
-    cases = [f"    unknown = i == {i} ? {u} : unknown;" for i, u in enumerate(stepped)]
-    source = "\n".join(
-        [unknowns.source, "int stepped_at(int i)", "{", "    int unknown = 0;", *cases, "    return unknown;", "}",
-         "bool searched(int u)", "{", f"    return {' || '.join(f'u == {u}' for u in searched) or 'false'};", "}",
-         "void linear_slopes(Material s, vec3 l, vec3 v, inout vec3 slopes[UNKNOWNS])", "{",
-         "    vec3 basis = vec3(0.0);", *slopes, "}", ""]
-    )  # fmt: skip
-    defines = unknowns.defines | {"STEPPED": len(stepped), "STEPPED_ROOM": max(1, len(stepped))}
-    defines["SEARCHED"] = len(searched)
+            channels += [""] * count
+    is_searched = " || ".join(f"u == {u}" for u in searched) or "false"
+    source = "\n".join([unknowns.source, "bool searched(int u)", "{", f"    return {is_searched};", "}", ""])
+    defines = unknowns.defines | {"STEPPED": len(stepped), "SEARCHED": len(searched)}
     names = (*model.ordered, *model.complement)
     if model.ordered and not set(names) & set(known):
         first, second = (model.offset(name) for name in model.ordered)
         defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
         if model.complement:
             defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
-    return Unknowns(unknowns.count, source, defines)
+    return Unknowns(unknowns.count, source, defines), _slopes(stepped, central, lines, channels)
+
+
+def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channels: Sequence[str]) -> str:
+    n = len(channels)
+    pairs = [(row, column) for row in range(n) for column in range(row, n)]
+    sides = ("ahead", "behind") if central else ("ahead",)
+    steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
+    sums = [f"float slope_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
+    taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
+    taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
+    if central:
+        taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
+    cleared = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
+    told = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    told += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
+    parts = [
+        ("struct Steps", ["float none;", *steps]),
+        ("struct NormalSums", sums),
+        ("void take_steps(inout float c[12], inout Steps p)", taken),
+        ("void clear_sums(out NormalSums n)", cleared),
+        ("void sums_to(NormalSums n, inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])", told),
+        (
+            "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
+            " inout NormalSums n)",
+            [*slopes, "vec3 weighted = vec3(0.0);", *_products(channels)],
+        ),
+    ]
+    lines = ['#include "swarm/differences.glsl"', '#include "model.glsl"']
+    for head, body in parts:
+        lines += [head, "{", *(f"    {line}" for line in body), "};" if head.startswith("struct") else "}"]
+    return "\n".join([*lines, ""])
+
+
+def _products(channels: Sequence[str]) -> list[str]:
+    """Lines that add every product of two slopes; those of two channels have none ("" is all channels)."""
+    lines = []
+    for row, channel in enumerate(channels):
+        part = f".{channel}" if channel else ""
+        lines.append(f"n.slope_{row} += {_product('once', f'slope_{row}', channel)};")
+        lines.append(f"weighted{part} = twice{part} * slope_{row}{part};")
+        for column in range(row, len(channels)):
+            if not (channel and channels[column]) or channel == channels[column]:
+                product = _product("weighted", f"slope_{column}", channel or channels[column])
+                lines.append(f"n.a_{row}_{column} += {product};")
+    return lines
+
+
+def _product(a: str, b: str, channel: str) -> str:
+    return f"{a}.{channel} * {b}.{channel}" if channel else f"dot({a}, {b})"
 
 
 def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
@@ -88,10 +140,3 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
 
 def _unknown(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:
     return [p for p in model.parameters if p.name not in known]
-
-
-def _channel(i: int, components: int) -> str:
-    """A colour's weight multiplies its own channel of the basis, a number all of them."""
-    if components == 1:
-        return "basis"
-    return f"vec3({', '.join(f'basis.{channel}' if k == i else '0.0' for k, channel in enumerate('rgb'))})"

@@ -46,3 +46,26 @@ Material moved(inout float given[12], int u, float by)
     c[at] = clamp(c[at] + by * width, low, low + width);
     return material_from(c);
 }
+
+// How far unknown u may go down and up, in fractions of its range; a normal may go anywhere.
+vec2 room_of(inout float c[12], int u)
+{
+    int at;
+    float low;
+    float width;
+    unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        return vec2(-1.0, 1.0);
+    }
+#endif
+    float x = (c[at] - low) / width;
+    return vec2(-x, 1.0 - x);
+}
+
+// How far a difference steps: away from the nearer end of the range.
+float stride_of(inout float c[12], int u)
+{
+    vec2 room = room_of(c, u);
+    return room.y >= -room.x ? STEP : -STEP;
+}

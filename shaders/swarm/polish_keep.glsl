@@ -8,7 +8,7 @@ bool texel_kernel(ivec2 texel)
 {
     vec4 before = texelFetch(u_status, texel, 0);
     vec4 after = texelFetch(u_work_status, texel, 0);
-    bool better = state_at(texel) == TEXEL_SOLVED && after.x < before.x;
+    bool better = state_at(texel) == TEXEL_SOLVED && after.x <= before.x;
     o_estimate_0 = better ? texelFetch(u_work_0, texel, 0) : texelFetch(u_estimate_0, texel, 0);
 #if ESTIMATES > 1
     o_estimate_1 = better ? texelFetch(u_work_1, texel, 0) : texelFetch(u_estimate_1, texel, 0);

@@ -244,7 +244,7 @@ def test_a_polish_comes_last_and_counts_all_its_steps(tmp_path):
 def test_starts_tell_only_of_what_is_searched(tmp_path):
     schedule = load_schedule(with_polish(tmp_path, POLISH))
     only = resolve(schedule.replaced(search=["normal", "roughness"]), load_model("principled"), set())[-1]
-    assert [dict(start) for start in only.starts] == [{"roughness": (r,)} for r in (0.15, 0.3, 0.5)]
+    assert [dict(start) for start in only.starts] == [{"roughness": (r,)} for r in (0.15, 0.4, 0.8)]
     assert resolve(schedule.replaced(search=["normal"]), load_model("principled"), set())[-1].starts == ()
     assert resolve(schedule, load_model("lambert"), set())[-1].iterations == 20 + 2 * 4
     assert resolve(schedule.replaced(polish_starts=False), load_model("principled"), set())[-1].iterations == 20 + 2 * 4
