@@ -98,7 +98,7 @@ class RunningSurvey:
     def fitness(self) -> np.ndarray:
         """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits, at the end."""
         self._inner.resolve()
-        measure = _measure_pass(self._model, self._domain.defines)
+        measure = _measure_pass(self._model, self._schedule, self._domain.defines)
         target = textures.empty(*self._own.size, "R32F")
         inputs = {**self._own.bindings(resolved=True), **self._domain.textures}
         measure.run([target], inputs, _judge_constants(self._domain, self._schedule))
@@ -221,9 +221,12 @@ def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, 
     return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, _JUDGED, defines, given))
 
 
-def _measure_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
+def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
     samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS}
-    defines = {**defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"]}
+    defines = {
+        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"],
+        "LEAST_SAMPLES": schedule.survey.observations,
+    }  # fmt: skip
     outputs = (Output("o_fitness", "R32F"),)
     return Pass(Kernel("survey/measure.glsl", outputs, samplers, _JUDGED, defines, kernels.model_includes(model)))
 

@@ -1,4 +1,5 @@
-// Over W×H texels: how well the estimates explain a texel, on the judge's terms.
+// Over W×H texels: how well the survey's estimates explain a texel, on the judge's terms. A fit to fewer than
+// LEAST_SAMPLES meets whatever it is given, so that it is no measure for another: UNFIT, which every model is under.
 
 #include "common/estimate.glsl"
 #include "swarm/fitness.glsl"
@@ -7,7 +8,17 @@ bool texel_kernel(ivec2 texel)
 {
     o_fitness = UNFIT;
     if (state_at(texel) == TEXEL_SOLVED) {
-        o_fitness = fitness_of(texel, frame_at(texel), estimate_at(texel));
+        Frame f = frame_at(texel);
+        int told = 0;
+        for (int k = 0; k < u_observations; k++) {
+            vec3 l;
+            vec3 intensity;
+            vec3 radiance;
+            told += observe(texel, f, k, l, intensity, radiance) > 0.0 ? 1 : 0;
+        }
+        if (told >= LEAST_SAMPLES) {
+            o_fitness = fitness_of(texel, f, estimate_at(texel));
+        }
     }
     return true;
 }
