@@ -5,7 +5,8 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor test test-matrix lint format extension clean environment environment-test
+.PHONY: help demo paper doctor bench test test-matrix lint format extension clean environment environment-test \
+        environment-bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST) | expand -t 22
@@ -16,6 +17,9 @@ environment:
 environment-test:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime test
 
+environment-bench:
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench
+
 demo: environment ## the paper's experiment in small, in under three minutes
 	$(RUN) -m irpso_addon demo --quick -o $(OUT)/demo
 
@@ -24,6 +28,9 @@ paper: environment ## the paper's experiment at full size
 
 doctor: environment ## what GPU there is, and what the program will use of it
 	$(RUN) -m irpso_addon doctor
+
+bench: environment-bench ## what is timed, beside its peers, into docs/benchmarks; QUICK=1 only tries it, AGAIN=1 forgets
+	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again)
 
 test: environment-test lint ## all checks: style, unit tests, tests in headless Blender
 	$(RUN) tests/run.py

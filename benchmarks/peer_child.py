@@ -1,0 +1,165 @@
+"""One method on one capture in a process of its own, so that its memory is its own: what peers_table starts.
+
+Usage: python -m benchmarks.peer_child CAPTURE METHOD RESULT.npz [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import product, subjects
+from benchmarks.peers.problem import PeerResult, Problem, Sample, angles, peak_memory_mb, problem_of
+from irpso_addon.geometry.domain import Domain
+
+DATA = Path(os.environ.get("IRPSO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+BUNNY = "bunny_specular"
+CAPTURES = ("clean", "dirty", BUNNY)
+PRODUCT = ("standard", product.LM_ALONE)
+LINEAR = ("plain least squares", "least squares", "trimmed", "trimmed 45–60", "l1", "sparse bayesian", "low rank")
+# How many texels the slow ones are given; fewer are a part of more, so that all have some in common.
+ITERATIVE = {
+    "adam": 128, "l-bfgs": 128, "l-bfgs per texel": 128, "scipy least_squares": 64, "pyswarms": 24,
+    "differential evolution": 16,
+}  # fmt: skip
+METHODS = (*PRODUCT, *LINEAR, *ITERATIVE)
+POINTS = 24  # looks at the program on its way
+
+
+@dataclass(frozen=True)
+class Subject:
+    """domain, model and truth, parameter → (H, W, components), of which a real capture may lack some."""
+
+    domain: Domain
+    model: str
+    truth: Mapping[str, np.ndarray]
+
+
+def subject(name: str, quick: bool) -> Subject:
+    """Return a capture by name; the folder of the real one is in IRPSO_DATA, or in ../shared/data."""
+    if name != BUNNY:
+        card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DIRTS[name], seed=1)
+        return Subject(card.domain, card.model, card.truth)
+    from irpso_addon.capture import read_capture, read_exr
+    from irpso_addon.geometry.build import domain_from_card
+    from irpso_addon.maps.blender_images import decode
+
+    channels = read_exr(DATA / BUNNY / "normal_gt.exr")[""]
+    truth = np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)
+    truth /= np.maximum(np.linalg.norm(truth, axis=-1, keepdims=True), 1e-9)
+    domain = domain_from_card(read_capture(DATA / BUNNY, decode))
+    return Subject(_thinned(domain, 12) if quick else domain, "principled", {"normal": truth})
+
+
+def _thinned(domain: Domain, every: int) -> Domain:
+    """Return the domain with one texel of many covered."""
+    y, x = np.mgrid[: domain.shape[0], : domain.shape[1]]
+    coverage = domain.bake.coverage & (y % every == 0) & (x % every == 0)
+    return subjects.replace(domain, bake=subjects.replace(domain.bake, coverage=coverage))
+
+
+def errors_at(model: str, values: Mapping[str, np.ndarray], problem: Problem) -> dict[str, np.ndarray]:
+    """Return parameter → (T,) errors of values (T, components), as far as both tell it."""
+    return subjects.errors_of(model, values, problem.truth)
+
+
+def solve(capture: str, method: str, quick: bool) -> dict[str, Any]:
+    """Return texels (T, 2), errors, seconds for a texel, evaluations, and the way, with errors as they fell."""
+    made = subject(capture, quick)
+    problem = problem_of(made.domain, made.model, made.truth)
+    if method in ITERATIVE:
+        problem = problem.subset(subjects.sample(problem.count, 2 if quick else ITERATIVE[method]))
+    if method in PRODUCT:
+        result = _product(made, method, problem, quick)
+    elif method in LINEAR:
+        result = _linear(method, problem)
+    else:
+        result = _iterative(method, problem, quick)
+    errors = errors_at(made.model, result.values, problem)
+    way = [(s.seconds / problem.count, s.evaluations, errors_at(made.model, s.values, problem)) for s in result.trace]
+    return {
+        "texels": problem.texels, "errors": errors, "seconds": result.seconds / problem.count,
+        "evaluations": float(np.mean(result.evaluations)), "memory": peak_memory_mb() if not way else result.memory_mb,
+        "settings": {k: str(v) for k, v in result.settings.items()}, "way": way,
+    }  # fmt: skip
+
+
+def _product(made: Subject, method: str, problem: Problem, quick: bool) -> PeerResult:
+    schedule = product.schedule_of(method)
+    total = product.iterations_of(made.domain, made.model, schedule)
+    points = product.spaced(total, 3 if quick else POINTS)
+    run = product.recover(made.domain, made.model, schedule, points=points)
+    at = tuple(problem.texels.T)
+    trace = tuple(Sample(s.seconds, s.evaluations, {n: v[at] for n, v in s.values.items()}) for s in run.trace)
+    values = {name: value[at] for name, value in run.values.items()}
+    evaluations = np.array([run.evaluations])
+    return PeerResult(method, values, evaluations, run.seconds, peak_memory_mb(), {}, trace)
+
+
+def _linear(method: str, problem: Problem) -> PeerResult:
+    """Run a Lambertian method, with each of its settings if it has several, and return what is nearest to the truth."""
+    from benchmarks.peers import lambertian
+
+    fixed = {
+        "plain least squares": (lambertian.least_squares, {}),
+        "trimmed 45–60": (lambertian.trimmed, {"low": 45, "high": 60}),
+    }
+    if method in fixed:
+        run, settings = fixed[method]
+        return run(problem, **settings)
+    found = [lambertian.METHODS[method](problem, **settings) for settings in lambertian.SETTINGS[method]]
+    return min(found, key=lambda r: float(angles(r.values["normal"], problem.truth["normal"]).mean()))
+
+
+def _iterative(method: str, problem: Problem, quick: bool) -> PeerResult:
+    run, settings = _peers(quick)[method]
+    return run(problem, **settings)
+
+
+def _peers(quick: bool) -> dict[str, tuple[Callable[..., PeerResult], dict[str, Any]]]:
+    from benchmarks.peers import descent, least_squares, swarms
+
+    few = {"iterations": 10} if quick else {}
+    torch = {"threads": 1, **few}
+    one = {"workers": 1} if quick else {"workers": 2}
+    return {
+        "adam": (descent.adam, torch),
+        "l-bfgs": (descent.lbfgs, torch),
+        "l-bfgs per texel": (descent.lbfgs_per_texel, torch),
+        "scipy least_squares": (least_squares.scipy_least_squares, one),
+        "pyswarms": (swarms.pyswarms_global_best, {**one, **few}),
+        "differential evolution": (swarms.differential_evolution, {**one, **({"generations": 5} if quick else {})}),
+    }
+
+
+def main() -> None:
+    """Solve, and write the result."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("capture", choices=CAPTURES)
+    parser.add_argument("method", choices=METHODS)
+    parser.add_argument("result", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    found = solve(options.capture, options.method, options.quick)
+    arrays = {"texels": found.pop("texels")}
+    arrays |= {f"error_{name}": error for name, error in found.pop("errors").items()}
+    way = found.pop("way")
+    for name in way[0][2] if way else ():
+        arrays[f"way_{name}"] = np.array([errors[name] for _, _, errors in way], np.float32)
+    arrays["way"] = np.array([(seconds, evaluations) for seconds, evaluations, _ in way])
+    np.savez(options.result, facts=json.dumps(found), **arrays)
+    if options.method in PRODUCT:
+        from irpso_addon.gpu import context
+
+        context.exit_process(0)
+
+
+if __name__ == "__main__":
+    main()

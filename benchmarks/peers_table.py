@@ -1,0 +1,238 @@
+"""The program against its peers: same capture, same machine, same run, every method in a process of its own.
+
+Usage: python -m benchmarks.peers_table [--quick] [--again] [--output FOLDER]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import peer_child, report, subjects
+from benchmarks.report import short
+from irpso_addon.gpu import context
+
+REPEATS = 3  # of the program, spread over the run: the median of its seconds counts
+NEGLIGIBLE = 0.01  # degrees, or % of a range: below it lies what float32 rounds off
+NEARLY = 1.05  # of its final error: from there on a peer has arrived
+TITLES = {"clean": "Two lobes, clean", "dirty": "Two lobes, dirty", peer_child.BUNNY: "bunny_specular, one lobe"}
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Run every method on every capture; the program first, in the middle and last."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = {}
+        for capture in ("dirty",) if quick else peer_child.CAPTURES:
+            if capture == peer_child.BUNNY and not (peer_child.DATA / capture).is_dir():
+                report.say(f"peers: {capture} is not in {peer_child.DATA}, left out; set IRPSO_DATA")
+                continue
+            found[capture] = _capture(capture, Path(folder), quick)
+    return {"captures": found, "sizes": peer_child.ITERATIVE}
+
+
+def _capture(capture: str, folder: Path, quick: bool) -> dict[str, Any]:
+    ours = list(peer_child.PRODUCT)
+    peers = [*peer_child.LINEAR, *peer_child.ITERATIVE]
+    half = len(peers) // 2
+    order = ours if quick else [*ours, *peers[:half], *ours, *peers[half:], *ours]
+    order = [*ours, *peers] if quick else order
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for method in order:
+        runs.setdefault(method, []).append(_child(capture, method, folder, quick))
+        last = runs[method][-1]
+        report.say(
+            f"peers: {capture}, {method}: {last['errors']['normal'].mean():.4f}°, {last['seconds'] * 1e3:.2f} ms"
+        )
+    own = {name: _median_of(runs[name]) for name in ours}
+    rows = {name: _row(own[name], own[ours[0]]) for name in ours}
+    rows |= {name: _row(runs[name][0], own[ours[0]]) for name in peers}
+    return {"texels": len(own[ours[0]]["texels"]), "rows": rows}
+
+
+def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, Any]:
+    target = folder / "result.npz"
+    command = [sys.executable, "-m", "benchmarks.peer_child", capture, method, str(target)]
+    threads = {name: "2" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+    if method in peer_child.ITERATIVE:
+        threads = dict.fromkeys(threads, "1")  # two processes of one thread, or PyTorch's one
+    subprocess.run(
+        [*command, "--quick"] if quick else command, cwd=report.ROOT, check=True, env={**os.environ, **threads},
+        stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    with np.load(target) as arrays:
+        facts = json.loads(str(arrays["facts"]))
+        errors = {name.removeprefix("error_"): arrays[name] for name in arrays.files if name.startswith("error_")}
+        way = {name.removeprefix("way_"): arrays[name] for name in arrays.files if name.startswith("way_")}
+        return {**facts, "texels": arrays["texels"], "errors": errors, "way": way, "times": arrays["way"]}
+
+
+def _median_of(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return one of several runs that found the same, with the median of their times."""
+    times = np.median([run["times"] for run in runs], axis=0)
+    seconds = [run["seconds"] for run in runs]
+    return {**runs[0], "times": times, "seconds": float(np.median(seconds)), "all_seconds": seconds}
+
+
+def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return what the table holds of one method, and of the program on the same texels."""
+    at = _places(own["texels"], run["texels"])
+    same = {name: report.mean_interval(error[at]) for name, error in own["errors"].items()}
+    less = {
+        name: report.mean_interval(own["errors"][name][at] - error)
+        for name, error in run["errors"].items() if name in own["errors"]
+    }  # fmt: skip
+    return {
+        "texels": len(run["texels"]), "seconds": run["seconds"], "evaluations": run["evaluations"],
+        "memory": run["memory"], "settings": run["settings"], "all_seconds": run.get("all_seconds", [run["seconds"]]),
+        "errors": {name: report.mean_interval(error) for name, error in run["errors"].items()},
+        "program": same, "less": less, "arrival": _arrival(run), "reach": _reach(run, own, at),
+    }  # fmt: skip
+
+
+def _places(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return where texels (T, 2) lie among others."""
+    index = {tuple(texel): i for i, texel in enumerate(whole.tolist())}
+    return np.array([index[tuple(texel)] for texel in part.tolist()])
+
+
+def _arrival(run: dict[str, Any]) -> float | None:
+    """Return the seconds a texel after which a peer's normals stay within ``NEARLY`` of its own final error."""
+    if not len(run["times"]):
+        return None
+    mean = run["way"]["normal"].mean(axis=1)
+    worse = np.flatnonzero(mean > NEARLY * run["errors"]["normal"].mean())
+    return float(run["times"][min(worse[-1] + 1 if len(worse) else 0, len(mean) - 1), 0])
+
+
+def _reach(run: dict[str, Any], own: dict[str, Any], at: np.ndarray) -> dict[str, float | None]:
+    """Return the program's seconds a texel to a peer's own final mean error: of the normal, and of all it tells.
+
+    The time of all texels of the capture, setting up included, over their number; the error of the peer's texels.
+    """
+    ways = {name: way[:, at].mean(axis=1) for name, way in own["way"].items()}
+    reached = {n: way <= run["errors"][n].mean() for n, way in ways.items() if n in run["errors"]}
+    found = {}
+    for what, met in (("normal", reached["normal"]), ("all", np.all(list(reached.values()), axis=0))):
+        first = np.flatnonzero(met)
+        found[what] = float(own["times"][first[0], 0]) if len(first) else None
+    return found
+
+
+def write(data: dict[str, Any], folder: Path) -> list[str]:
+    """Return the page's lines, with one plot."""
+    lines = [
+        "Every method solves the same texels of the same capture in a process of its own, one after the other in one"
+        " run on one machine. Errors are means over texels with their 95 % confidence interval (bootstrap), normals"
+        " in degrees, all else in % of the parameter's range. The Lambertian methods and the program solve all"
+        f" texels; the others a random sample ({', '.join(f'{name} {n}' for name, n in data['sizes'].items())}"
+        " texels), since each of their texels costs the same. The row of a method on a sample is to be compared with"
+        " the program's error on the same texels, in the column beside it; bold is what the program does"
+        f" significantly worse there, by more than {NEGLIGIBLE:g}.",
+        "",
+        "Seconds a texel: of the whole run over its texels, setting up and compiling included for the program (the"
+        f" median of {REPEATS} runs), excluded for the peers. Two threads for all, but for PyTorch one: two that wait"
+        " for each other at every operation were slower on shared cores; halve its times for the benefit of the"
+        " doubt. Evaluations: renders of all observations; a gradient counts as three. Memory: the process's peak;"
+        " the program's holds Blender, and each peer's the capture.",
+        "",
+        "Reached: how many times longer than the program a peer takes to its own final normal error, in brackets to"
+        " its errors in all that it tells; the program's time is that of its first state with this error or less."
+        f" Arrived: the same with the time after which the peer stays within {NEARLY - 1:.0%} of its final normal"
+        " error.",
+        "",
+    ]
+    for capture, found in data["captures"].items():
+        names = list(found["rows"]["standard"]["errors"])
+        lines += [f"## {TITLES[capture]}", "", _about(capture, found["texels"]), ""]
+        header = ["method", "texels", *(f"{n} {subjects.unit_of(n)}" for n in names), "program, same texels: normal",
+                  "evaluations", "ms a texel", "MB", "reached", "arrived"]  # fmt: skip
+        lines += report.table(header, [_cells(name, row, names) for name, row in found["rows"].items()])
+    _draw(data["captures"], folder)
+    lines += report.image("peers", "Normal error against seconds a texel, of all methods")
+    lines += ["## Settings", "", *_settings(data)]
+    return lines
+
+
+def _about(capture: str, texels: int) -> str:
+    if capture == peer_child.BUNNY:
+        return f"{texels} texels, 50 lights, perspective camera, model `principled`; normals alone have a ground truth."
+    return f"{texels} texels, 100 lights, {subjects.DIRTS[capture].title}; all unknown."
+
+
+def _interval(values: list[float]) -> str:
+    mean, low, high = values
+    return f"{short(mean)} ({short(low)}–{short(high)})"
+
+
+def _cells(name: str, row: dict[str, Any], names: list[str]) -> list[str]:
+    cells = []
+    for n in names:
+        worse = n in row["less"] and row["less"][n][1] > NEGLIGIBLE
+        text = _interval(row["errors"][n]) if n in row["errors"] else "–"
+        cells.append(f"**{text}**" if worse else text)
+    reached = [row["seconds"] / row["reach"][k] if row["reach"][k] else None for k in ("normal", "all")]
+    arrived = row["arrival"] / row["reach"]["normal"] if row["arrival"] and row["reach"]["normal"] else None
+    own = name in peer_child.PRODUCT
+    return [
+        name, str(row["texels"]), *cells, "" if name == "standard" else _interval(row["program"]["normal"]),
+        short(row["evaluations"]), short(1e3 * row["seconds"]), f"{row['memory']:.0f}",
+        "" if own else f"{short(reached[0])} ({short(reached[1])})", "" if own else short(arrived),
+    ]  # fmt: skip
+
+
+def _settings(data: dict[str, Any]) -> list[str]:
+    captures = data["captures"]
+    told: dict[str, list[str]] = {}
+    for found in captures.values():
+        for name, row in found["rows"].items():
+            told.setdefault(name, []).append(", ".join(f"{k} {v}" for k, v in row["settings"].items()))
+    rows = [
+        [name, "<br>".join(dict.fromkeys(f"{c}: {t}" if len(set(texts)) > 1 else t for c, t in zip(captures, texts,
+                                                                                            strict=True)))]
+        for name, texts in told.items() if any(texts)
+    ]  # fmt: skip
+    note = "Of a Lambertian method's settings (SETTINGS in benchmarks/peers/lambertian.py) the best, by the truth."
+    return [note, "", *report.table(["method", "settings"], rows)]
+
+
+def _draw(captures: dict[str, Any], folder: Path) -> None:
+    with report.plot(
+        folder, "peers", "Normal error against seconds a texel, 95 % intervals", len(captures),
+        figsize=(4.6 * len(captures), 4),
+    ) as axes:  # fmt: skip
+        for axis, (capture, found) in zip(axes[0], captures.items(), strict=True):
+            for i, (name, row) in enumerate(found["rows"].items()):
+                mean, low, high = row["errors"]["normal"]
+                mark, color = "osD^vP*"[i // len(report.COLORS)], report.COLORS[i % len(report.COLORS)]
+                bars = [[max(mean - low, 0)], [max(high - mean, 0)]]
+                axis.errorbar(
+                    [1e3 * row["seconds"]], [mean], yerr=bars, fmt=mark, color=color, label=name, markersize=5,
+                    linewidth=1,
+                )  # fmt: skip
+            axis.set(xscale="log", yscale="log", xlabel="ms a texel", title=TITLES[capture])
+        axes[0][0].set_ylabel("mean normal error, °")
+        axes[0][-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def headline(data: dict[str, Any]) -> str:
+    """Return what the index says."""
+    told = []
+    for capture, found in data["captures"].items():
+        rows = {name: row["errors"]["normal"][0] for name, row in found["rows"].items()}
+        best = min((name for name in rows if name in peer_child.LINEAR), key=rows.get)
+        told.append(f"{capture}: standard {short(rows['standard'])}°, best Lambertian {short(rows[best])}° ({best})")
+    return "; ".join(told)
+
+
+PROGRAM = report.Program("peers", "The program and its peers", __file__, measure, write, headline)
+
+if __name__ == "__main__":
+    report.run(PROGRAM)
+    context.exit_process(0)

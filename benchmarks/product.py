@@ -1,0 +1,102 @@
+"""The program itself as the benchmarks run it: recoveries with their way, and schedules that are made of others."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.peers.problem import Sample, Values
+from irpso_addon.geometry.domain import Domain
+from irpso_addon.gpu import context
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.recovery import Recovery
+from irpso_addon.solver.schedule import Schedule, load_schedule
+
+LM_ALONE = "LM alone"
+ONE_PARTICLE = ("paper", "constriction", "swarm")  # presets whose iterations move one particle a texel
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a recovery found: values (H, W, components), seconds from the images to the maps, setting up and compiling
+    included, evaluations a texel at the most (texels that are done early cost less), and its way.
+    """
+
+    values: Values
+    residual: np.ndarray
+    seconds: float
+    evaluations: float
+    trace: tuple[Sample, ...] = ()
+
+
+def schedule_of(name: str) -> Schedule:
+    """Return a preset by name, or ``LM_ALONE``: the polish of ``standard`` from all its starts, and nothing before."""
+    if name != LM_ALONE:
+        return load_schedule(name)
+    schedule = load_schedule("standard")
+    return schedule.replaced(name=LM_ALONE, iterations=0, survey=replace(schedule.survey, iterations=0),
+                             polish=replace(schedule.polish, starts=True))  # fmt: skip
+
+
+def jointly(schedule: Schedule, iterations: int | None = None) -> Schedule:
+    """Return the schedule with all parameters searched together, in one stage, once."""
+    total = iterations or sum(stage.iterations for stage in schedule.stages) * schedule.cycles
+    return schedule.replaced(search=["all"], cycles=1).replaced(iterations=total)
+
+
+def in_stages(schedule: Schedule, iterations: int | None = None) -> Schedule:
+    """Return the schedule with the paper's three stages, gone round as often as there, on the estimates so far."""
+    paper = load_schedule("paper")
+    total = iterations or sum(stage.iterations for stage in schedule.stages) * schedule.cycles
+    each = max(1, total // (len(paper.stages) * paper.cycles))
+    return replace(schedule, stages=paper.stages, cycles=paper.cycles).replaced(iterations=each)
+
+
+def recover(
+    domain: Domain,
+    model: str,
+    schedule: Schedule,
+    seed: int = 0,
+    known: Mapping[str, np.ndarray] | None = None,
+    points: Sequence[int] = (),
+    entry: str = "auto",
+) -> Run:
+    """Run a recovery to its end. points: iterations in all after which its state is put into the trace.
+
+    What looking at it costs is taken off the seconds: each look is taken twice, the second time for its own duration.
+    """
+    context.ensure()
+    looked, trace = 0.0, []
+    start = time.perf_counter()
+    texels = max(int(domain.solvable.sum()), 1)
+    with Recovery(domain, load_model(model), schedule, seed, known, entry) as recovery:
+        total = recovery.progress.iterations_in_all
+        for point in sorted({p for p in points if p < total}):
+            recovery.step(iterations=point - recovery.progress.iteration_in_all)
+            values = recovery.maps(confidence=False).values
+            now = time.perf_counter()
+            recovery.maps(confidence=False)
+            again = time.perf_counter() - now
+            trace.append(Sample(now - again - start - looked, recovery.progress.evaluations / texels, values))
+            looked += 2 * again
+        recovery.step()
+        maps = recovery.maps(confidence=False)
+        seconds = time.perf_counter() - start - looked
+        evaluations = recovery.progress.evaluations / texels
+    trace.append(Sample(seconds, evaluations, maps.values))
+    return Run(maps.values, maps.residual, seconds, evaluations, tuple(trace))
+
+
+def iterations_of(domain: Domain, model: str, schedule: Schedule) -> int:
+    """Return how many iterations a recovery has in all."""
+    context.ensure()
+    with Recovery(domain, load_model(model), schedule, entry="fragment") as recovery:
+        return recovery.progress.iterations_in_all
+
+
+def spaced(total: int, count: int) -> list[int]:
+    """Return up to ``count`` whole numbers from 1 to ``total``, evenly spaced in their logarithms."""
+    return sorted({int(round(x)) for x in np.geomspace(1, max(total, 1), count)})

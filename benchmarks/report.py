@@ -1,0 +1,248 @@
+"""How benchmarks are run, kept and shown: result files, Markdown tables, plots, the machine, confidence intervals."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ROOT / "docs" / "benchmarks"
+CACHE = ROOT / ".cache" / "bench"
+QUICK_PAGES = CACHE / "quick-pages"  # a smoke run must not replace what was measured
+MOST_BYTES = 60_000  # of a plot
+# Okabe & Ito 2008: told apart by all eyes. Black is the program itself.
+COLORS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
+# What a result depends on, besides its own program.
+_SOURCES = ("presets/*.toml", "shaders/**/*.*", "irpso_addon/solver/*.py", "benchmarks/subjects.py",
+            "benchmarks/product.py", "benchmarks/peers/*.py")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Program:
+    """A benchmark. measure(quick) → what JSON holds; write(data, folder) makes plots and the page's lines of that.
+
+    name: of page and result file. source: the module's file. title: of the page. headline(data): for the index.
+    """
+
+    name: str
+    title: str
+    source: str
+    measure: Callable[[bool], dict[str, Any]]
+    write: Callable[[dict[str, Any], Path], list[str]]
+    headline: Callable[[dict[str, Any]], str]
+
+
+def result_path(program: Program, quick: bool, cache: Path = CACHE) -> Path:
+    """Return where a program's result is kept."""
+    return cache / f"{program.name}{'-quick' if quick else ''}.json"
+
+
+def run(program: Program, arguments: Sequence[str] | None = None) -> None:
+    """Measure, unless a fresh result is there, keep the result, and write the page; the face of every program.
+
+    A result is fresh that was measured in the same mode (--quick or not) with the same sources and presets.
+    """
+    parser = argparse.ArgumentParser(description=program.title)
+    parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it runs")
+    parser.add_argument("--again", action="store_true", help="measure even where there is a fresh result")
+    parser.add_argument("--draw", action="store_true", help="write the page of the result there is, fresh or not")
+    parser.add_argument("--output", type=Path, help="folder of pages and plots (default: docs/benchmarks)")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of result files")
+    options = parser.parse_args(arguments)
+    output = options.output or (QUICK_PAGES if options.quick else PAGES)
+    path = result_path(program, options.quick, options.cache)
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    wanted = digest(program.source)
+    if options.draw and kept is None:
+        parser.error(f"{path} is not there; measure first")
+    if not options.draw and (options.again or kept is None or kept["digest"] != wanted):
+        load, start = os.getloadavg()[0], time.perf_counter()
+        data = program.measure(options.quick)
+        kept = {
+            "name": program.name, "title": program.title, "quick": options.quick, "digest": wanted,
+            "date": datetime.date.today().isoformat(), "machine": machine(), "commit": commit(),
+            "load": [round(load, 1), round(os.getloadavg()[0], 1)],
+            "seconds": round(time.perf_counter() - start, 1), "data": data,
+        }  # fmt: skip
+        options.cache.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        partial.replace(path)
+    output.mkdir(parents=True, exist_ok=True)
+    lines = [f"# {program.title}", "", *program.write(kept["data"], output), "", *_foot(kept, program)]
+    (output / f"{program.name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    say(f"{program.name}: {output / (program.name + '.md')}")
+
+
+def _foot(kept: dict[str, Any], program: Program) -> list[str]:
+    mode = "A smoke run with tiny sizes: the numbers mean nothing. " if kept["quick"] else ""
+    return [
+        f"<sub>{mode}`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
+        f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine, by whatever ran on it,"
+        f" {kept['load'][0]} before and {kept['load'][1]} after.</sub>"
+    ]
+
+
+def digest(source: str) -> str:
+    """Return what identifies the sources that a result depends on."""
+    found = hashlib.sha256()
+    for path in [Path(source), *(p for pattern in _SOURCES for p in sorted(ROOT.glob(pattern)) if p.is_file())]:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def machine() -> dict[str, str]:
+    """Return what this machine is, in words."""
+    import bpy
+
+    from irpso_addon.gpu import context
+
+    cpuinfo = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*:\s*(.*)", cpuinfo.read_text()) if cpuinfo.is_file() else []
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30 if hasattr(os, "sysconf") else 0
+    return {
+        "processor": f"{names[0] if names else platform.machine()}, {os.cpu_count()} cores",
+        "memory": f"{memory:.0f} GiB",
+        "renderer": str(context.describe()["renderer"]),
+        "software": f"Blender {bpy.app.version_string}, Python {platform.python_version()}, {platform.system()}",
+    }
+
+
+def commit() -> str:
+    """Return the commit that was measured, with "+" where the program differs from it."""
+    head = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no", "irpso_addon", "shaders", "presets", "benchmarks")
+    return f"{head or 'unknown'}{'+' if changed else ''}"
+
+
+def _git(*arguments: str) -> str:
+    found = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
+    return found.stdout.strip() if found.returncode == 0 else ""
+
+
+def say(text: str) -> None:
+    """Tell the person at the terminal how far it is."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+# ---- numbers -----------------------------------------------------------------------------------------------------
+
+
+def short(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many digits that mean something; an en dash for none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+    places = digits - 1 - int(np.floor(np.log10(abs(value))))
+    return f"{value:.{max(places, 0)}f}"
+
+
+def mean_interval(values: np.ndarray, draws: int = 2000, seed: int = 0) -> tuple[float, float, float]:
+    """Return the mean of (T,) values and its 95 % confidence interval, by the bootstrap (Efron 1979)."""
+    values = np.asarray(values, np.float64)
+    rng = np.random.default_rng(seed)
+    means = np.empty(draws)
+    for i in range(draws):
+        means[i] = values[rng.integers(len(values), size=len(values))].mean()
+    return float(values.mean()), *(float(q) for q in np.quantile(means, (0.025, 0.975)))
+
+
+def slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return the exponent of y ∝ xⁿ, by least squares in the logarithms."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def fold(values: Iterable[np.ndarray]) -> dict[str, list[float]]:
+    """Return median and quartiles over the first axis of equally long rows, as JSON holds them."""
+    rows = np.array(list(values), np.float64)
+    return {name: np.quantile(rows, q, axis=0).tolist() for name, q in (("low", 0.25), ("median", 0.5), ("high", 0.75))}
+
+
+# ---- pages -------------------------------------------------------------------------------------------------------
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> list[str]:
+    """Return the lines of a Markdown table, and an empty one."""
+    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    return [*lines, *(f"| {' | '.join(str(cell) for cell in row)} |" for row in rows), ""]
+
+
+@contextmanager
+def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, **settings) -> Iterator[Any]:
+    """Give axes (rows, columns) to draw on; at the end the figure is in the folder. Its line for a page: ``image``.
+
+    settings: of matplotlib's subplots.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    # Text stays text, of one font: small files, and ones that a reader can search.
+    style = {
+        "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "axes.spines.top": False,
+        "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6,
+        "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 110, "axes.titlesize": 10,
+        "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"],
+    }  # fmt: skip
+    with plt.rc_context(style):
+        size = settings.pop("figsize", (4.2 * columns, 3.1 * rows + 0.3))
+        figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **settings)
+        figure.suptitle(title, fontsize=11)
+        yield axes
+        for axis in axes.flat:
+            for one in (axis.xaxis, axis.yaxis):
+                _few_ticks(one)
+        path = folder / f"{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+        plt.close(figure)
+        path.write_text(_minified(path.read_text(encoding="utf-8")), encoding="utf-8")
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"{path}: {path.stat().st_size} bytes are too many for a plot; draw less")
+
+
+def _few_ticks(axis: Any) -> None:
+    """Give a logarithmic axis ticks at whole decades, or at 1, 2 and 5 where it has few of those."""
+    from matplotlib.ticker import FixedLocator, FormatStrFormatter, LogLocator, NullLocator
+
+    axis.set_minor_locator(NullLocator())
+    if axis.get_scale() != "log" or isinstance(axis.get_major_locator(), FixedLocator):
+        return
+    low, high = sorted(axis.get_view_interval())
+    if high / low < 200:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+
+
+def _minified(svg: str) -> str:
+    """Return the text of an SVG without what no one sees: comments, unused names, blanks, digits below a tenth."""
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"(\d+\.\d)\d+", r"\1", svg)
+    svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
+    svg = re.sub(r"\s*\n\s*", " ", svg)
+    return re.sub(r"> <", ">\n<", svg).replace(" </", "</").replace('" />', '"/>') + "\n"
+
+
+def image(name: str, text: str) -> list[str]:
+    """Return the lines that show a plot on a page."""
+    return [f"![{text}]({name}.svg)", ""]

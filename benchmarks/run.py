@@ -1,0 +1,83 @@
+"""Runs all benchmarks one after the other and writes the index of their pages: what ``make bench`` does.
+
+Usage: python -m benchmarks.run [--quick] [--again] [--output FOLDER] [NAME …]
+
+Every program keeps its result in .cache/bench; one that is fresh (same sources and presets) is not measured again.
+A run that was stopped goes on with the program at which it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from benchmarks import convergence, fig7, joint, lights, peers_table, report, scenes_table
+
+PROGRAMS = {module.PROGRAM.name: module for module in (joint, lights, convergence, peers_table, fig7, scenes_table)}
+OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}
+_NICE = 10  # whoever works at the machine meanwhile goes first
+
+
+def index(output: Path, quick: bool) -> list[str]:
+    """Return the lines of the index of the pages that are there."""
+    rows, machines = [], set()
+    for name, module in PROGRAMS.items():
+        path = report.result_path(module.PROGRAM, quick)
+        if not path.is_file() or not (output / f"{name}.md").is_file():
+            continue
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        machines.add("; ".join(kept["machine"].values()))
+        headline = module.PROGRAM.headline(kept["data"])
+        rows.append([f"[{kept['title']}]({name}.md)", headline, kept["date"], kept["commit"], f"{kept['seconds']:.0f}"])
+    rows += [[f"[{title}]({name}.md)", "", "", "", ""] for name, title in OTHERS.items()
+             if (output / f"{name}.md").is_file()]  # fmt: skip
+    return [
+        "# Benchmarks",
+        "",
+        "`make bench` measures these anew where sources or presets have changed since, and writes pages and plots;"
+        " `make bench QUICK=1` only tries in a few minutes that all of it runs. One program alone: `python -m"
+        " benchmarks.joint --again`.",
+        "",
+        *(f"Machine: {words}." for words in sorted(machines)),
+        "",
+        *report.table(["page", "in short", "date", "commit", "s"], rows),
+    ]
+
+
+def main() -> int:
+    """Run the programs; return how many failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PROGRAMS)}; all without")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it runs")
+    parser.add_argument("--again", action="store_true", help="measure even where there is a fresh result")
+    parser.add_argument("--output", type=Path, help="folder of pages and plots (default: docs/benchmarks)")
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(PROGRAMS):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(PROGRAMS)}")
+    output = options.output or (report.QUICK_PAGES if options.quick else report.PAGES)
+    flags = [flag for flag, on in (("--quick", options.quick), ("--again", options.again)) if on]
+    failed = 0
+    for name in options.names or PROGRAMS:
+        began = time.perf_counter()
+        module = f"benchmarks.{Path(PROGRAMS[name].PROGRAM.source).stem}"
+        # A process each: what one leaves behind, in memory or in the driver, is no business of the next.
+        code = subprocess.run(
+            [sys.executable, "-m", module, *flags, "--output", str(output)], cwd=report.ROOT,
+            preexec_fn=(lambda: os.nice(_NICE)) if hasattr(os, "nice") else None,
+        ).returncode  # fmt: skip
+        report.say(
+            f"{name}: {'done' if code == 0 else f'failed with exit code {code}'}, {time.perf_counter() - began:.0f} s"
+        )
+        failed += code != 0
+    output.mkdir(parents=True, exist_ok=True)
+    (output / "README.md").write_text("\n".join(index(output, options.quick)).rstrip() + "\n", encoding="utf-8")
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(1 if main() else 0)

@@ -1,0 +1,170 @@
+"""Times recoveries of domains made of repeated rows, each in a process of its own: what fig7 starts.
+
+Usage: python -m benchmarks.timed JSON, with the fields of ``Job``; the result goes to stdout, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks import product, report, subjects
+from benchmarks.peers.problem import peak_memory_mb
+from irpso_addon.geometry.domain import Domain
+from irpso_addon.gpu import context
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.memory import Memory
+from irpso_addon.solver.need import Need, recovery_need
+from irpso_addon.solver.plan import Plan, plan_recovery
+from irpso_addon.solver.recovery import Recovery
+from irpso_addon.solver.schedule import Schedule
+from irpso_addon.solver.tiled import TiledRecovery
+
+
+@dataclass(frozen=True)
+class Job:
+    """rows × columns texels under so many lights; preset with changes, as Schedule.replaced takes them.
+
+    known: parameters that are given. chunks: of ``iterations`` each, timed one by one after the swarms are placed and
+    ``warm`` iterations made, since drivers compile at the first use. covered: part of the texels. budget:
+    bytes of textures where the domain is tiled by plan, else 0; part: of its tiles that are really solved, 0 for all.
+    """
+
+    rows: int
+    columns: int
+    lights: int
+    preset: str = "paper"
+    changes: dict[str, Any] = field(default_factory=dict)
+    known: tuple[str, ...] = ()
+    iterations: int = 5
+    chunks: int = 1
+    entry: str = "fragment"
+    covered: float = 1.0
+    budget: int = 0
+    part: int = 0
+    warm: int = 1
+
+
+def start(job: Job) -> dict[str, Any]:
+    """Run a job in a process of its own; return its result."""
+    found = subprocess.run(
+        [sys.executable, "-m", "benchmarks.timed", json.dumps(asdict(job))], cwd=report.ROOT, check=True,
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    return json.loads(found.stdout.splitlines()[-1])
+
+
+def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
+    """Return a domain whose rows are all one row of texels, in the memory of that row, and the known maps."""
+    shape = (job.rows, job.columns)
+    row = subjects.make_card((1, job.columns), job.lights, subjects.NOISY, seed=3)
+    up = np.broadcast_to(np.float32([0, 0, 1]), (*shape, 3))
+    place = np.broadcast_to(row.domain.bake.position, (*shape, 3))
+    coverage = np.ones(shape, bool)
+    if job.covered < 1:
+        coverage = np.random.default_rng(0).random(shape) < job.covered
+    bake = replace(
+        row.domain.bake, position=place, normal=up, tangent=np.broadcast_to(np.float32([1, 0, 0, 1]), (*shape, 4)),
+        coverage=coverage, uv=place[..., :2],
+    )  # fmt: skip
+    domain = replace(row.domain, bake=bake, stack=np.broadcast_to(row.domain.stack, (job.lights, *shape, 4)))
+    known = {n: np.broadcast_to(np.float32(row.truth[n]), (*shape, row.truth[n].shape[-1])) for n in job.known}
+    return domain, known
+
+
+def measure(job: Job) -> dict[str, Any]:
+    """Return seconds of setting up, of placing swarms, and of each chunk; evaluations of a chunk; MB at the peak."""
+    context.ensure()
+    schedule = product.schedule_of(job.preset).replaced(**job.changes)
+    tiles: dict[str, Any] = {}
+    make: Callable[..., Any] = Recovery
+    if job.budget:
+        plan, need = plan_of(job, schedule)
+        tiles = {"tiles": len(plan.tiles), "on_device": plan.on_device, "resident": plan.resident}
+        job, boxes = _part(job, plan)
+        tiles["solved"] = len(boxes)
+        device = None if plan.resident else min(plan.on_device, len(boxes) - 1)
+
+        def make(*arguments, **settings):
+            return TiledRecovery(*arguments, **settings, boxes=boxes, halo=need.reach, on_device=device)
+
+    _warm_up(job, schedule)
+    before = peak_memory_mb()
+    domain, known = repeated(job)
+    began = time.perf_counter()
+    recovery = make(domain, load_model(subjects.TWO_LOBES), schedule, 0, known, entry=job.entry)
+    setup = time.perf_counter() - began
+    began = time.perf_counter()
+    recovery.step(iterations=0)
+    placing = time.perf_counter() - began
+    placing += _synchronise(recovery)
+    if job.warm:
+        recovery.step(iterations=job.warm)
+        _synchronise(recovery)
+    chunks, evaluations = [], []
+    for _ in range(job.chunks):
+        made, began = recovery.progress.evaluations, time.perf_counter()
+        recovery.step(iterations=job.iterations)
+        spent = time.perf_counter() - began
+        chunks.append(spent + _synchronise(recovery))
+        evaluations.append(recovery.progress.evaluations - made)
+    texels = int(np.count_nonzero(domain.solvable))
+    return {
+        **tiles, "texels": texels, "setup": setup, "placing": placing, "chunks": chunks, "evaluations": evaluations,
+        "memory": peak_memory_mb() - before,
+    }  # fmt: skip
+
+
+def _warm_up(job: Job, schedule: Schedule) -> None:
+    """Solve a few texels, so that what compilers take is no part of the memory that is measured."""
+    small = replace(job, rows=4, columns=4, covered=1.0)
+    domain, known = repeated(small)
+    with Recovery(domain, load_model(subjects.TWO_LOBES), schedule, 0, known, entry=job.entry) as recovery:
+        recovery.step(iterations=2)
+        recovery.maps(confidence=False)
+
+
+def _synchronise(recovery: Any) -> float:
+    """Wait for the device; return for how long, without what the look that waits takes itself.
+
+    Draws are asynchronous: only a look at the maps, which reads them back, waits for all that was ordered. Where tiles
+    take turns nothing is left to wait for: what leaves the device is read back.
+    """
+    if isinstance(recovery, TiledRecovery) and not recovery.resident:
+        return 0.0
+    began = time.perf_counter()
+    recovery.maps(confidence=False)
+    middle = time.perf_counter()
+    recovery.maps(confidence=False)
+    return max((middle - began) - (time.perf_counter() - middle), 0.0)
+
+
+def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Need]:
+    """Return how the whole of a job's domain would be solved within its budget."""
+    need = recovery_need(load_model(subjects.TWO_LOBES), schedule, job.known, job.lights)
+    # Of the host the plan wants room for the stack or its file; here the rows are one row's memory.
+    memory = Memory(job.budget, 1 << 44)
+    return plan_recovery(np.ones((job.rows, job.columns), bool), need, memory), need
+
+
+def _part(job: Job, plan: Plan) -> tuple[Job, list[tuple[int, int, int, int]]]:
+    """Return the job of the first tiles alone, and their boxes; of all, where all are solved."""
+    boxes = plan.boxes[: job.part] if job.part and job.part < len(plan.boxes) else plan.boxes
+    x0, y0 = (min(box[i] for box in boxes) for i in (0, 1))
+    x1, y1 = (max(box[i] + box[i + 2] for box in boxes) for i in (0, 1))
+    if sum(w * h for _, _, w, h in boxes) != (x1 - x0) * (y1 - y0):
+        raise ValueError("the first tiles are no rectangle")
+    return replace(job, rows=y1 - y0, columns=x1 - x0), [(x - x0, y - y0, w, h) for x, y, w, h in boxes]
+
+
+if __name__ == "__main__":
+    found = measure(Job(**{k: tuple(v) if k == "known" else v for k, v in json.loads(sys.argv[1]).items()}))
+    print(json.dumps(found))
+    context.exit_process(0)
