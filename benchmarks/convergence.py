@@ -18,7 +18,7 @@ from irpso_addon.gpu import context
 DIRTS = ("clean", "noisy", "dirty")
 JOINT = ("paper", "constriction", "swarm", "standard", product.LM_ALONE, "DE")
 STAGED = ("paper", "constriction", "swarm")
-POINTS = 14  # looks at a recovery on its way
+POINTS = 11  # looks at a recovery on its way
 NAMES = ("normal", "base_color", "r1", "r2", "w")
 Trace = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
 
@@ -65,7 +65,7 @@ def _de(card: subjects.Card, count: int, seed: int, quick: bool) -> Trace:
     settings = {"population": 2, "generations": 3, "workers": 1} if quick else {"workers": 2}
     result = differential_evolution(problem, seed=seed, **settings)
     trace = []
-    for sample in result.trace:
+    for sample in [*result.trace[:-1:2], result.trace[-1]]:
         errors = subjects.errors_of(card.model, sample.values, problem.truth)
         trace.append((float(sample.evaluations), {name: float(errors[name].mean()) for name in NAMES}))
     return trace

@@ -202,7 +202,7 @@ def plot(folder: Path, name: str, title: str, columns: int = 1, rows: int = 1, *
         "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "axes.spines.top": False,
         "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6,
         "axes.axisbelow": True, "legend.frameon": False, "figure.dpi": 110, "axes.titlesize": 10,
-        "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"],
+        "xtick.bottom": False, "ytick.left": False, "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"],
     }  # fmt: skip
     with plt.rc_context(style):
         size = settings.pop("figsize", (4.2 * columns, 3.1 * rows + 0.3))
@@ -228,7 +228,7 @@ def _few_ticks(axis: Any) -> None:
     if axis.get_scale() != "log" or isinstance(axis.get_major_locator(), FixedLocator):
         return
     low, high = sorted(axis.get_view_interval())
-    if high / low < 200:
+    if high / low < 30:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FormatStrFormatter("%g"))
 
