@@ -18,7 +18,7 @@ from irpso_addon.gpu import context
 NOISE, LEAST = 0.003, 0.02  # σ of the bound, and the part of a range under which a parameter counts as identifiable
 DEGREES, PERCENT = 1.0, 1.0  # what counts as right
 METHODS = ("standard", product.LM_ALONE)
-DIRTS = ("clean", "noisy", "shadowed", "dirty")
+DIRTS = ("clean", "noisy", "shadowed", "dirty", "patched")
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
     from benchmarks.peers.problem import problem_of
 
     floors = {}
-    for dirt in ("shadowed", "dirty"):
+    for dirt in ("shadowed", "dirty", "patched"):
         card = subjects.make_card(size, lights, subjects.DIRTS[dirt], 0)
         whole = problem_of(card.domain, card.model, card.truth)
         chosen = subjects.sample(whole.count, 4 if quick else 150)
@@ -88,7 +88,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     rows = data["rows"]
     names = list(rows[0]["errors"])
     titles = {name: dirt.title for name, dirt in subjects.DIRTS.items()}
-    clean, dirty = (next(r for r in rows if r["dirt"] == d and r["method"] == "standard") for d in ("clean", "dirty"))
+    clean, dirty, patched = (
+        next(r for r in rows if r["dirt"] == d and r["method"] == "standard") for d in ("clean", "dirty", "patched")
+    )
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, {data['seeds']} seeds pooled, model"
         " `cook_torrance_two_lobe`; base colour, normal, r1, r2 and w all unknown (8 numbers a texel). How cards are"
@@ -101,7 +103,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         f"- Clean: **{clean['right']:.2%}** of the identifiable texels are right with `standard` (to show: 99 %, with"
         " at most 15 % excluded).",
         f"- {titles['dirty']}: mean normal error **{short(dirty['errors']['normal'][0])}°** over all texels with"
-        " `standard` (to show: 0.15°).",
+        f" `standard` (to show: 0.15°); {titles['patched']}: **{short(patched['errors']['normal'][0])}°**.",
         "",
         "## Right among the identifiable",
         "",

@@ -3,12 +3,13 @@
 A card of W×H texels lies before an orthographic camera under K distant lights. All maps are smooth: sums of a few waves
 whose directions and phases come from the seed. The sample of texel x under light k is
 
-    I_k(x) = max(0, V_k(x) R_k(x) + a B[V_k R_k](x) + N(0, σ²))
+    I_k(x) = max(0, V_k(x) R_k(x) + a U_k(x) B[V_k R_k](x) + N(0, σ²))
 
 with R the reflectance model in float64 (benchmarks/peers/models.py) under a light of intensity 1. V is the cast shadow:
 at each texel the ``shadow`` part of the lights that is nearest to a direction drawn for that texel alone has V = 0, so
 that what is missing is a connected patch of lights. B is a Gaussian blur over the card, BLUR of its side wide: the
-interreflection of a texel's surroundings, which adds the part a of their radiance, smooth over texels and lights.
+interreflection of a texel's surroundings, which adds the part a of their radiance, smooth over texels. U is 1 under all
+lights, or under a connected patch of them, drawn for each texel as its shadow is.
 """
 
 from __future__ import annotations
@@ -36,19 +37,21 @@ _RANGES = {"r1": (0.09, 0.16), "r2": (0.28, 0.4), "w": (0.3, 0.5), "roughness": 
 
 @dataclass(frozen=True)
 class Dirt:
-    """noise: σ. shadow: part of a texel's lights. interreflection: part of the surroundings' radiance."""
+    """noise: σ. shadow: part of a texel's lights. interreflection: a; reach: part of the lights under which U is 1."""
 
     title: str
     noise: float = 0.0
     shadow: float = 0.0
     interreflection: float = 0.0
+    reach: float = 1.0
 
 
 CLEAN = Dirt("clean")
 NOISY = Dirt("noise 0.003", noise=0.003)
 DIRTY = Dirt("15 % cast shadow, 10 % interreflection, noise 0.003", 0.003, 0.15, 0.1)
 SHADOWED = Dirt("15 % cast shadow, noise 0.003", 0.003, 0.15)
-DIRTS = {"clean": CLEAN, "noisy": NOISY, "dirty": DIRTY, "shadowed": SHADOWED}
+PATCHED = Dirt("15 % cast shadow, 30 % interreflection in 10 % of the samples, noise 0.003", 0.003, 0.15, 0.3, 0.1)
+DIRTS = {"clean": CLEAN, "noisy": NOISY, "dirty": DIRTY, "shadowed": SHADOWED, "patched": PATCHED}
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,11 @@ def make_card(
     truth = _truth(shape, model, rng)
     domain = _domain(shape, directions)
     clean = _render(domain, model, truth)
-    shadowed = _shadow(shape, directions, dirt.shadow, rng)
-    direct = np.where(shadowed[..., None], 0, clean)
-    seen = direct + dirt.interreflection * _blur(direct, BLUR * max(shape)) if dirt.interreflection else direct
+    shadowed = _patch(shape, directions, dirt.shadow, rng)
+    direct = seen = np.where(shadowed[..., None], 0, clean)
+    if dirt.interreflection:
+        reached = _patch(shape, directions, dirt.reach, rng) if dirt.reach < 1 else np.ones_like(shadowed)
+        seen = direct + dirt.interreflection * reached[..., None] * _blur(direct, BLUR * max(shape))
     seen = np.maximum(seen + dirt.noise * rng.normal(size=seen.shape), 0)
     stack = np.concatenate([seen, np.ones((*seen.shape[:3], 1))], axis=-1).astype(np.float32)
     return Card(replace(domain, stack=stack), model, truth, shadowed, dirt)
@@ -170,17 +175,17 @@ def _waves(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     return total * np.sqrt(2 / _WAVES)
 
 
-def _shadow(shape: tuple[int, int], directions: np.ndarray, part: float, rng: np.random.Generator) -> np.ndarray:
+def _patch(shape: tuple[int, int], directions: np.ndarray, part: float, rng: np.random.Generator) -> np.ndarray:
     """(K, H, W) bool: at each texel the ``part`` of the lights that is nearest to one drawn from among them."""
-    missing = round(part * len(directions))
-    if not missing:
+    count = round(part * len(directions))
+    if not count:
         return np.zeros((len(directions), *shape), bool)
     toward = directions[rng.integers(len(directions), size=shape)]
     near = np.einsum("kc,hwc->khw", directions, toward)
     order = np.argsort(-near, axis=0, kind="stable")
-    shadowed = np.zeros(near.shape, bool)
-    np.put_along_axis(shadowed, order[:missing], True, axis=0)
-    return shadowed
+    patch = np.zeros(near.shape, bool)
+    np.put_along_axis(patch, order[:count], True, axis=0)
+    return patch
 
 
 def _blur(images: np.ndarray, deviation: float) -> np.ndarray:
