@@ -11,6 +11,7 @@ _HOMES = {
     "load_model": "reflectance.model",
     "load_schedule": "solver.schedule",
     "Recovery": "solver.recovery",
+    "Pyramid": "solver.pyramid",
     "Domain": "geometry.domain",
     "domain_from_card": "geometry.build",
     "domain_from_mesh": "geometry.build",

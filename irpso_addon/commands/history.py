@@ -9,6 +9,7 @@ import numpy as np
 from ..maps.pictures import Curves, convergence, display_image, spread_marks
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
+from ..solver.pyramid import Pyramid
 from ..solver.recovery import Recovery
 from ..solver.tiled import TiledRecovery
 
@@ -22,7 +23,7 @@ class History:
     truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white.
     """
 
-    def __init__(self, recovery: Recovery | TiledRecovery, truth: Mapping[str, np.ndarray] | None):
+    def __init__(self, recovery: Recovery | Pyramid | TiledRecovery, truth: Mapping[str, np.ndarray] | None):
         self._recovery, self._truth = recovery, truth
         rows, columns = np.nonzero(recovery.domain.solvable)
         chosen = spread_marks(np.stack([columns, rows], axis=-1))

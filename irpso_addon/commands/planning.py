@@ -21,8 +21,9 @@ from ..solver import checkpoint
 from ..solver.memory import machine_memory
 from ..solver.need import recovery_need
 from ..solver.plan import Limits, Plan, plan_recovery
+from ..solver.pyramid import Pyramid
 from ..solver.recovery import Recovery
-from ..solver.schedule import Schedule
+from ..solver.schedule import Schedule, refuse_levels
 from ..solver.tiled import TiledRecovery
 
 
@@ -53,7 +54,10 @@ def make_plan(
     boxes = []
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
-    return plan_recovery(coverage, need, memory, limits, stack_on, boxes)
+    plan = plan_recovery(coverage, need, memory, limits, stack_on, boxes)
+    if not _untiled(plan):
+        refuse_levels(schedule)
+    return plan
 
 
 def scratch_folder(output: Path) -> Path:
@@ -80,10 +84,14 @@ def planned_recovery(
     schedule: Schedule,
     known: dict[str, np.ndarray],
     options: Namespace,
-) -> Recovery | TiledRecovery:
-    """Return the recovery that the plan asks for."""
+) -> Recovery | Pyramid | TiledRecovery:
+    """Return the recovery that the plan and the schedule ask for."""
     settings = (domain, model, schedule, options.seed, known, options.entry)
-    if plan.boxes == [(0, 0, domain.shape[1], domain.shape[0])]:
-        return Recovery(*settings)
+    if _untiled(plan):
+        return Recovery(*settings) if schedule.levels == 1 else Pyramid(*settings)
     scratch = scratch_folder(Path(options.output)) if plan.state_on == "scratch" else None
     return TiledRecovery(*settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=scratch)
+
+
+def _untiled(plan: Plan) -> bool:
+    return plan.boxes == [(0, 0, plan.shape[1], plan.shape[0])]

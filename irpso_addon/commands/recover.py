@@ -28,6 +28,7 @@ from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.memory import parse_memory
 from ..solver.plan import Plan
+from ..solver.pyramid import Pyramid
 from ..solver.recovery import Recovery
 from ..solver.schedule import Schedule
 from ..solver.tiled import TiledRecovery
@@ -164,7 +165,7 @@ def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, su
     return domain
 
 
-def _solve(recovery: Recovery | TiledRecovery, history: History, job: _Job, options: Namespace) -> Maps:
+def _solve(recovery: Recovery | Pyramid | TiledRecovery, history: History, job: _Job, options: Namespace) -> Maps:
     checkpoint = job.folder / CHECKPOINT
     if options.resume:
         history.take(recovery.load(checkpoint))

@@ -10,6 +10,7 @@ from ..reflectance.model import ReflectanceModel
 from .codec import Codec
 from .schedule import Schedule
 
+ALL_TOLD = 255  # of SEED_TELLS in shaders/swarm/update.glsl: a seed that knows of all eight dimensions
 FLOAT_2D = "FLOAT_2D"
 GEOMETRY = {"u_position": FLOAT_2D, "u_normal": FLOAT_2D, "u_tangent": FLOAT_2D}
 PACKING = {"u_place": FLOAT_2D, "u_packed": FLOAT_2D}
@@ -61,7 +62,7 @@ def build_stage_passes(
         **estimate_defines(model),
         **tiling,
         **schedule_defines(schedule),
-        "SEED_TELLS": 255,
+        "SEED_TELLS": ALL_TOLD,
     }
     blocks = range(codec.blocks)
     bests = {f"u_best_{b}": FLOAT_2D for b in blocks}

@@ -88,6 +88,8 @@ class Recovery:
     ):
         if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
             raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
+        if schedule.levels > 1:
+            raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry

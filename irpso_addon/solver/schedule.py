@@ -14,14 +14,14 @@ from ..paths import PRESETS
 
 Walls = Literal["clamp", "stop", "reflect"]
 Loss = Literal["l1", "l2", "robust"]
-Seed = Literal["random", "lambert"]
+Seed = Literal["random", "lambert", "given"]
 NormalSearch = Literal["hemisphere", "cartesian"]
 Update = Literal["one", "all"]
 LinearKind = Literal["search", "solve"]
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # what no stage of the schedule names
-_TOP_KEYS = ("name", "title", "cycles", "threshold")
+_TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
 _POLISH = "polish_"  # before the names of its settings, where they stand beside those of the swarm
 _CHOICES = {
     "walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch),
@@ -29,6 +29,7 @@ _CHOICES = {
 }  # fmt: skip
 _WHOLE = ("particles", "neighbourhood", "cycles")
 _POSITIVE = ("v_max", "delta", "percentile")
+_MOST_LEVELS = 5  # a coarse texel is then 16 × 16
 _MOST = {"seeded": 1, "c3_until": 1, "percentile": 100}
 
 
@@ -44,7 +45,8 @@ class Swarm:
     neighbour_every: iterations between those in which the particle tries the best of one of the eight texels around (0:
     never, as in the paper). v_max: largest speed.
     walls: what a particle does that would leave the range. start_speed: largest speed of a new particle. seed: where
-    the first particles stand; seeded: the fraction of the swarm that stands within seed_spread of the seed.
+    the first particles stand (given: at a first guess, handed to the recovery, that tells all dimensions); seeded: the
+    fraction of the swarm that stands within seed_spread of the seed.
     linear_reach: how many times its texel's scale (see Fitness) a linear parameter may be, 0 for its whole range.
     normal: two numbers on the hemisphere, or the paper's three that are normalised.
     """
@@ -167,7 +169,9 @@ class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
     threshold: the fitness h at which a swarm stops (0: never before the last iteration). survey: what goes before the
-    stages, which then hold to its normals. polish: what follows them; prior: what follows that.
+    stages, which then hold to its normals. polish: what follows them; prior: what follows that. levels: how many sizes
+    are solved, each half the next, the first guess of which it is (solver/pyramid.py; 1: the domain alone).
+    level_iterations: the fraction of the survey's and the stages' iterations that all but the coarsest make.
     """
 
     name: str
@@ -177,6 +181,8 @@ class Schedule:
     stages: tuple[Stage, ...]
     cycles: int = 1
     threshold: float = 0.0
+    levels: int = 1
+    level_iterations: float = 0.4
     survey: Survey = Survey()
     polish: Polish = Polish()
     prior: Prior = Prior()
@@ -205,11 +211,20 @@ class Schedule:
             names = {f"{part}_{f.name}": f.name for f in dataclasses.fields(group)}
             values = {names[name]: changes.pop(name) for name in names.keys() & set(changes)}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
-        if unknown := set(changes) - {"name", "title", "cycles", "threshold", *_OPTIONAL}:
+        if unknown := set(changes) - {*_TOP_KEYS, *_OPTIONAL}:
             raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
         result = dataclasses.replace(result, **changes)
         _check(result)
         return result
+
+
+def refuse_levels(schedule: Schedule) -> None:
+    """Raise InputError where a schedule of several levels would have to be solved in tiles."""
+    if schedule.levels > 1:
+        raise InputError(
+            f"levels = {schedule.levels}: the domain does not fit in memory at once, and tiles are not solved coarse to"
+            " fine; set levels = 1, or allow more with --memory"
+        )
 
 
 _OPTIONAL = {"survey": Survey, "polish": Polish, "prior": Prior}  # may be absent: there is none then
@@ -278,6 +293,7 @@ def _check(schedule: Schedule, where: str = "") -> None:
             raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
+    _check_levels(schedule, where)
     _check_survey(schedule.survey, where)
     _check_polish(schedule.polish, where)
     _check_prior(schedule.prior, where)
@@ -285,6 +301,15 @@ def _check(schedule: Schedule, where: str = "") -> None:
         raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
     if schedule.swarm.neighbourhood % 2 == 0:
         raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
+
+
+def _check_levels(schedule: Schedule, where: str) -> None:
+    _check_whole("levels", schedule.levels, where)
+    if schedule.levels > _MOST_LEVELS:
+        raise InputError(f"{where}: levels must be at most {_MOST_LEVELS}, not {schedule.levels}")
+    part = schedule.level_iterations
+    if not isinstance(part, int | float) or isinstance(part, bool) or not 0 < part <= 1:
+        raise InputError(f"{where}: level_iterations must be a fraction above 0, up to 1, not {part!r}")
 
 
 def _check_survey(survey: Survey, where: str) -> None:

@@ -162,8 +162,8 @@ def swarm_constants(
     """Return the push constants of an iteration."""
     swarm = schedule.swarm
     seeded = math.ceil(swarm.seeded * particles) if swarm.seed != "random" else 0
-    if stage.cycle > 0:
-        seeded = max(1, seeded)  # a later cycle must not lose what the one before has found
+    if stage.cycle > 0 or swarm.seed == "given":
+        seeded = max(1, seeded)  # a later cycle, or a finer level, must not lose what the one before has found
     return {
         "u_width": domain.packing.width,
         "u_height": domain.packing.height,

@@ -47,6 +47,8 @@ class RunningSurvey:
         self._own = _begun(self._model, model, estimates)
         self._adopt = _adopt_pass(model, domain.defines)
         self._polishing = False
+        if schedule.swarm.seed == "given":  # a first guess tells the normal, but nothing of the survey's own model
+            schedule = schedule.replaced(seed="lambert")
         self._inner: Phase = RunningGenerations(
             resolved.stage, self._model, schedule, seed, self._domain, self._own, entry
         )

@@ -19,7 +19,7 @@ from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
 from .recovery import NOTE, Progress, Recovery, full_map, named
-from .schedule import Schedule
+from .schedule import Schedule, refuse_levels
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
 Part = tuple[slice, slice]  # rows, columns
@@ -98,6 +98,7 @@ class TiledRecovery:
         on_device: int | None = None,
         scratch: Path | None = None,
     ):
+        refuse_levels(schedule)
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry

@@ -1,0 +1,159 @@
+"""A domain of half as many texels along each side, and maps taken from one of the two to the other.
+
+A coarse texel stands for the 2 × 2 texels under it that are covered; an odd row or column ends in cells of fewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .domain import Domain, GeometryBake
+
+_SHORT = 1e-6  # of a mean of unit vectors: shorter ones point nowhere, as of two sides of a thin wall
+_NEAR, _FAR = 0.75, 0.25  # of bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
+
+
+def coarser(domain: Domain) -> Domain:
+    """Return the domain at half the size, rounded up: radiance averaged by weight, the rest over covered texels.
+
+    A sample's weight is the mean of its texels' weights. The domain must be no tile: a halo raises ValueError.
+    """
+    if any(domain.halo):
+        raise ValueError("a tile with a halo has no coarser domain: its cells would be others than the whole domain's")
+    x, y = domain.origin
+    stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack])
+    return Domain(
+        _coarser_bake(domain.bake), stack, domain.lights, domain.intensities, domain.views, (x // 2, y // 2),
+        card=domain.card,
+    )  # fmt: skip
+
+
+def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool = False) -> np.ndarray:
+    """Return (h, w, n) float32 means of a map (H, W, n) over covered texels.
+
+    normal: whether it holds unit normals in the texels' tangent frames, which are turned and made unit again.
+    """
+    count = _cells(domain.bake.coverage).sum(axis=(1, 3))
+    held = in_world(domain, values) if normal else np.asarray(values, np.float64)
+    total = _cells(np.where(domain.bake.coverage[..., None], held, 0)).sum(axis=(1, 3))
+    mean = total / np.maximum(count, 1)[..., None]
+    return (in_frames(coarse, mean) if normal else mean).astype(np.float32)
+
+
+def finer_map(
+    coarse: Domain, domain: Domain, values: np.ndarray, otherwise: np.ndarray, normal: bool = False
+) -> np.ndarray:
+    """Return (H, W, n) float32: a map (h, w, n) of the coarse domain between its solvable texels, bilinearly.
+
+    otherwise: (H, W, n), or what broadcasts to it, where no such texel is near. normal: as in ``coarser_map``.
+    """
+    held = in_world(coarse, values) if normal else np.asarray(values, np.float64)
+    total = np.zeros((*domain.shape, held.shape[-1]))
+    weights = np.zeros((*domain.shape, 1))
+    for rows, down in _beside(domain.shape[0], coarse.shape[0]):
+        for columns, across in _beside(domain.shape[1], coarse.shape[1]):
+            weight = (down[:, None] * across * coarse.solvable[rows[:, None], columns])[..., None]
+            total += np.where(weight > 0, weight * held[rows[:, None], columns], 0)
+            weights += weight
+    mean = total / np.where(weights > 0, weights, 1)
+    mean = in_frames(domain, mean) if normal else mean
+    return np.where(weights > 0, mean, otherwise).astype(np.float32)
+
+
+def in_world(domain: Domain, normals: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) float64 world vectors of normals in the texels' tangent frames; as they are on a card."""
+    normals = np.asarray(normals, np.float64)
+    return normals if domain.card else np.einsum("hwi,hwij->hwj", normals, _frames(domain.bake))
+
+
+def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) float64 unit normals in the texels' tangent frames, of world vectors of any length.
+
+    What points below a texel's surface is bent up to it; what points nowhere is the texel's own normal.
+    """
+    local = vectors if domain.card else np.einsum("hwj,hwij->hwi", vectors, _frames(domain.bake))
+    local = np.concatenate([local[..., :2], np.maximum(local[..., 2:], 0)], axis=-1)
+    length = np.linalg.norm(local, axis=-1, keepdims=True)
+    return np.where(length > _SHORT, local / np.maximum(length, _SHORT), (0.0, 0.0, 1.0))
+
+
+def _frames(bake: GeometryBake) -> np.ndarray:
+    """Return (H, W, 3, 3) rows tangent, bitangent, normal."""
+    normal, tangent = bake.normal.astype(np.float64), bake.tangent.astype(np.float64)
+    return np.stack([tangent[..., :3], tangent[..., 3:] * np.cross(normal, tangent[..., :3]), normal], axis=-2)
+
+
+def _cells(values: np.ndarray) -> np.ndarray:
+    """Return (h, 2, w, 2, …) of (H, W, …): the 2 × 2 texels of each cell, zeros where there are fewer."""
+    height, width = values.shape[:2]
+    padded = np.pad(values, [(0, height % 2), (0, width % 2)] + [(0, 0)] * (values.ndim - 2))
+    return padded.reshape((height + 1) // 2, 2, (width + 1) // 2, 2, *values.shape[2:])
+
+
+def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    weight = np.where(coverage, layer[..., 3], 0).astype(np.float64)
+    # What weighs nothing may be anything, and 0 · NaN is NaN.
+    radiance = np.where(weight[..., None] > 0, layer[..., :3], 0) * weight[..., None]
+    total = _cells(weight).sum(axis=(1, 3))
+    mean = _cells(radiance).sum(axis=(1, 3)) / np.where(total > 0, total, 1)[..., None]
+    count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
+    return np.concatenate([mean, (total / count)[..., None]], axis=-1).astype(np.float32)
+
+
+def _coarser_bake(bake: GeometryBake) -> GeometryBake:
+    covered = _cells(bake.coverage)
+    height, width = covered.shape[0], covered.shape[2]
+    flat = covered.transpose(0, 2, 1, 3).reshape(height, width, 4)
+    first = flat.argmax(axis=-1)[..., None, None]  # the first texel of a cell that is covered decides where means fail
+
+    def children(values: np.ndarray) -> np.ndarray:
+        """(h, w, 4, n) float64: the texels of each cell."""
+        cells = _cells(values.astype(np.float64)).transpose(0, 2, 1, 3, 4)
+        return cells.reshape(height, width, 4, -1)
+
+    def mean(values: np.ndarray, counted: np.ndarray) -> np.ndarray:
+        counted = counted[..., None]
+        return np.where(counted, values, 0).sum(axis=2) / np.maximum(counted.sum(axis=2), 1)
+
+    def chosen(values: np.ndarray) -> np.ndarray:
+        return np.take_along_axis(values, first, axis=2)[:, :, 0]
+
+    normals, tangents = children(bake.normal), children(bake.tangent)
+    normal = _unit(mean(normals, flat), chosen(normals))
+    sign = chosen(tangents)[..., 3:]
+    alike = flat & (tangents[..., 3] == sign)  # a mirrored neighbour's tangent would be another frame's
+    tangent = _across(mean(tangents[..., :3], alike), chosen(tangents)[..., :3], normal)
+    return GeometryBake(
+        mean(children(bake.position), flat).astype(np.float32), normal.astype(np.float32),
+        np.concatenate([tangent, sign], axis=-1).astype(np.float32), flat.any(axis=-1),
+        mean(children(bake.uv), flat).astype(np.float32),
+    )  # fmt: skip
+
+
+def _across(tangent: np.ndarray, otherwise: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return unit vectors at right angles to the normal, as near to the tangent as can be (Gram–Schmidt)."""
+    found = tangent - (tangent * normal).sum(axis=-1, keepdims=True) * normal
+    second = otherwise - (otherwise * normal).sum(axis=-1, keepdims=True) * normal
+    axis = np.eye(3)[np.abs(normal).argmin(axis=-1)]
+    third = axis - (axis * normal).sum(axis=-1, keepdims=True) * normal
+    return _unit(found, _unit(second, third))
+
+
+def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return unit vectors; where they are too short, the others', made unit too."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    others = np.linalg.norm(otherwise, axis=-1, keepdims=True)
+    return np.where(
+        length > _SHORT, vectors / np.maximum(length, _SHORT), otherwise / np.maximum(others, np.finfo(float).tiny)
+    )
+
+
+def _beside(size: int, coarse: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield for the cell of each texel of an axis, then for the cell next to it: its index, and its weight or 0."""
+    at = np.arange(size)
+    yield at // 2, np.full(size, _NEAR)
+    other = at // 2 + np.where(at % 2 == 0, -1, 1)
+    inside = (other >= 0) & (other < coarse)
+    yield np.clip(other, 0, coarse - 1), np.where(inside, _FAR, 0.0)
