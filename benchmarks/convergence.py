@@ -25,7 +25,7 @@ Trace = list[tuple[float, dict[str, float]]]  # evaluations a texel, mean errors
 
 def measure(quick: bool) -> dict[str, Any]:
     """Run everything for every seed and dirt; seeds outermost, so that a disturbance falls on all methods alike."""
-    size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 5, 8)
+    size, lights, seeds, evolved = (6, 20, 1, 1) if quick else (16, 100, 3, 6)
     found: dict[str, dict[str, list[Trace]]] = {}
     for seed in range(seeds):
         for dirt in DIRTS:

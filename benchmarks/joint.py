@@ -5,6 +5,7 @@ Usage: python -m benchmarks.joint [--quick] [--again] [--output FOLDER]
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
         whole = problem_of(card.domain, card.model, card.truth)
         chosen = subjects.sample(whole.count, 4 if quick else 150)
         lit = ~card.shadowed.reshape(lights, -1)
-        known = subjects.replace(whole, weights=whole.weights * lit).subset(chosen)
+        known = replace(whole, weights=whole.weights * lit).subset(chosen)
         found = scipy_least_squares(known, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
         error = subjects.errors_of(card.model, found.values, known.truth)["normal"]
         floors[dirt] = list(report.mean_interval(error))

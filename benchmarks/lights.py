@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import product, report, subjects
 from benchmarks.report import short
+from irpso_addon.capture import enough
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.inspect import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
@@ -25,6 +26,7 @@ CONES = (73, 60, 45, 30, 20, 10)  # degrees between the axis and the outermost l
 FANS = (0.5, 0.2, 0.1, 0.05, 0.02)  # across the fan's plane, of what it has along it
 DEGREES, PERCENT = 5.0, 10.0  # beyond them a texel has failed
 FEW = 0.05  # of texels may fail
+OUTDATED = 0.03  # how far a figure that inspect has may be off the one that is measured
 MODELS = {"principled": "one lobe", "cook_torrance_two_lobe": "two lobes"}
 # What people ask for, and the parameters that tell whether they have it.
 ASKED = {"normal": ("normal",), "roughness": ("roughness",), "two lobes": ("r1", "r2", "w")}
@@ -90,9 +92,9 @@ def spoken(lights: np.ndarray) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "capture"
         write_capture(Capture("lights", observations, (camera,), (np.ones((4, 4), bool),)), target, single_file=True)
-        found = inspect_capture(target)
+        found = inspect_capture(target, asked=enough.ASKS)
     told = [value for name, value in found.facts if name == "enough for"]
-    return [*told, *(f"{f.severity}: {f.message.split(': ', 1)[1]}" for f in found.findings if f.code[:6] == "lights")]
+    return [*told, *(f.message.split(": ", 1)[1] for f in found.findings if f.code.startswith("lights"))]
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -116,12 +118,27 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
             chosen = [r for r in rows if r["kind"] == kind and r["model"] == model]
             if chosen:
                 lines += [f"## {label[0].upper()}{label[1:]}, {title} (`{model}`)", "", *_table(chosen, label)]
-    lines += ["## What `inspect` says beforehand", ""]
+    lines += ["## What `inspect` says beforehand", "", *_outdated(rows)]
     said = {(r["kind"], r["value"]): r["inspect"] for r in rows}
     lines += report.table(
         ["lights", "it says"], [[f"{_KINDS[k]} {v:g}", "<br>".join(t) or "nothing"] for (k, v), t in said.items()]
     )
     return lines
+
+
+def _outdated(rows: list[dict]) -> list[str]:
+    """Return what tells that the figures inspect speaks from are not these any more."""
+    off = []
+    for kind, dirt, figures in (("number", "dirty", enough.NUMBER), ("cone", "noisy", enough.CONE),
+                                ("fan", "noisy", enough.ACROSS)):  # fmt: skip
+        for figure in figures:
+            same = [r for r in rows if (r["kind"], r["dirt"], r["value"]) == (kind, dirt, figure.value)]
+            for model, ask, at in (("principled", "normal", 0), ("principled", "roughness", 1),
+                                   ("cook_torrance_two_lobe", "two lobes", 2)):  # fmt: skip
+                now = [r["failed"][ask] for r in same if r["model"] == model]
+                if now and abs(now[0] - figure.failed[at]) > OUTDATED:
+                    off.append(f"{kind} {figure.value:g}, {ask}: {figure.failed[at]:.1%} there, {now[0]:.1%} here")
+    return [f"The figures in `irpso_addon/capture/enough.py` are outdated: {'; '.join(off)}.", ""] if off else []
 
 
 _KINDS = {"number": "number of lights", "cone": "half-angle of the cone, degrees", "fan": "width across a fan"}

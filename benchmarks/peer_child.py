@@ -9,7 +9,7 @@ import argparse
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from irpso_addon.geometry.domain import Domain
 
 DATA = Path(os.environ.get("IRPSO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 BUNNY = "bunny_specular"
+FIELD_OF_VIEW = 49.8  # degrees, of its perspective camera, which its folder does not tell
 CAPTURES = ("clean", "dirty", BUNNY)
 PRODUCT = ("standard", product.LM_ALONE)
 LINEAR = ("plain least squares", "least squares", "trimmed", "trimmed 45–60", "l1", "sparse bayesian", "low rank")
@@ -48,13 +49,16 @@ def subject(name: str, quick: bool) -> Subject:
         card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DIRTS[name], seed=1)
         return Subject(card.domain, card.model, card.truth)
     from irpso_addon.capture import read_capture, read_exr
+    from irpso_addon.capture.camera import Camera
     from irpso_addon.geometry.build import domain_from_card
     from irpso_addon.maps.blender_images import decode
 
     channels = read_exr(DATA / BUNNY / "normal_gt.exr")[""]
     truth = np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)
     truth /= np.maximum(np.linalg.norm(truth, axis=-1, keepdims=True), 1e-9)
-    domain = domain_from_card(read_capture(DATA / BUNNY, decode))
+    capture = read_capture(DATA / BUNNY, decode)
+    camera = Camera.from_fov(capture.cameras[0].width, capture.cameras[0].height, FIELD_OF_VIEW)
+    domain = domain_from_card(replace(capture, cameras=(camera,)))
     return Subject(_thinned(domain, 12) if quick else domain, "principled", {"normal": truth})
 
 
@@ -62,7 +66,7 @@ def _thinned(domain: Domain, every: int) -> Domain:
     """Return the domain with one texel of many covered."""
     y, x = np.mgrid[: domain.shape[0], : domain.shape[1]]
     coverage = domain.bake.coverage & (y % every == 0) & (x % every == 0)
-    return subjects.replace(domain, bake=subjects.replace(domain.bake, coverage=coverage))
+    return replace(domain, bake=replace(domain.bake, coverage=coverage))
 
 
 def errors_at(model: str, values: Mapping[str, np.ndarray], problem: Problem) -> dict[str, np.ndarray]:

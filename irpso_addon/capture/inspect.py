@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from . import checks
+from . import checks, enough
 from .camera import Camera
 from .draft import Draft, build_capture
 from .picture import Decoder, Samples
@@ -78,9 +78,13 @@ class _Frames:
     clipped: list[float]
 
 
-def inspect_capture(path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto") -> Report:
+def inspect_capture(
+    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", asked: Sequence[str] = ("normals",)
+) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
+    asked: of enough.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
+    warned of. What else they are enough for is among the facts.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
     path = Path(path)
@@ -90,6 +94,10 @@ def inspect_capture(path: Path | str, decoder: Decoder | None = None, colour_spa
         return Report(path, (), _errors(error))
     facts = [("kind", draft.kind), ("images", str(len(draft.shots)))]
     findings = list(_light_findings(draft))
+    lacks = {ask: _lacks(draft, ask) for ask in enough.ASKS}
+    findings += [Finding("warning", f"lights_{s.code}", f"{draft.source}: {s.message}")
+                 for ask in asked for s in lacks[ask]]  # fmt: skip
+    facts.append(("enough for", _enough_for(lacks)))
     try:
         capture = build_capture(draft, decoder)
     except CaptureError as error:
@@ -157,6 +165,22 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
         )
     for i, j in checks.same_lights(directions)[:3]:
         yield Finding("warning", "lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
+
+
+def _lacks(draft: Draft, ask: str) -> list[enough.Shortfall]:
+    """Return what the lights lack for ``ask``; nothing where fewer than three, or none to speak of, are an error."""
+    distant = all(shot.distant for shot in draft.shots)
+    vectors = np.array([shot.vector for shot in draft.shots], float).reshape(-1, 3)
+    if len(vectors) < 3 or not np.isfinite(vectors).all() or (distant and not vectors.any(axis=1).all()):
+        return []
+    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if distant else None
+    return list(enough.shortfalls(ask, len(vectors), directions))
+
+
+def _enough_for(lacks: dict[str, list[enough.Shortfall]]) -> str:
+    good = [ask for ask, found in lacks.items() if not found]
+    bad = [f"{ask} ({', '.join(s.code for s in found)})" for ask, found in lacks.items() if found]
+    return "; ".join([*([", ".join(good)] if good else []), *([f"not for {', '.join(bad)}"] if bad else [])])
 
 
 def _frames_of(capture: Capture, index: int) -> _Frames:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
-from irpso_addon.capture import checks, read_capture, write_exr
+from irpso_addon.capture import checks, enough, read_capture, write_exr
 from irpso_addon.capture.inspect import inspect_capture
 
 NORMALS, MASK = sphere(64)
@@ -57,6 +57,68 @@ def test_lights_in_one_plane_are_told(tmp_path):
 def test_two_lights_are_too_few(tmp_path):
     found = report(tmp_path, FRAMES[:2], RINGS[:2])
     assert found.codes == {"lights_few"} and not found.usable
+
+
+def even_lights(count, degrees=73.0, across=1.0, seed=0):
+    """Lights even over a cap of the sphere, in random order, squeezed in y."""
+    rng = np.random.default_rng(seed)
+    z = 1 - (1 - np.cos(np.radians(degrees))) * (np.arange(count) + 0.5) / count
+    turn = rng.permutation(count) / count * 2 * np.pi
+    flat = np.sqrt(1 - z**2)
+    x, y = flat * np.cos(turn), across * flat * np.sin(turn)
+    return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
+
+
+@pytest.mark.parametrize("degrees", [5, 20, 45, 73])
+def test_the_half_angle_of_a_cap_of_lights_is_found_wherever_it_points(degrees):
+    lights = even_lights(2000, degrees)
+    turn, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
+    assert enough.half_angle(lights @ turn) == pytest.approx(degrees, rel=0.01)
+
+
+def test_the_spread_across_a_fan_is_its_width_over_its_length():
+    # Cosines of two directions squeezed apart: standard deviations .5 and .1 about an axis of 1.
+    assert enough.spread_across(even_lights(5000, 60, 0.2)) == pytest.approx(0.2, rel=0.03)
+    assert enough.spread_across(even_lights(5000, 60)) == pytest.approx(1, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("count", "short", "said"),
+    [
+        (100, {}, ""),
+        (50, {"two lobes"}, "50 lights are few for two lobes: with 50, 11% of the texels failed"),
+        (20, {"two lobes"}, "with 20, 38%"),
+        (12, {"roughness", "two lobes"}, "with 10, 35%"),
+        (7, {"normals", "roughness", "two lobes"}, "7 lights are few for normals: with 5, 14%"),
+    ],
+)
+def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(count, short, said):
+    lights = even_lights(count)
+    found = {ask: list(enough.shortfalls(ask, count, lights)) for ask in enough.ASKS}
+    assert {ask for ask, lacks in found.items() if lacks} == set(short)
+    assert all(lack.code == "few" for lacks in found.values() for lack in lacks)
+    assert said in "\n".join(lack.message for lacks in found.values() for lack in lacks)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "across", "codes"),
+    [(73, 1, set()), (46, 1, set()), (33, 1, {"narrow"}), (12, 1, {"narrow"}), (73, 0.25, {"flat"})],
+)
+def test_lights_are_told_to_be_narrow_or_flat_for_two_lobes(degrees, across, codes):
+    lacks = list(enough.shortfalls("two lobes", 200, even_lights(200, degrees, across)))
+    assert {lack.code for lack in lacks} == codes
+    assert not list(enough.shortfalls("normals", 200, even_lights(200, degrees, across)))
+    if degrees == 33:
+        assert "within about 33°" in lacks[0].message and "within 30° 17%" in lacks[0].message
+
+
+def test_a_capture_is_warned_of_what_is_asked_alone(tmp_path):
+    path = write_diligent(tmp_path, FRAMES, RINGS, MASK)
+    assert inspect_capture(path).findings == ()
+    assert dict(inspect_capture(path).facts)["enough for"].startswith("normals; not for roughness (few")
+    found = inspect_capture(path, asked=("normals", "roughness"))
+    assert found.codes == {"lights_few"} and found.usable
+    assert "12 lights are few for roughness: with 10, 35%" in finding(found, "lights_few")
 
 
 def test_one_light_given_twice_is_told(tmp_path):
