@@ -111,7 +111,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
 
 def _add_solver(add: argparse.ArgumentParser) -> None:
     add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
-    add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or a .toml of your own")
+    add.add_argument("--preset", default="standard", metavar="P", help="shipped preset, or a .toml of your own")
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                      help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
