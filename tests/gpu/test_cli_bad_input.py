@@ -249,7 +249,7 @@ OPTIONS = {
     "no output": (lambda f: ["recover", f / "card"], r"-o/--output"),
     "an unknown option": (recover("--fast"), r"--fast"),
     "iterations of text": (recover("--iterations", "many"), r"--iterations.*'many'"),
-    "no iterations": (recover("--iterations", 0), r"iterations must be a whole number from 1"),
+    "no iterations": (recover("--preset", "swarm", "--iterations", 0), r"no stage has iterations.*polish"),
     "a seed past 32 bits": (recover("--seed", 2**31), r"--seed.*2147483648"),
     "an unknown model": (recover("--model", "skin"), r"model 'skin'.*principled"),
     "no such model file": (recover("--model", "skin.toml"), r"skin.toml: cannot be read"),
@@ -262,7 +262,7 @@ OPTIONS = {
     "an even neighbourhood": (recover("--set", "neighbourhood=4"), r"neighbourhood must be odd"),
     "a search for nothing known": (recover("--search", "colour"), r"no parameter or stage 'colour'"),
     "a search of ten dimensions": (
-        recover("--model", "cook_torrance_two_lobe", "--set", "normal=cartesian", "--search", "all"), r"9 dimensions"),
+        recover("--preset", "swarm", "--model", "cook_torrance_two_lobe", "--set", "normal=cartesian"), r"9 dimensions"),
     "known of no such parameter": (recover("--known", "gloss=0.5"), r"no parameter 'gloss'"),
     "known without a value": (recover("--known", "roughness"), r"--known roughness: write NAME=VALUE"),
     "known of two numbers": (recover("--known", "base_color=0.5,0.5"), r"base_color has 3 numbers"),

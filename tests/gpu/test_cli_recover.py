@@ -179,8 +179,8 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     values, out, _ = recovered("lambert")
     truth = out / "normal.exr"
     code, answer, _ = run_cli(
-        "recover", out.parent / "lambert", "--model", "lambert", "--iterations", 30, "--set", "seed=random",
-        "--ground-truth", truth,
+        "recover", out.parent / "lambert", "--model", "lambert", "--preset", "swarm", "--iterations", 30,
+        "--set", "seed=random", "--ground-truth", truth,
         "--hold-out", "3,7", "-o", tmp_path / "out", "--json",
     )  # fmt: skip
     answer = json.loads(answer.splitlines()[-1])
