@@ -180,7 +180,26 @@ def oren_nayar(p, light, view):
     return p["base_color"] * np.where(c.seen, c.light * shade, 0)[..., None]
 
 
+def blinn_phong(p, light, view):
+    """The model of shaders/README.md: base_color, normal, strength, slope (Akenine-Möller et al. 2008, Sec. 7.6)."""
+    c = Configuration(p["normal"], light, view)
+    power = 2 / np.asarray(p["slope"]) ** 2 - 2
+    gloss = p["strength"] * (power + 8) / 8 * np.cos(c.theta) ** power * c.light
+    return np.where(c.seen[..., None], p["base_color"] * c.light[..., None] + gloss[..., None], 0)
+
+
+def falloff_lobe(p, light, view):
+    """The survey's: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX with no Fresnel term; base and lobe are grey."""
+    c = Configuration(p["normal"], light, view)
+    alpha = np.asarray(p["roughness"]) ** 2
+    lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)
+    grey = np.where(c.seen, p["base"] * c.light ** p["falloff"] + p["lobe"] * lobe, 0)
+    return np.repeat(grey[..., None], 3, axis=-1)
+
+
 MODELS = {
+    "blinn_phong": blinn_phong,
+    "falloff_lobe": falloff_lobe,
     "lambert": lambert,
     "principled": principled,
     "cook_torrance_two_lobe": cook_torrance_two_lobe,

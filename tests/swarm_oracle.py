@@ -313,7 +313,7 @@ def global_texels(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
     return x + domain.origin[0], y + domain.origin[1]
 
 
-def _uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.ndarray:
+def uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.ndarray:
     x, y = global_texels(problem.domain)
     blocks = [random_uniform(problem.seed, iteration, x, y, particle, purpose + b) for b in range(problem.columns // 4)]
     return np.concatenate(blocks, axis=-1)
@@ -324,49 +324,70 @@ def place(problem: Problem, state: State, index: int) -> Step:
     swarm, iteration = problem.schedule.swarm, index - problem.particles
     seeded = int(np.ceil(swarm.seeded * problem.particles)) if swarm.seed != "random" else 0
     seeded = max(1, seeded) if problem.stage.cycle else seeded
-    x = _uniforms(problem, iteration, index, POSITION)
+    x = uniforms(problem, iteration, index, POSITION)
     if index < seeded:
         spread = swarm.seed_spread if index else 0.0
         x = np.clip(problem.encode(problem.estimates) + spread * (2 * x - 1), 0, 1)
-    v = swarm.start_speed * (2 * _uniforms(problem, iteration, index, VELOCITY) - 1)
+    v = swarm.start_speed * (2 * uniforms(problem, iteration, index, VELOCITY) - 1)
     which = np.full(problem.domain.shape, index)
     return _committed(problem, state, which, x, v, iteration)
 
 
-def move(problem: Problem, state: State, iteration: int) -> Step:
-    """Return the state after one iteration: Eq. 2 and 3 for a random particle of every swarm, then the bests."""
+def stepped(
+    problem: Problem, state: State, which: np.ndarray, mean: np.ndarray | None, iteration: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and velocities (H, W, D) of particle ``which`` (H, W) after Eq. 2 and 3. mean: A of Eq. 4 is over
+    it; None where that has no say."""
     swarm = problem.schedule.swarm
-    which = choice(problem, iteration)
     x, v, p = (np.take_along_axis(a, which[None, ..., None], axis=0)[0] for a in (state.x, state.v, state.p))
     c3 = c3_at(problem.schedule, iteration, problem.stage.iterations)
-    mean = neighbourhood_mean(problem, state.g) if c3 else x
-    r1, r2 = (_uniforms(problem, iteration, which, purpose) for purpose in (R1, R2))
+    mean = x if mean is None else mean
+    r1, r2 = (uniforms(problem, iteration, which, purpose) for purpose in (R1, R2))
     v = swarm.inertia * v + swarm.c1 * r1 * (p - x) + swarm.c2 * r2 * (state.g - x) + c3 * (mean - x)
     v = np.clip(swarm.constriction * v, -swarm.v_max, swarm.v_max)
     target = x + v
     x = np.clip(target, 0, 1)
     if swarm.walls != "clamp":
         v = np.where(x == target, v, 0 if swarm.walls == "stop" else -v)
+    return x, v
+
+
+def mean_at(problem: Problem, state: State, iteration: int) -> np.ndarray | None:
+    """Return the neighbourhood mean where Eq. 2 asks for it, else None."""
+    c3 = c3_at(problem.schedule, iteration, problem.stage.iterations)
+    return neighbourhood_mean(problem, state.g) if c3 else None
+
+
+def move(problem: Problem, state: State, iteration: int) -> Step:
+    """Return the state after one iteration: Eq. 2 and 3 for a random particle of every swarm, then the bests."""
+    swarm = problem.schedule.swarm
+    which = choice(problem, iteration)
+    x, v = stepped(problem, state, which, mean_at(problem, state, iteration), iteration)
     if swarm.neighbour_every and (iteration + 1) % swarm.neighbour_every == 0:
-        x = _neighbours_best(problem, state.g, x, iteration)
+        x = neighbours_best(problem, state.g, x, chance_direction(problem, iteration))
     return _committed(problem, state, which, x, v, iteration)
 
 
-def _neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, iteration: int) -> np.ndarray:
-    """Return the best of one of the eight texels around every texel, by chance; ``x`` where that one is not solved."""
-    columns, rows = global_texels(problem.domain)
-    bits = random_bits(problem.seed, iteration, columns, rows, 0, CHOICE)[..., 1] >> 8
+def neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the best of one of the eight texels around every texel, counted row by row from the lower left: that of
+    ``direction`` (H, W); ``x`` where that one is not solved."""
     around = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
     _, covered = solved_and_covered(problem.domain)
     frame = frames(problem.domain.bake)
     result = x.copy()
     for y, x_ in np.argwhere(covered):
-        dy, dx = around[bits[y, x_] % 8]
+        dy, dx = around[direction[y, x_]]
         j, i = y + dy, x_ + dx
         if 0 <= j < covered.shape[0] and 0 <= i < covered.shape[1] and covered[j, i]:
             own = problem.domain.card
             result[y, x_] = g[j, i] if own else _in_frame(problem, g[j, i], frame[j, i], frame[y, x_])
     return result
+
+
+def chance_direction(problem: Problem, iteration: int) -> np.ndarray:
+    """Return (H, W): in which of the eight directions each texel looks for a neighbour's best."""
+    columns, rows = global_texels(problem.domain)
+    return ((random_bits(problem.seed, iteration, columns, rows, 0, CHOICE)[..., 1] >> 8) % 8).astype(int)
 
 
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

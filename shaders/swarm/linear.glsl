@@ -60,19 +60,93 @@ void add_observation(inout Equations e, Material s, vec3 l, vec3 v, vec3 intensi
     }
 }
 
-// One weight at a time to its own optimum inside its range (coordinate descent, which the box cannot mislead). One
-// sweep is exact for a single colour; lobes that overlap take several.
+// Bases that resemble each other need a start: from 0, 24 sweeps of solve_linear left a tenth of the survey's particles
+// with 16 % more error than their best weights have; from here, none with more than rounding.
 #if COLORS + NUMBERS > 1
 #define LINEAR_SWEEPS 24
+#define WEIGHTS (3 * COLORS + NUMBERS)
+#define LINEAR_COLUMNS (WEIGHTS + 1)
+
+// The least squares with no ranges, by elimination (symmetric and not negative, so that it needs no pivoting).
+void solve_unbounded(inout Equations e, inout Linear w)
+{
+    // Row by row, the right side last; colours first, channel by channel.
+    float m[WEIGHTS * LINEAR_COLUMNS];
+    for (int i = 0; i < WEIGHTS * LINEAR_COLUMNS; i++) {
+        m[i] = 0.0;
+    }
+    for (int i = 0; i < COLORS; i++) {
+        for (int c = 0; c < 3; c++) {
+            int row = (3 * i + c) * LINEAR_COLUMNS;
+            for (int j = 0; j < COLORS; j++) {
+                m[row + 3 * j + c] = e.color_color[max(i, j) * COLOR_ROOM + min(i, j)][c];
+            }
+            for (int j = 0; j < NUMBERS; j++) {
+                float both = e.color_number[i * NUMBER_ROOM + j][c];
+                m[row + 3 * COLORS + j] = both;
+                m[(3 * COLORS + j) * LINEAR_COLUMNS + 3 * i + c] = both;
+            }
+            m[row + WEIGHTS] = e.color_right[i][c];
+        }
+    }
+    for (int i = 0; i < NUMBERS; i++) {
+        int row = (3 * COLORS + i) * LINEAR_COLUMNS;
+        for (int j = 0; j < NUMBERS; j++) {
+            m[row + 3 * COLORS + j] = e.number_number[max(i, j) * NUMBER_ROOM + min(i, j)];
+        }
+        m[row + WEIGHTS] = e.number_right[i];
+    }
+    float inverse[WEIGHTS];
+    for (int k = 0; k < WEIGHTS; k++) {
+        inverse[k] = m[k * LINEAR_COLUMNS + k];  // the diagonal, until its row is reached
+    }
+    for (int k = 0; k < WEIGHTS; k++) {
+        float pivot = m[k * LINEAR_COLUMNS + k];
+        // 1e-6: what is left of a weight that the ones before it can stand for is rounding; it begins at 0.
+        inverse[k] = pivot > max(1e-6 * inverse[k], 1e-20) ? 1.0 / pivot : 0.0;
+        for (int i = k + 1; i < WEIGHTS; i++) {
+            float part = m[i * LINEAR_COLUMNS + k] * inverse[k];
+            for (int j = k; j < LINEAR_COLUMNS; j++) {
+                m[i * LINEAR_COLUMNS + j] -= part * m[k * LINEAR_COLUMNS + j];
+            }
+        }
+    }
+    for (int k = WEIGHTS - 1; k >= 0; k--) {
+        float right = m[k * LINEAR_COLUMNS + WEIGHTS];
+        for (int j = k + 1; j < WEIGHTS; j++) {
+            right -= m[k * LINEAR_COLUMNS + j] * m[j * LINEAR_COLUMNS + WEIGHTS];
+        }
+        m[k * LINEAR_COLUMNS + WEIGHTS] = right * inverse[k];
+    }
+    for (int i = 0; i < COLORS; i++) {
+        for (int c = 0; c < 3; c++) {
+            w.colors[i][c] = m[(3 * i + c) * LINEAR_COLUMNS + WEIGHTS];
+        }
+    }
+    for (int i = 0; i < NUMBERS; i++) {
+        w.numbers[i] = m[(3 * COLORS + i) * LINEAR_COLUMNS + WEIGHTS];
+    }
+}
 #else
 #define LINEAR_SWEEPS 1
 #endif
 
+// One weight at a time to its own optimum inside its range (coordinate descent, which the box cannot mislead). One
+// sweep is exact for a single weight.
 void solve_linear(inout Equations e, inout Linear w)
 {
     vec2 color_range[COLOR_ROOM];
     vec2 number_range[NUMBER_ROOM];
     linear_range(color_range, number_range);
+#if COLORS + NUMBERS > 1
+    solve_unbounded(e, w);
+    for (int i = 0; i < COLORS; i++) {
+        w.colors[i] = clamp(w.colors[i], vec3(color_range[i].x), vec3(color_range[i].y));
+    }
+    for (int i = 0; i < NUMBERS; i++) {
+        w.numbers[i] = clamp(w.numbers[i], number_range[i].x, number_range[i].y);
+    }
+#endif
     for (int sweep = 0; sweep < LINEAR_SWEEPS; sweep++) {
         for (int i = 0; i < COLORS; i++) {
             vec3 right = e.color_right[i];
