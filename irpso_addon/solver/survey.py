@@ -44,7 +44,7 @@ class RunningSurvey:
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
         self._domain, self._estimates = grey(domain, schedule), estimates
         self._model = survey_model()
-        self._own = _begun(self._model, model, estimates)
+        self._own = _begun(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
         self._polishing = False
         if schedule.swarm.seed == "given":  # a first guess tells the normal, but nothing of the survey's own model
@@ -184,18 +184,19 @@ def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     return result
 
 
-def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates) -> Estimates:
-    """The survey's first estimates: the normals that the recovery begins with, and defaults."""
+def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates, domain: DomainTextures) -> Estimates:
+    """The survey's first estimates: the normals that the recovery begins with, matt and as bright as the texel is."""
     normal = next(p.name for p in model.parameters if p.is_normal)
     packed = np.concatenate([textures.download(t) for t in estimates.current], axis=-1)
     at = model.offset(normal)
-    values = {
-        p.name: packed[..., at : at + 3]
-        if p.is_normal
-        else np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components))
-        for p in own.parameters
+    known = {
+        "normal": packed[..., at : at + 3],
+        "base": textures.download(domain.textures["u_normal"])[..., 3:],  # the texel's scale
     }
-    return Estimates(own, values)
+    default = {
+        p.name: np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components)) for p in own.parameters
+    }
+    return Estimates(own, default | known)
 
 
 def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
