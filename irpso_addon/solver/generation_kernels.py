@@ -62,11 +62,10 @@ def build_generation_passes(
         **{f"u_{name}": kernels.FLOAT_2D for name in fitnesses},
         **{f"u_linear_{b}": kernels.FLOAT_2D for b in linears},
     }
-    told = kernels.ALL_TOLD if schedule.swarm.seed == "given" else codec.lambert_tells
     defines = {
         **domain_defines, **codec.defines, **linear.defines, **kernels.estimate_defines(model),
         **kernels.schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across,
-        "CHUNK": min(_CHUNK, particles), "SEED_TELLS": told,
+        "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
     given = {**kernels.model_includes(model), "codec.glsl": codec.source, "basis.glsl": linear.source}
 

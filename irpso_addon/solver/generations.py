@@ -18,7 +18,7 @@ from .linear import LinearWeights, linear_weights
 from .reader import Reader
 from .resolve import ResolvedStage
 from .schedule import Schedule
-from .stage import particle_count, reach_at, swarm_constants
+from .stage import ALL_TOLD, particle_count, reach_at, swarm_constants
 from .state import SOLVED, UNFIT, DomainTextures, Estimates, plan_atlas, texel_states
 
 
@@ -96,8 +96,9 @@ class RunningGenerations:
 
     def constants(self) -> dict[str, int | float]:
         """Return the push constants of the iteration that is next."""
+        told = ALL_TOLD if self.schedule.swarm.seed == "given" else self.codec.lambert_tells
         return swarm_constants(
-            self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles
+            self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles, told
         )  # fmt: skip
 
     def resolve(self) -> None:

@@ -10,7 +10,6 @@ from ..reflectance.model import ReflectanceModel
 from .codec import Codec
 from .schedule import Schedule
 
-ALL_TOLD = 255  # of SEED_TELLS in shaders/swarm/update.glsl: a seed that knows of all eight dimensions
 FLOAT_2D = "FLOAT_2D"
 GEOMETRY = {"u_position": FLOAT_2D, "u_normal": FLOAT_2D, "u_tangent": FLOAT_2D}
 PACKING = {"u_place": FLOAT_2D, "u_packed": FLOAT_2D}
@@ -20,6 +19,7 @@ MOVE = {
     **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
+    "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
 LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/fitness.glsl
 _WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/move.glsl
@@ -62,7 +62,6 @@ def build_stage_passes(
         **estimate_defines(model),
         **tiling,
         **schedule_defines(schedule),
-        "SEED_TELLS": ALL_TOLD,
     }
     blocks = range(codec.blocks)
     bests = {f"u_best_{b}": FLOAT_2D for b in blocks}
@@ -111,10 +110,8 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
         "REACH": swarm.neighbourhood // 2,
         "FITNESS": LOSSES[schedule.fitness.loss],
         "WALLS": _WALLS[swarm.walls],
-        "SEED_SPREAD": f"{swarm.seed_spread:.9f}",
         "NEIGHBOUR_EVERY": swarm.neighbour_every,
         "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
-        "START_SPEED": f"{swarm.start_speed:.9f}",
     }
 
 

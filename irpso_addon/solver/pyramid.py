@@ -24,6 +24,9 @@ from .recovery import NOTE, Progress, Recovery, full_map, named
 from .resolve import resolve
 from .schedule import Schedule
 
+# Of the preset's spread around the seed, and of its first speeds, where the seed is a coarser level's: with 300
+# iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
+_NARROWER = 0.3
 _AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations made at those before it
 
 
@@ -172,7 +175,14 @@ def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
     part = schedule.level_iterations
     stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
     survey = replace(first.survey, iterations=_part(first.survey.iterations, part))
-    finer = replace(first.replaced(seed="given", survey=survey), stages=stages)
+    swarm = first.swarm
+    finer = first.replaced(
+        seed="given",
+        survey=survey,
+        seed_spread=_NARROWER * swarm.seed_spread,
+        start_speed=_NARROWER * swarm.start_speed,
+    )
+    finer = replace(finer, stages=stages)
     return (first, *[finer] * (schedule.levels - 1))
 
 

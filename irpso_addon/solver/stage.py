@@ -18,6 +18,8 @@ from .resolve import ResolvedStage
 from .schedule import Schedule
 from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_states
 
+ALL_TOLD = 255  # a seed that knows of all eight dimensions
+
 
 class RunningStage:
     """The swarms of a stage, a Phase. ``iteration`` counts from −particles, while it places one particle of each."""
@@ -157,9 +159,15 @@ def reach_at(schedule: Schedule, iteration: int, iterations: int) -> int:
 
 
 def swarm_constants(
-    stage: ResolvedStage, schedule: Schedule, domain: DomainTextures, seed: int, iteration: int, particles: int
+    stage: ResolvedStage,
+    schedule: Schedule,
+    domain: DomainTextures,
+    seed: int,
+    iteration: int,
+    particles: int,
+    told: int = ALL_TOLD,
 ) -> dict[str, int | float]:
-    """Return the push constants of an iteration."""
+    """Return the push constants of an iteration. told: a bit for each dimension that the seed knows something of."""
     swarm = schedule.swarm
     seeded = math.ceil(swarm.seeded * particles) if swarm.seed != "random" else 0
     if stage.cycle > 0 or swarm.seed == "given":
@@ -182,4 +190,7 @@ def swarm_constants(
         "u_v_max": swarm.v_max,
         "u_threshold": schedule.threshold,
         "u_delta": schedule.fitness.delta * domain.brightness,
+        "u_seed_tells": told,
+        "u_seed_spread": swarm.seed_spread,
+        "u_start_speed": swarm.start_speed,
     }

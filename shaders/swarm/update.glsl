@@ -19,7 +19,7 @@ ivec2 global_texel(ivec2 texel)
 #ifdef START
 
 // Particle 0 of a seeded swarm stands on the estimate itself, further seeded ones around it, the rest anywhere.
-// SEED_TELLS has a bit for every dimension that the seed knows something of; the others lie anywhere.
+// u_seed_tells has a bit for every dimension that the seed knows something of; the others lie anywhere.
 void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 {
     float seed[8];
@@ -30,10 +30,10 @@ void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
         vec4 speed = random_uniform(u_seed, u_iteration, at, particle, RANDOM_VELOCITY + block);
         for (int i = 0; i < 4; i++) {
             int d = 4 * block + i;
-            float spread = particle == 0 ? 0.0 : SEED_SPREAD;
-            bool seeded = particle < u_seeded && (particle == 0 || ((SEED_TELLS >> d) & 1) == 1);
+            float spread = particle == 0 ? 0.0 : u_seed_spread;
+            bool seeded = particle < u_seeded && (particle == 0 || ((u_seed_tells >> d) & 1) == 1);
             x[d] = seeded ? clamp(seed[d] + spread * (2.0 * place[i] - 1.0), 0.0, 1.0) : place[i];
-            v[d] = START_SPEED * (2.0 * speed[i] - 1.0);
+            v[d] = u_start_speed * (2.0 * speed[i] - 1.0);
         }
     }
 }

@@ -188,6 +188,7 @@ def test_finer_levels_are_shorter_and_begin_at_what_was_given():
         assert level.swarm.seed == "given" and level.levels == 1
         assert [s.iterations for s in level.stages] == [round(s.iterations / 2) for s in schedule.stages]
         assert level.survey.iterations == round(schedule.survey.iterations / 2)
+        assert level.swarm.seed_spread < schedule.swarm.seed_spread
         assert level.polish == schedule.polish and level.fitness == schedule.fitness
 
 

@@ -90,6 +90,8 @@ def test_a_world_normal_that_is_the_same_everywhere_survives_the_way_down_and_up
 
 def test_maps_go_up_bilinearly_between_solvable_texels_only():
     domain = make_domain(7, 9, holes=True, rng_seed=2)
+    domain.stack[:, 2:4, 4:6] = (np.nan, np.nan, np.nan, 0)
+    domain.bake.coverage[2:4, 4:6] = True
     coarse = coarser(domain)
     values = np.random.default_rng(0).uniform(size=(*coarse.shape, 2))
     values[~coarse.solvable] = np.nan
