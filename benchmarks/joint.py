@@ -72,7 +72,7 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
     from benchmarks.peers.problem import problem_of
 
     floors = {}
-    for dirt in ("shadowed", "dirty", "patched"):
+    for dirt in ("shadowed", "dirty"):
         card = subjects.make_card(size, lights, subjects.DIRTS[dirt], 0)
         whole = problem_of(card.domain, card.model, card.truth)
         chosen = subjects.sample(whole.count, 4 if quick else 150)
@@ -124,7 +124,11 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         ),
     ]  # fmt: skip
     if data["floor"]:
-        floors = [f"{titles[d]}: {short(m)}° ({short(a)} to {short(b)})" for d, (m, a, b) in data["floor"].items()]
+        floors = [
+            f"{titles[d]}: {short(m)}° ({short(a)} to {short(b)})"
+            for d, (m, a, b) in data["floor"].items()
+            if subjects.DIRTS[d].reach == 1
+        ]
         lines += [
             "What the dirt itself leaves: the mean normal error, with its 95 % interval, of scipy's least squares"
             f" from the truth with the shadowed samples taken out, on a sample of texels: {'; '.join(floors)}."

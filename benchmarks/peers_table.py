@@ -59,9 +59,8 @@ def _capture(capture: str, folder: Path, quick: bool) -> dict[str, Any]:
 def _child(capture: str, method: str, folder: Path, quick: bool) -> dict[str, Any]:
     target = folder / "result.npz"
     command = [sys.executable, "-m", "benchmarks.peer_child", capture, method, str(target)]
-    threads = {name: "2" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
-    if method in peer_child.ITERATIVE:
-        threads = dict.fromkeys(threads, "1")  # two processes of one thread, or PyTorch's one
+    # Two threads that wait for each other on cores that others use too only spin.
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     subprocess.run(
         [*command, "--quick"] if quick else command, cwd=report.ROOT, check=True, env={**os.environ, **threads},
         stdout=subprocess.DEVNULL,
@@ -89,7 +88,7 @@ def _row(run: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
         for name, error in run["errors"].items() if name in own["errors"]
     }  # fmt: skip
     return {
-        "texels": len(run["texels"]), "seconds": run["seconds"], "evaluations": run["evaluations"],
+        "texels": len(run["texels"]), "seconds": run["seconds"], "wall": run["wall"], "evaluations": run["evaluations"],
         "memory": run["memory"], "settings": run["settings"], "all_seconds": run.get("all_seconds", [run["seconds"]]),
         "errors": {name: report.mean_interval(error) for name, error in run["errors"].items()},
         "program": same, "less": less, "arrival": _arrival(run), "reach": _reach(run, own, at),
@@ -136,13 +135,14 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " the program's error on the same texels, in the column beside it; bold is what the program does"
         f" significantly worse there, by more than {NEGLIGIBLE:g}.",
         "",
-        "Seconds a texel: of the whole run over its texels, setting up and compiling included for the program (the"
-        f" median of {REPEATS} runs), excluded for the peers. Two threads for all, but for PyTorch one: two that wait"
-        " for each other at every operation were slower on shared cores; halve its times for the benefit of the"
-        " doubt. Evaluations: renders of all observations; a gradient counts as three. Memory: the process's peak;"
-        " the program's holds Blender, and each peer's the capture.",
+        "Seconds a texel: what processors computed for all texels, over their number, threads together, since other"
+        " load on the machine hardly changes that (with a GPU, the program's are those of the clock). Setting up and"
+        f" compiling are in the program's, the median of {REPEATS} runs; a peer's begin when its process has loaded."
+        " Peers have one thread each, the program two, and its work counts twice. Evaluations: renders of all"
+        " observations; a gradient counts as three. Memory: the process's peak; the program's holds Blender, and"
+        " every one's the capture.",
         "",
-        "Reached: how many times longer than the program a peer takes to its own final normal error, in brackets to"
+        "Reached: how many times as long as the program a peer takes to its own final normal error, in brackets to"
         " its errors in all that it tells; the program's time is that of its first state with this error or less."
         f" Arrived: the same with the time after which the peer stays within {NEARLY - 1:.0%} of its final normal"
         " error.",
@@ -152,7 +152,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         names = list(found["rows"]["standard"]["errors"])
         lines += [f"## {TITLES[capture]}", "", _about(capture, found["texels"]), ""]
         header = ["method", "texels", *(f"{n} {subjects.unit_of(n)}" for n in names), "program, same texels: normal",
-                  "evaluations", "ms a texel", "MB", "reached", "arrived"]  # fmt: skip
+                  "evaluations", "ms a texel", "by the clock", "MB", "reached", "arrived"]  # fmt: skip
         lines += report.table(header, [_cells(name, row, names) for name, row in found["rows"].items()])
     _draw(data["captures"], folder)
     lines += report.image("peers", "Normal error against seconds a texel, of all methods")
@@ -182,7 +182,7 @@ def _cells(name: str, row: dict[str, Any], names: list[str]) -> list[str]:
     own = name in peer_child.PRODUCT
     return [
         name, str(row["texels"]), *cells, "" if name == "standard" else _interval(row["program"]["normal"]),
-        short(row["evaluations"]), short(1e3 * row["seconds"]), f"{row['memory']:.0f}",
+        short(row["evaluations"]), short(1e3 * row["seconds"]), short(1e3 * row["wall"]), f"{row['memory']:.0f}",
         "" if own else f"{short(reached[0])} ({short(reached[1])})", "" if own else short(arrived),
     ]  # fmt: skip
 
@@ -204,7 +204,7 @@ def _settings(data: dict[str, Any]) -> list[str]:
 
 def _draw(captures: dict[str, Any], folder: Path) -> None:
     with report.plot(
-        folder, "peers", "Normal error against seconds a texel, 95 % intervals", len(captures),
+        folder, "peers", "Normal error against seconds of work a texel, 95 % intervals", len(captures),
         figsize=(4.6 * len(captures), 4),
     ) as axes:  # fmt: skip
         for axis, (capture, found) in zip(axes[0], captures.items(), strict=True):
@@ -216,7 +216,7 @@ def _draw(captures: dict[str, Any], folder: Path) -> None:
                     [1e3 * row["seconds"]], [mean], yerr=bars, fmt=mark, color=color, label=name, markersize=5,
                     linewidth=1,
                 )  # fmt: skip
-            axis.set(xscale="log", yscale="log", xlabel="ms a texel", title=TITLES[capture])
+            axis.set(xscale="log", yscale="log", xlabel="ms of work a texel", title=TITLES[capture])
         axes[0][0].set_ylabel("mean normal error, °")
         axes[0][-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +24,8 @@ ONE_PARTICLE = ("paper", "constriction", "swarm")  # presets whose iterations mo
 class Run:
     """What a recovery found: values (H, W, components), seconds from the images to the maps, setting up and compiling
     included, evaluations a texel at the most (texels that are done early cost less), and its way.
+
+    work: seconds of it, see ``now``; way: the same for every sample of the trace.
     """
 
     values: Values
@@ -30,6 +33,8 @@ class Run:
     seconds: float
     evaluations: float
     trace: tuple[Sample, ...] = ()
+    work: float = 0.0
+    way: tuple[float, ...] = ()
 
 
 def schedule_of(name: str) -> Schedule:
@@ -69,25 +74,40 @@ def recover(
     What looking at it costs is taken off the seconds: each look is taken twice, the second time for its own duration.
     """
     context.ensure()
-    looked, trace = 0.0, []
-    start = time.perf_counter()
+    trace, way = [], []
+    looked, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
     with Recovery(domain, load_model(model), schedule, seed, known, entry) as recovery:
         total = recovery.progress.iterations_in_all
-        for point in sorted({p for p in points if p < total}):
-            recovery.step(iterations=point - recovery.progress.iteration_in_all)
-            values = recovery.maps(confidence=False).values
-            now = time.perf_counter()
+        for point in [*sorted({p for p in points if p < total}), total]:
+            # To the very end by asking for no number: a threshold may have ended stages early.
+            recovery.step(iterations=None if point == total else point - recovery.progress.iteration_in_all)
+            maps = recovery.maps(confidence=False)
+            found = now()
             recovery.maps(confidence=False)
-            again = time.perf_counter() - now
-            trace.append(Sample(now - again - start - looked, recovery.progress.evaluations / texels, values))
+            again = now() - found
+            seconds, work = found - again - start - looked
+            trace.append(Sample(float(seconds), recovery.progress.evaluations / texels, maps.values))
+            way.append(float(work))
             looked += 2 * again
-        recovery.step()
-        maps = recovery.maps(confidence=False)
-        seconds = time.perf_counter() - start - looked
-        evaluations = recovery.progress.evaluations / texels
-    trace.append(Sample(seconds, evaluations, maps.values))
-    return Run(maps.values, maps.residual, seconds, evaluations, tuple(trace))
+    last = trace[-1]
+    return Run(maps.values, maps.residual, last.seconds, last.evaluations, tuple(trace), way[-1], tuple(way))
+
+
+def now() -> np.ndarray:
+    """Return seconds by the clock, and seconds of work.
+
+    Work is what all threads of this process have computed, which other load on the machine hardly changes, where the
+    renderer is software and so a part of the process; with a GPU it is the clock again.
+    """
+    clock = time.perf_counter()
+    return np.array([clock, time.process_time() if software_renderer() else clock])
+
+
+@cache
+def software_renderer() -> bool:
+    """Return whether shaders run on the processor."""
+    return any(name in str(context.describe()["renderer"]).lower() for name in ("llvmpipe", "softpipe", "lavapipe"))
 
 
 def iterations_of(domain: Domain, model: str, schedule: Schedule) -> int:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 
 from benchmarks import product, report, subjects
 from benchmarks.peers.problem import peak_memory_mb
+from benchmarks.product import now
 from irpso_addon.geometry.domain import Domain
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
@@ -80,7 +80,7 @@ def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
 
 
 def measure(job: Job) -> dict[str, Any]:
-    """Return seconds of setting up, of placing swarms, and of each chunk; evaluations of a chunk; MB at the peak."""
+    """Return seconds (clock, work) of setting up and of placing swarms, and of every chunk; MB at the peak."""
     context.ensure()
     schedule = product.schedule_of(job.preset).replaced(**job.changes)
     tiles: dict[str, Any] = {}
@@ -98,27 +98,27 @@ def measure(job: Job) -> dict[str, Any]:
     _warm_up(job, schedule)
     before = peak_memory_mb()
     domain, known = repeated(job)
-    began = time.perf_counter()
+    began = now()
     recovery = make(domain, load_model(subjects.TWO_LOBES), schedule, 0, known, entry=job.entry)
-    setup = time.perf_counter() - began
-    began = time.perf_counter()
+    setup, began = now() - began, now()
     recovery.step(iterations=0)
-    placing = time.perf_counter() - began
+    placing = now() - began
     placing += _synchronise(recovery)
     if job.warm:
         recovery.step(iterations=job.warm)
         _synchronise(recovery)
     chunks, evaluations = [], []
     for _ in range(job.chunks):
-        made, began = recovery.progress.evaluations, time.perf_counter()
+        made, began = recovery.progress.evaluations, now()
         recovery.step(iterations=job.iterations)
-        spent = time.perf_counter() - began
+        spent = now() - began
         chunks.append(spent + _synchronise(recovery))
         evaluations.append(recovery.progress.evaluations - made)
     texels = int(np.count_nonzero(domain.solvable))
+    clock, work = np.array(chunks).T.tolist()
     return {
-        **tiles, "texels": texels, "setup": setup, "placing": placing, "chunks": chunks, "evaluations": evaluations,
-        "memory": peak_memory_mb() - before,
+        **tiles, "texels": texels, "setup": setup.tolist(), "placing": placing.tolist(), "clock": clock,
+        "work": work, "evaluations": evaluations, "memory": peak_memory_mb() - before,
     }  # fmt: skip
 
 
@@ -131,19 +131,19 @@ def _warm_up(job: Job, schedule: Schedule) -> None:
         recovery.maps(confidence=False)
 
 
-def _synchronise(recovery: Any) -> float:
-    """Wait for the device; return for how long, without what the look that waits takes itself.
+def _synchronise(recovery: Any) -> np.ndarray:
+    """Wait for the device; return for how long (clock, work), without what the look that waits takes itself.
 
     Draws are asynchronous: only a look at the maps, which reads them back, waits for all that was ordered. Where tiles
     take turns nothing is left to wait for: what leaves the device is read back.
     """
     if isinstance(recovery, TiledRecovery) and not recovery.resident:
-        return 0.0
-    began = time.perf_counter()
+        return np.zeros(2)
+    began = now()
     recovery.maps(confidence=False)
-    middle = time.perf_counter()
+    middle = now()
     recovery.maps(confidence=False)
-    return max((middle - began) - (time.perf_counter() - middle), 0.0)
+    return np.maximum((middle - began) - (now() - middle), 0.0)
 
 
 def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Need]:
