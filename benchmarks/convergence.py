@@ -122,7 +122,7 @@ def _draw(curves: dict, dirt: str, kind: str, names: tuple[str, ...], title: str
     """Draw one row of plots, a parameter each; return its name."""
     name = f"convergence_{dirt}_{kind}"
     with report.plot(
-        folder, name, f"{kind}, {title}: error against evaluations a texel", len(NAMES), figsize=(13, 3.1), sharex=True
+        folder, name, f"{kind}, {title}: error against evaluations a texel", len(NAMES), figsize=(14, 3.1), sharex=True
     ) as axes:
         for axis, parameter in zip(axes[0], NAMES, strict=True):
             for method in names:
@@ -133,7 +133,7 @@ def _draw(curves: dict, dirt: str, kind: str, names: tuple[str, ...], title: str
                 axis.fill_between(x, low, high, color=_COLORS[method], alpha=0.15, linewidth=0)
             axis.set(xscale="log", yscale="log", xlabel="evaluations a texel")
             axis.set_title(f"{parameter}, {subjects.unit_of(parameter)}")
-        axes[0][0].legend(fontsize=7)
+        axes[0][-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return name
 
 

@@ -229,7 +229,7 @@ def _few_ticks(axis: Any) -> None:
         return
     low, high = sorted(axis.get_view_interval())
     if high / low < 30:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low > 5 else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
         axis.set_major_formatter(FormatStrFormatter("%g"))
 
 

@@ -1,6 +1,6 @@
 """Runs all benchmarks one after the other and writes the index of their pages: what ``make bench`` does.
 
-Usage: python -m benchmarks.run [--quick] [--again] [--output FOLDER] [NAME …]
+Usage: python -m benchmarks.run [--quick] [--again] [--index] [--output FOLDER] [NAME …]
 
 Every program keeps its result in .cache/bench; one that is fresh (same sources and presets) is not measured again.
 A run that was stopped goes on with the program at which it was.
@@ -55,6 +55,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PROGRAMS)}; all without")
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it runs")
     parser.add_argument("--again", action="store_true", help="measure even where there is a fresh result")
+    parser.add_argument("--index", action="store_true", help="only write the index of the pages there are")
     parser.add_argument("--output", type=Path, help="folder of pages and plots (default: docs/benchmarks)")
     options = parser.parse_args()
     if unknown := set(options.names) - set(PROGRAMS):
@@ -62,7 +63,7 @@ def main() -> int:
     output = options.output or (report.QUICK_PAGES if options.quick else report.PAGES)
     flags = [flag for flag, on in (("--quick", options.quick), ("--again", options.again)) if on]
     failed = 0
-    for name in options.names or PROGRAMS:
+    for name in () if options.index else options.names or PROGRAMS:
         began = time.perf_counter()
         module = f"benchmarks.{Path(PROGRAMS[name].PROGRAM.source).stem}"
         # A process each: what one leaves behind, in memory or in the driver, is no business of the next.
