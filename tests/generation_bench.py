@@ -38,12 +38,12 @@ class Case:
 
 
 class Bench:
-    """Starts from estimates at random. darken: scales the radiance, so that weights stay inside their ranges or not."""
+    """Starts from estimates at random, or from those given. domain: in place of the case's own."""
 
     def __init__(self, case: Case, entry: str = "fragment", seed: int = 7, domain=None, estimates=None):
         context.ensure()
         self.model = load_model(case.model)
-        settings = {"survey_iterations": 0, "polish_iterations": 0, **case.settings}
+        settings = {"survey_iterations": 0, "polish_iterations": 0, "prior_rounds": 0, **case.settings}
         self.schedule = load_schedule("standard").replaced(search=case.search, iterations=40, **settings)
         self.domain = domain or make_domain(*case.shape, **case.domain)
         self.rng = rng = np.random.default_rng(seed)

@@ -172,7 +172,7 @@ def test_reweighting_from_the_best_finds_the_albedo_under_cast_shadow(recover, n
     domain = replace(domain, stack=stack)
     schedule = load_schedule("standard").replaced(
         update="all", linear="solve", iterations=10, shadow=0.0, polish_iterations=0, survey_iterations=0,
-        particles=1, particles_per_dimension=0.0, seed="random",
+        prior_rounds=0, particles=1, particles_per_dimension=0.0, seed="random",
     )  # fmt: skip
     known = {n: v for n, v in truth.items() if model.parameter(n).kind == "search"}
     recovery = recover(domain, model, schedule, known=known)

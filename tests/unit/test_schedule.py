@@ -20,7 +20,7 @@ def titles(schedule, model="cook_torrance_two_lobe", known=()):
     return [stage.title for stage in resolve(schedule, load_model(model), set(known)) if stage.cycle == 0]
 
 
-@pytest.mark.parametrize("name", ["paper", "swarm", "constriction"])
+@pytest.mark.parametrize("name", ["paper", "swarm", "constriction", "standard"])
 def test_a_shipped_preset_loads_under_its_own_name(name):
     assert name in shipped_presets()
     schedule = load_schedule(name)

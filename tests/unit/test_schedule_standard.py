@@ -1,0 +1,163 @@
+"""The standard schedule: swarms that move as a whole, weights in closed form, and the survey before them."""
+
+import dataclasses
+import json
+import tomllib
+
+import pytest
+
+from irpso_addon.errors import InputError
+from irpso_addon.paths import PRESETS
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.generation_kernels import MAX_PARTICLES
+from irpso_addon.solver.resolve import ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve
+from irpso_addon.solver.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.stage import particle_count
+
+OTHERS = {"solve": "search", "robust": "l2", "stop": "clamp", "lambert": "random", "hemisphere": "cartesian"}
+
+
+def unlike(value):
+    """Return another value of a setting."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, str):
+        return OTHERS[value]
+    return value + 2 if isinstance(value, int) else value / 2
+
+
+def test_the_standard_preset_moves_whole_swarms_solves_surveys_and_polishes():
+    standard = load_schedule("standard")
+    assert "standard" in shipped_presets() and standard.name == "standard"
+    assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
+    stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
+    assert [type(stage) for stage in stages] == [ResolvedSurvey, ResolvedStage, ResolvedPolish]
+    assert [p.name for p in stages[1].parameters] == ["roughness", "specular"]
+    assert [p.name for p in stages[1].solved] == ["base_color"]
+    assert particle_count(standard, stages[1].dimensions("hemisphere")) <= MAX_PARTICLES
+
+
+def test_every_constant_of_the_standard_preset_is_read_from_its_file(tmp_path):
+    text = (PRESETS / "standard.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    standard = load_schedule("standard")
+    parts = [name for name, value in table.items() if isinstance(value, dict)]
+    assert {"swarm", "fitness", "survey", "polish"} <= set(parts)
+    for part in parts:
+        values = dataclasses.asdict(getattr(standard, part))
+        assert values == table[part], part
+        for name, value in table[part].items():
+            if (part, name) == ("swarm", "update"):
+                continue  # "one" cannot solve
+            changed = {**table[part], name: unlike(value)}
+            path = tmp_path / "mine.toml"
+            start = text.index(f"[{part}]")
+            end = text.find("\n[", start)
+            path.write_text(text[:start] + toml_of(part, changed) + text[end:], encoding="utf-8")
+            found = getattr(load_schedule(path), part)
+            assert getattr(found, name) == changed[name] != value, name
+            others = dataclasses.asdict(found)
+            assert {k: v for k, v in others.items() if k != name} == {k: v for k, v in values.items() if k != name}
+
+
+def toml_of(part, values):
+    """Return a table as TOML."""
+    rows = (f"{name} = {str(v).lower() if isinstance(v, bool) else json.dumps(v)}" for name, v in values.items())
+    return "\n".join([f"[{part}]", *rows]) + "\n"
+
+
+def test_a_particle_at_a_time_cannot_solve_weights():
+    with pytest.raises(InputError, match='linear = "solve" needs update = "all"'):
+        load_schedule("swarm").replaced(linear="solve")
+    with pytest.raises(InputError, match='linear = "solve" needs update = "all"'):
+        load_schedule("standard").replaced(update="one")
+    searched = load_schedule("standard").replaced(update="one", linear="search")
+    assert [p.name for p in resolve(searched, load_model("lambert"), set())[0].parameters] == ["base_color", "normal"]
+
+
+def test_linear_parameters_leave_the_search_where_they_are_solved():
+    solved = load_schedule("standard").replaced(survey_iterations=0)
+    for model, searched, closed in (
+        ("lambert", ["normal"], ["base_color"]),
+        ("cook_torrance_two_lobe", ["normal", "r1", "r2"], ["base_color", "w"]),
+    ):
+        stage = resolve(solved, load_model(model), set())[0]
+        assert [p.name for p in stage.parameters] == searched and [p.name for p in stage.solved] == closed
+        assert stage.title == " + ".join(searched + closed)
+    known = resolve(solved, load_model("cook_torrance_two_lobe"), {"w", "normal"})[0]
+    assert [p.name for p in known.parameters] == ["r1", "r2"] and [p.name for p in known.solved] == ["base_color"]
+    nothing = resolve(solved, load_model("lambert"), {"normal"})[0]
+    assert nothing.parameters == () and nothing.dimensions("hemisphere") == 0
+
+
+def test_a_preset_without_a_survey_has_none():
+    assert load_schedule("swarm").survey.iterations == 0
+    for observations in (0, 100):
+        stages = resolve(load_schedule("swarm"), load_model("principled"), set(), observations)
+        assert not any(isinstance(stage, ResolvedSurvey) for stage in stages)
+
+
+def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_the_polish():
+    standard = load_schedule("standard").replaced(
+        survey_iterations=7, survey_polish_iterations=4, cycles=2, prior_rounds=0
+    )
+    stages = resolve(standard, load_model("principled"), set(), observations=standard.survey.observations)
+    assert [stage.title for stage in stages] == [
+        "survey of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "polish"
+    ]  # fmt: skip
+    assert stages[0].iterations == 11
+    assert [p.name for p in stages[-1].parameters] == ["base_color", "normal", "roughness", "specular"]
+    alone = resolve(standard.replaced(search=["normal"]), load_model("lambert"), set(), observations=50)
+    assert [stage.title for stage in alone] == ["survey of the normals", "polish"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "known", "observations"),
+    [({}, set(), 9), ({}, {"normal"}, 50), ({"search": ["base_color"]}, set(), 50),
+     ({"survey_iterations": 0}, set(), 50), ({"survey_observations": 51}, set(), 50)],
+)  # fmt: skip
+def test_a_survey_needs_observations_and_a_normal_to_find(settings, known, observations):
+    schedule = load_schedule("standard").replaced(**settings)
+    stages = resolve(schedule, load_model("principled"), known, observations)
+    assert not any(isinstance(stage, ResolvedSurvey) for stage in stages)
+
+
+BAD_SURVEYS = {
+    "survey_iterations": [-1, 1.5, "10", True],
+    "survey_polish_iterations": [-1, 2.5, None],
+    "survey_observations": [-1, 9.5, "many"],
+    "survey_shadow": [-0.1, "dark", float("nan"), True],
+    "survey_judge_delta": [-1, "x", float("inf")],
+    "survey_trust": [-1, "x", None],
+    "update": ["two", 1],
+    "linear": ["closed", True],
+    "linear_reach": [-1, "far"],
+    "neighbour_every": [-1, "often"],
+    "survey_lobes": [2],
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in BAD_SURVEYS.items() for v in values])
+def test_a_survey_that_cannot_be_is_refused_in_one_line(name, value):
+    with pytest.raises(InputError) as caught:
+        load_schedule("standard").replaced(**{name: value})
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_settings_of_the_survey_are_replaced_by_name_and_whole():
+    before = load_schedule("standard")
+    after = before.replaced(survey_iterations=3, survey_shadow=0.5, shadow=0.1, polish_iterations=2)
+    assert (after.survey.iterations, after.survey.shadow, after.survey.trust) == (3, 0.5, before.survey.trust)
+    assert (after.fitness.shadow, after.polish.iterations) == (0.1, 2)
+    assert before.replaced(survey=after.survey) == before.replaced(survey_iterations=3, survey_shadow=0.5)
+
+
+def test_a_survey_of_a_preset_is_set_whole(tmp_path):
+    text = (PRESETS / "standard.toml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("trust = 1.2\n", ""), encoding="utf-8")
+    with pytest.raises(InputError, match=r"\[survey\]: 'trust' is not set"):
+        load_schedule(path)
+    path.write_text(text.replace("trust = 1.2\n", "trust = 1.2\nlobes = 2\n"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"\[survey\]: unknown key 'lobes'"):
+        load_schedule(path)
