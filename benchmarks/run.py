@@ -41,7 +41,9 @@ def index(output: Path, quick: bool) -> list[str]:
         "",
         "`make bench` measures these anew where sources or presets have changed since, and writes pages and plots;"
         " `make bench QUICK=1` only tries in a few minutes that all of it runs. One program alone: `python -m"
-        " benchmarks.joint --again`.",
+        " benchmarks.joint --again`; with `--draw` its page is written anew from the result in `.cache/bench`. The"
+        " peers' PyTorch is the build that pip takes; pip's own settings (`PIP_EXTRA_INDEX_URL`) choose the much"
+        " smaller one for processors alone.",
         "",
         *(f"Machine: {words}." for words in sorted(machines)),
         "",
