@@ -10,6 +10,7 @@ from irpso_addon.geometry.domain import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.prepare import prepare
 from irpso_addon.solver.schedule import load_schedule
+from tests import swarm_numbers as numbers
 from tests import swarm_oracle as oracle
 from tests.swarm_subjects import SHORT, bits_of, recoveries, subject
 
@@ -208,7 +209,7 @@ def test_looking_at_maps_often_keeps_nothing(recover):
         recovery.maps()
         recovery.halo()
     assert len(recovery._residual._framebuffers) == 1
-    assert len(recovery._phase._copy._framebuffers) <= 2
+    assert len(recovery._phase.reader._copy._framebuffers) <= 2
 
 
 # ---- interchangeable lobes ---------------------------------------------------------------------------------------
@@ -225,7 +226,7 @@ def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search
         tiles = {name: stage.reader.read(texture) for name, texture in stage.swarm.remembered.items()}
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):
-            x = oracle.from_atlas(tiles[name], *sizes, 4 * stage.codec.blocks)
+            x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.codec.blocks)
             assert (x[..., at["LOBE_FIRST"]] <= x[..., at["LOBE_SECOND"]]).all()
             assert x.min() >= 0 and x.max() <= 1
     maps = recovery.maps()
