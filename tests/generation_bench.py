@@ -16,6 +16,7 @@ from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.stage import particle_count
 from irpso_addon.solver.state import DomainTextures, Estimates
 from tests import generation_oracle as oracle
+from tests import swarm_numbers as numbers
 from tests import swarm_oracle as swarm
 from tests.swarm_subjects import make_domain, unit
 
@@ -86,7 +87,7 @@ class Bench:
         arrays = {}
         for name, array in particles.items():
             packed = np.stack([self.packing.pack(one) for one in array])
-            arrays[name] = swarm.to_atlas(packed, atlas.across, atlas.down)
+            arrays[name] = numbers.to_atlas(packed, atlas.across, atlas.down)
         g, w = self.packing.pack(state.g), self.packing.pack(state.w)
         w = np.pad(w, ((0, 0), (0, 0), (0, -w.shape[-1] % 4)))
         best = [g[..., 4 * b : 4 * b + 4] for b in range(blocks)]
@@ -100,10 +101,10 @@ class Bench:
         arrays = {name: array.astype(np.float64) for name, array in stage.state().items()}
         sizes = (problem.particles, pack.height, pack.width)
         x, v, p = (
-            np.stack([pack.unpack(one) for one in swarm.from_atlas(arrays[name], *sizes, problem.columns)])
+            np.stack([pack.unpack(one) for one in numbers.from_atlas(arrays[name], *sizes, problem.columns)])
             for name in ("position", "velocity", "best")
         )
-        fitness = swarm.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
+        fitness = numbers.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
         fitness = np.stack([pack.unpack(one, swarm.UNFIT) for one in fitness])
         blocks, linear = stage.codec.blocks, stage.linear.blocks
         g, w = (

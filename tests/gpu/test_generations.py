@@ -170,6 +170,18 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
 
 
+def test_somebody_leads_even_where_no_render_has_a_fitness(bench):
+    case = BY_NAME["two-lobes-solved-with-their-weight"]
+    domain = make_domain(4, 5, observations=6, holes=False)
+    domain.stack[2, 1, 3, 0] = np.nan
+    b = bench(case, domain=domain)
+    b.advance()
+    state = b.read()
+    assert (state.p_fitness[:, 1, 3] >= 1e29).all() and state.g_fitness[1, 3] >= 1e29
+    np.testing.assert_array_equal(state.g[1, 3], state.x[0, 1, 3])
+    assert (state.g_fitness < 1e29).sum() == 19
+
+
 def test_an_iteration_costs_every_particle_and_twice_where_weights_are_solved(recover):
     domain = make_domain(5, 4, holes=False)
     for linear, cost in (("search", 1), ("solve", 2)):

@@ -124,17 +124,6 @@ def test_the_weight_of_the_lobes_is_known_and_the_base_is_solved_beside_it(bench
     np.testing.assert_allclose(found, wanted, atol=1e-4, rtol=1e-3)
 
 
-@pytest.mark.parametrize("name", [TWO_LOBES, "principled_two_lobe"])
-def test_the_radiance_of_two_lobes_is_linear_in_their_weight(bench, name):
-    # basis_w · w + basis_fixed against the model itself: the kernel solves with the former and is judged by the latter.
-    b = bench(Case("linear-in-w", shape=SHAPE, model=name, domain={"observations": 24}, settings=ONE | {"loss": "l2"}))
-    b.advance()
-    state = b.read()
-    s = b.problem.material(state.x[0], state.w)
-    clear = b.domain.solvable & ~oracle.on_edge(b.problem, s["normal"])
-    np.testing.assert_allclose(b.found_fitness()[0][clear], oracle.fitness(b.problem, s)[clear], rtol=2e-5)
-
-
 def test_more_weights_than_eight_are_refused(tmp_path):
     rows = "".join(f'[[parameter]]\nname = "c{i}"\ncomponents = 3\nkind = "linear"\n\n' for i in range(3))
     (tmp_path / "many.toml").write_text(

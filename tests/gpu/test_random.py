@@ -16,6 +16,7 @@ from irpso_addon.solver.resolve import resolve
 from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.stage import RunningStage
 from irpso_addon.solver.state import DomainTextures, Estimates
+from tests import swarm_numbers
 from tests import swarm_oracle as oracle
 from tests.swarm_subjects import make_domain
 
@@ -60,9 +61,9 @@ def test_the_gpu_draws_the_numbers_of_the_oracle_bit_for_bit(gpu_numbers, key):
     constants = dict(zip(CONSTANTS, key, strict=True))
     uniform, halves = gpu_numbers(**constants)
     y, x = np.mgrid[:11, :19]
-    bits = oracle.random_bits(key[0], key[1], x + key[2], y + key[3], key[4], key[5])
+    bits = swarm_numbers.random_bits(key[0], key[1], x + key[2], y + key[3], key[4], key[5])
     np.testing.assert_array_equal(
-        uniform, oracle.random_uniform(key[0], key[1], x + key[2], y + key[3], key[4], key[5])
+        uniform, swarm_numbers.random_uniform(key[0], key[1], x + key[2], y + key[3], key[4], key[5])
     )
     words = halves.astype(np.uint32)
     np.testing.assert_array_equal(words[..., 0] << 16 | words[..., 1], bits[..., 0])
@@ -81,13 +82,13 @@ def test_pcg4d_is_the_published_hash():
         return v
 
     keys = np.random.default_rng(0).integers(0, 2**32, size=(50, 4), dtype=np.uint32)
-    assert oracle.pcg4d(keys).tolist() == [reference([int(c) for c in key]) for key in keys]
+    assert swarm_numbers.pcg4d(keys).tolist() == [reference([int(c) for c in key]) for key in keys]
 
 
 def numbers(seed=0, iteration=0, particle=0, purpose=oracle.R1, size=256):
     """Return (size, size, 4) numbers of a square of texels."""
     y, x = np.mgrid[:size, :size]
-    return oracle.random_uniform(seed, iteration, x, y, particle, purpose)
+    return swarm_numbers.random_uniform(seed, iteration, x, y, particle, purpose)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_numbers_are_independent_of(name):
 
 def test_low_bits_do_not_repeat_between_neighbours():
     y, x = np.mgrid[:256, :256]
-    bits = oracle.random_bits(0, 0, x, y, 0, oracle.CHOICE)[..., 0] >> 8
+    bits = swarm_numbers.random_bits(0, 0, x, y, 0, oracle.CHOICE)[..., 0] >> 8
     for low in range(4):
         bit = (bits >> low) & 1
         for axis in (0, 1):

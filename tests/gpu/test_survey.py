@@ -302,12 +302,13 @@ def test_slices_give_the_whole_bit_for_bit(recover, whole):
     assert bits_of(sliced.maps(confidence=False)) == wanted and sliced.progress == progress
 
 
-@pytest.mark.parametrize("stop", [0, 2, 3, 5, 6, 7, 10], ids=lambda n: f"after-{n}")
+@pytest.mark.parametrize("stop", [None, 0, 2, 3, 5, 6, 7, 10], ids=lambda n: f"after-{n}")
 def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
-    # In the survey's swarm, at its end, in its polish, at its end, in the stage, in the polish that is judged.
+    # Before all; in the survey's swarm, at its end, in its polish, at its end; in the stage; in the judged polish.
     domain, wanted, progress = whole
     first = recover(domain, PRINCIPLED, SHORT)
-    first.step(iterations=stop)
+    if stop is not None:
+        first.step(iterations=stop)
     first.save(tmp_path / "run")
     second = recover(domain, PRINCIPLED, SHORT)
     second.step(iterations=1)
@@ -344,12 +345,12 @@ def test_the_normals_of_a_rendered_bunny_are_found_without_tuning(recover, share
     channels = read_exr(folder / "normal_gt.exr")[""]
     truth = np.stack([channels[c] for c in "RGB"], axis=-1)
     rows, columns = domain.shape
-    block = np.random.default_rng(0).random((-(-rows // 8), -(-columns // 8))) < 1 / 3
+    block = np.random.default_rng(0).random((-(-rows // 8), -(-columns // 8))) < 1 / 4
     chosen = np.kron(block, np.ones((8, 8), bool))[:rows, :columns]
     domain = replace(domain, bake=replace(domain.bake, coverage=domain.bake.coverage & chosen))
     recovery = recover(domain, PRINCIPLED, load_schedule("standard"))
     recovery.step()
     maps = recovery.maps(confidence=False)
     error = degrees(maps, truth)[maps.covered]
-    assert error.size > 5000
+    assert error.size > 4000
     assert error.mean() < limit, error.mean()

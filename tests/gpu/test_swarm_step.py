@@ -15,6 +15,7 @@ from irpso_addon.solver.resolve import resolve
 from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.stage import RunningStage, particle_count
 from irpso_addon.solver.state import DomainTextures, Estimates
+from tests import swarm_numbers as numbers
 from tests import swarm_oracle as oracle
 from tests.swarm_subjects import make_domain, unit, with_radiance
 
@@ -135,7 +136,7 @@ class Bench:
         arrays = {}
         for name, array in particles.items():
             packed = np.stack([self.packing.pack(one) for one in array])
-            arrays[name] = oracle.to_atlas(packed, atlas.across, atlas.down)
+            arrays[name] = numbers.to_atlas(packed, atlas.across, atlas.down)
         g = self.packing.pack(state.g)
         arrays |= {f"global_best_{b}": g[..., 4 * b : 4 * b + 4] for b in range(blocks)}
         self.stage.swarm.restore(arrays | {"global_fitness": self.packing.pack(state.g_fitness)[..., None]})
@@ -146,10 +147,10 @@ class Bench:
         arrays = {name: array.astype(np.float64) for name, array in stage.state().items()}
         sizes = (self.problem.particles, pack.height, pack.width)
         atlases = {
-            n: oracle.from_atlas(arrays[n], *sizes, self.problem.columns) for n in ("position", "velocity", "best")
+            n: numbers.from_atlas(arrays[n], *sizes, self.problem.columns) for n in ("position", "velocity", "best")
         }
         x, v, p = (np.stack([pack.unpack(one) for one in a]) for a in atlases.values())
-        fitness = oracle.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
+        fitness = numbers.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
         g = np.concatenate([arrays[f"global_best_{b}"] for b in range(stage.codec.blocks)], axis=-1)
         fitness = np.stack([pack.unpack(one, oracle.UNFIT) for one in fitness])
         g_fitness = pack.unpack(arrays["global_fitness"][..., 0], oracle.UNFIT)
@@ -268,6 +269,6 @@ def test_an_atlas_is_cut_into_tiles_that_hold_every_particle_once(bench):
     atlas = b.stage.swarm.atlas
     assert atlas.across * atlas.down >= 2 * b.problem.particles
     marks = np.arange(b.problem.particles * 15 * 8, dtype=np.float64).reshape(-1, 5, 3, 8)
-    packed = oracle.to_atlas(marks, atlas.across, atlas.down)
-    np.testing.assert_array_equal(oracle.from_atlas(packed, b.problem.particles, 5, 3, 8), marks)
+    packed = numbers.to_atlas(marks, atlas.across, atlas.down)
+    np.testing.assert_array_equal(numbers.from_atlas(packed, b.problem.particles, 5, 3, 8), marks)
     assert textures.download(b.stage.swarm.position).shape == packed.shape
