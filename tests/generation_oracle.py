@@ -24,11 +24,6 @@ class Generations(swarm.Problem):
     """A problem whose stage may have ``solved`` parameters, and need not search any."""
 
     @property
-    def places(self) -> list[tuple[str, int, int]]:
-        """(name, first dimension, how many) of every searched parameter."""
-        return super().places
-
-    @property
     def dimensions(self) -> int:
         """n."""
         return sum(size for _, _, size in self.places)
