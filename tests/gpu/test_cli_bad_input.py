@@ -261,8 +261,8 @@ OPTIONS = {
     "a setting that is not finite": (recover("--set", "c1=nan"), r"c1 must be a number"),
     "an even neighbourhood": (recover("--set", "neighbourhood=4"), r"neighbourhood must be odd"),
     "a search for nothing known": (recover("--search", "colour"), r"no parameter or stage 'colour'"),
-    "a search of ten dimensions": (
-        recover("--preset", "swarm", "--model", "cook_torrance_two_lobe", "--set", "normal=cartesian"), r"9 dimensions"),
+    "a search of nine dimensions": (
+        recover("--preset", "swarm", "--model", "cook_torrance_two_lobe", "--set", "normal=cartesian"), "9 dimensions"),
     "known of no such parameter": (recover("--known", "gloss=0.5"), r"no parameter 'gloss'"),
     "known without a value": (recover("--known", "roughness"), r"--known roughness: write NAME=VALUE"),
     "known of two numbers": (recover("--known", "base_color=0.5,0.5"), r"base_color has 3 numbers"),
