@@ -22,7 +22,7 @@ from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.memory import Memory
 from irpso_addon.solver.need import Need, recovery_need
-from irpso_addon.solver.plan import Plan, plan_recovery
+from irpso_addon.solver.plan import Box, Plan, plan_recovery
 from irpso_addon.solver.recovery import Recovery
 from irpso_addon.solver.schedule import Schedule
 from irpso_addon.solver.tiled import TiledRecovery
@@ -154,14 +154,16 @@ def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Need]:
     return plan_recovery(np.ones((job.rows, job.columns), bool), need, memory), need
 
 
-def _part(job: Job, plan: Plan) -> tuple[Job, list[tuple[int, int, int, int]]]:
-    """Return the job of the first tiles alone, and their boxes; of all, where all are solved."""
-    boxes = plan.boxes[: job.part] if job.part and job.part < len(plan.boxes) else plan.boxes
-    x0, y0 = (min(box[i] for box in boxes) for i in (0, 1))
-    x1, y1 = (max(box[i] + box[i + 2] for box in boxes) for i in (0, 1))
-    if sum(w * h for _, _, w, h in boxes) != (x1 - x0) * (y1 - y0):
-        raise ValueError("the first tiles are no rectangle")
-    return replace(job, rows=y1 - y0, columns=x1 - x0), [(x - x0, y - y0, w, h) for x, y, w, h in boxes]
+def _part(job: Job, plan: Plan) -> tuple[Job, list[Box]]:
+    """Return the job of the first tiles that together are a rectangle, or of all, and their boxes in it."""
+    count = job.part if 0 < job.part < len(plan.boxes) else len(plan.boxes)
+    for first in range(len(plan.boxes) - count + 1):
+        boxes = plan.boxes[first : first + count]
+        x0, y0 = (min(box[i] for box in boxes) for i in (0, 1))
+        x1, y1 = (max(box[i] + box[i + 2] for box in boxes) for i in (0, 1))
+        if sum(w * h for _, _, w, h in boxes) == (x1 - x0) * (y1 - y0):
+            return replace(job, rows=y1 - y0, columns=x1 - x0), [(x - x0, y - y0, w, h) for x, y, w, h in boxes]
+    raise ValueError(f"no {count} tiles of {len(plan.boxes)} are a rectangle")
 
 
 if __name__ == "__main__":
