@@ -364,15 +364,16 @@ def chance_direction(problem: Problem, iteration: int) -> np.ndarray:
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return places and velocities with interchangeable lobes in rising order."""
     at = {name: first for name, first, _ in problem.places}
-    names = (*problem.model.ordered, *problem.model.complement)
-    if not names or any(name not in at for name in names):
+    found = {*at, *(p.name for p in problem.stage.solved)}
+    lobes, weights = problem.model.ordered, problem.model.complement
+    if not lobes or any(name not in at for name in lobes) or any(name not in found for name in weights):
         return x, v
     first, second = (at[name] for name in problem.model.ordered)
     swap = (x[..., first] > x[..., second])[..., None]
     order = np.arange(x.shape[-1])
     order[[first, second]] = second, first
     other_x, other_v = x[..., order].copy(), v[..., order].copy()
-    for name in problem.model.complement:
+    for name in set(weights) & set(at):
         other_x[..., at[name]] = 1 - other_x[..., at[name]]
         other_v[..., at[name]] = -other_v[..., at[name]]
     return np.where(swap, other_x, x), np.where(swap, other_v, v)

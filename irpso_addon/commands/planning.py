@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.types import Capture
+from ..errors import InputError
 from ..geometry.bake import uv_coverage
 from ..geometry.build import check_card
 from ..geometry.domain import Domain
@@ -54,10 +55,24 @@ def make_plan(
     boxes = []
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
+        _check_boxes(boxes, coverage)
     plan = plan_recovery(coverage, need, memory, limits, stack_on, boxes)
     if not _untiled(plan):
         refuse_levels(schedule)
     return plan
+
+
+def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:
+    """Raise InputError unless a checkpoint's tiles hold all texels of this domain."""
+    rows, columns = coverage.shape
+    left = coverage.copy()
+    for box in boxes:
+        x, y, width, height = box if len(box) == 4 else (0, 0, 0, 0)
+        if not (width > 0 and height > 0 and 0 <= x <= columns - width and 0 <= y <= rows - height):
+            raise InputError("--resume: the checkpoint is of a domain of another size; run without --resume")
+        left[y : y + height, x : x + width] = False
+    if left.any():
+        raise InputError("--resume: the checkpoint's tiles leave some of this domain out; run without --resume")
 
 
 def scratch_folder(output: Path) -> Path:

@@ -89,7 +89,7 @@ def run(options: Namespace) -> dict:
     report = build_report(
         maps, settings={**_settings(options), "preset": asdict(job.schedule), "entry": entry, "tiles": len(plan.tiles)},
         seed=options.seed,
-        gpu=context.describe()["renderer"], iterations=progress.iterations * progress.stages,
+        gpu=context.describe()["renderer"], iterations=progress.iterations_in_all,
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
     report |= relighting | {"warnings": limit_warnings(maps, job.known)}

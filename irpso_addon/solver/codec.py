@@ -52,9 +52,10 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
             decode.append(f"{field} = {low!r} + {span} * x[{at}];")
             encode.append(f"x[{at}] = clamp(({field} - {low!r}) / ({span}), 0.0, 1.0);")
             at += 1
-    if model.ordered and all(name in places for name in (*model.ordered, *model.complement)):
+    found = {*places, *(p.name for p in stage.solved)}  # what is solved afterwards follows the order by itself
+    if model.ordered and set(model.ordered) <= set(places) and set(model.complement) <= found:
         defines |= {"LOBE_FIRST": places[model.ordered[0]], "LOBE_SECOND": places[model.ordered[1]]}
-        if model.complement:
+        if model.complement and model.complement[0] in places:
             defines["LOBE_WEIGHT"] = places[model.complement[0]]
     clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
     source = "\n".join(

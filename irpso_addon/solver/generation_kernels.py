@@ -56,6 +56,8 @@ def build_generation_passes(
         "u_best_fitness": kernels.FLOAT_2D, **bests, **means, **weights, **kernels.estimate_samplers(model),
         **kernels.GEOMETRY, **kernels.PACKING,
     }  # fmt: skip
+    # The pass that writes the means must not have them bound.
+    unaveraged = {name: kind for name, kind in update.items() if name not in means}
     evaluate = {**update, **kernels.OBSERVATIONS}
     judge = {
         **update,
@@ -81,10 +83,10 @@ def build_generation_passes(
         place=make("generation", found, evaluate, START=1),
         place_commit=make("generation_commit", state, judge, START=1),
         place_best=make("generation_best", best, judge, START=1),
-        mean=make("generation_mean", [Output(f"o_mean_{b}") for b in blocks], update),
+        mean=make("generation_mean", [Output(f"o_mean_{b}") for b in blocks], unaveraged),
         move=make("generation", found, evaluate),
         commit=make("generation_commit", state, judge),
         best=make("generation_best", best, judge),
-        resolve=make("generation_resolve", list(kernels.estimate_outputs(model)), update, how="fragment"),
+        resolve=make("generation_resolve", list(kernels.estimate_outputs(model)), unaveraged, how="fragment"),
         take_halo=kernels.take_halo_pass(codec, defines),
     )

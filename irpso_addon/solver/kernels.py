@@ -21,8 +21,8 @@ MOVE = {
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
     "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
-LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/fitness.glsl
-_WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/move.glsl
+LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/loss.glsl
+_WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/update.glsl
 
 
 @dataclass(frozen=True)

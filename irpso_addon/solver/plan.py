@@ -142,7 +142,7 @@ def plan_recovery(
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
     texels = _texels(coverage)
     return Plan(
-        coverage.shape, texels, need.observations, tiles, need.reach if len(tiles) > 1 else 0, on_device, stack_on,
+        coverage.shape, texels, need.observations, tiles, 0 if boxes == [whole] else need.reach, on_device, stack_on,
         state_on, 1 if resident else 1 + need.exchanges, device, host, scratch, texels * need.evaluations, memory,
     )  # fmt: skip
 

@@ -17,14 +17,23 @@ _CHUNK = 1 << 20  # samples at a time: bounds the memory of the normal equations
 
 @dataclass(frozen=True)
 class Prepared:
-    """What is found before the search. scale: (H, W) of each texel. guess: parameter name → (H, W, components)."""
+    """What is found before the search. scale: (H, W) of each texel. guess: parameter name → (H, W, components).
+
+    brightness: mean irradiance/π of the lights at the texels. A scale is radiance over irradiance, errors are
+    radiances: the unit and the distance of the lights must not matter.
+    """
 
     scale: np.ndarray
     guess: dict[str, np.ndarray]
+    brightness: float
 
     def part(self, rows: slice, columns: slice) -> Prepared:
         """Return it for a part of the domain: the very numbers of the whole, which a fit of the part may round off."""
-        return Prepared(self.scale[rows, columns], {name: value[rows, columns] for name, value in self.guess.items()})
+        return Prepared(
+            self.scale[rows, columns],
+            {name: value[rows, columns] for name, value in self.guess.items()},
+            self.brightness,
+        )
 
 
 def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prepared:
@@ -38,13 +47,21 @@ def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prep
         for p in model.parameters:
             if p.is_normal:
                 guess[p.name] = normal
-            elif p.kind == "linear" and p.components == 3:  # an albedo, whatever the model calls it
+            elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    return Prepared(texel_scale(domain, schedule.fitness.percentile), guess)
+    return Prepared(texel_scale(domain, schedule.fitness.percentile), guess, brightness(domain))
+
+
+def brightness(domain: Domain) -> float:
+    """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if it has none."""
+    if not domain.lights[:, 3].any():
+        return float(domain.intensities.mean())
+    sums = [(_irradiance(domain, texels).mean(axis=(0, 2)).sum(), len(texels[0])) for texels in _chunks(domain)]
+    return float(sum(part for part, _ in sums) / max(1, sum(count for _, count in sums)))
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
-    """Return (H, W) float32: the percentile of each texel's weighted samples, over the light's intensity; 1 if none."""
+    """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none."""
     scale = np.ones(domain.shape, np.float32)
     for texels in _chunks(domain):
         values = _grey(domain, texels)
@@ -54,12 +71,23 @@ def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
     return scale
 
 
-def drop_shadow(stack: np.ndarray, intensities: np.ndarray, scale: np.ndarray, fitness: Fitness) -> None:
-    """Give weight 0, in place, to samples (K, h, w, 4) under the shadow threshold of their texel's scale (h, w)."""
+def drop_shadow(
+    stack: np.ndarray,
+    lights: np.ndarray,
+    intensities: np.ndarray,
+    position: np.ndarray,
+    scale: np.ndarray,
+    fitness: Fitness,
+) -> None:
+    """Give weight 0, in place, to samples (K, h, w, 4) under the shadow threshold of their texel's scale (h, w).
+
+    lights: (K, 4) and intensities: (K, 3) as in Domain; position: (h, w, 3) of the texels.
+    """
     if fitness.loss != "robust" or fitness.shadow == 0:
         return
-    for layer, intensity in zip(stack, intensities, strict=True):
-        brightness = layer[..., :3].mean(axis=-1) / intensity.mean()
+    for layer, light, intensity in zip(stack, lights, intensities, strict=True):
+        squared = ((light[:3] - position) ** 2).sum(axis=-1) if light[3] > 0 else 1.0
+        brightness = layer[..., :3].mean(axis=-1) * squared / intensity.mean()
         layer[..., 3] *= brightness >= fitness.shadow * scale
 
 
@@ -136,10 +164,20 @@ def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarra
     return gram, np.einsum("kt,kti->ti", weight * values, vectors)
 
 
+def _irradiance(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(K, T, 3) irradiance/π of every light at T texels facing it; T is 1 where all lights are distant."""
+    near = domain.lights[:, 3] > 0
+    if not near.any():
+        return domain.intensities[:, None]
+    position = domain.bake.position[texels]
+    squared = ((domain.lights[:, None, :3] - position) ** 2).sum(axis=-1)
+    return domain.intensities[:, None] / np.where(near[:, None], squared, 1.0)[..., None]
+
+
 def _grey(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(K, T) mean of RGB over the light's own, NaN where a sample weighs nothing."""
     samples = domain.stack[:, texels[0], texels[1]]
-    grey = samples[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None]
+    grey = samples[..., :3].mean(axis=-1) / _irradiance(domain, texels).mean(axis=-1)
     return np.where(samples[..., 3] > 0, grey, np.nan)
 
 

@@ -142,7 +142,7 @@ class Pyramid:
         domain, schedule = self._domains[self._level], self._schedules[self._level]
         prepared = prepare.prepare(domain, self.model, schedule)
         if guess is not None:
-            prepared = Prepared(prepared.scale, guess.values)
+            prepared = Prepared(prepared.scale, guess.values, prepared.brightness)
         known = self._known[self._level]
         return Recovery(domain, self.model, schedule, self.seed, known, self.entry, prepared, state)
 

@@ -100,8 +100,9 @@ class Recovery:
         prepared = prepared or prepare.prepare(domain, model, schedule)
         scale = self._packing.pack(prepared.scale)
         stack = self._packing.pack_layers(domain.stack)
-        prepare.drop_shadow(stack, domain.intensities, scale, schedule.fitness)
-        self._textures = DomainTextures(domain, self._packing, stack, scale)
+        position = self._packing.pack(domain.bake.position)
+        prepare.drop_shadow(stack, domain.lights, domain.intensities, position, scale, schedule.fitness)
+        self._textures = DomainTextures(domain, self._packing, stack, scale, prepared.brightness)
         self._solved = int((texel_states(domain) == SOLVED).sum())
         guess = {**prepared.guess, **known}
         self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})

@@ -211,6 +211,10 @@ class Schedule:
             names = {f"{part}_{f.name}": f.name for f in dataclasses.fields(group)}
             values = {names[name]: changes.pop(name) for name in names.keys() & set(changes)}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
+        for part, kind in _OPTIONAL.items():
+            if part in changes and not isinstance(changes[part], kind):
+                first = dataclasses.fields(kind)[0].name
+                raise InputError(f"preset {self.name}: {part} has settings of its own, as in {part}_{first}=0")
         if unknown := set(changes) - {*_TOP_KEYS, *_OPTIONAL}:
             raise InputError(f"preset {self.name}: there is no setting '{sorted(unknown)[0]}'")
         result = dataclasses.replace(result, **changes)
@@ -319,6 +323,8 @@ def _check_survey(survey: Survey, where: str) -> None:
         value = getattr(survey, name)
         if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
             raise InputError(f"{where}: survey_{name} must be a number from 0, not {value!r}")
+    if survey.judge_delta == 0:
+        raise InputError(f"{where}: survey_judge_delta must be above 0")
 
 
 def _check_polish(polish: Polish, where: str) -> None:

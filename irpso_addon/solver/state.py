@@ -14,7 +14,7 @@ from ..reflectance.model import ReflectanceModel
 from .codec import Codec
 from .packing import Packing
 
-UNFIT = 1e30  # as in shaders/swarm/fitness.glsl: the fitness of what was never evaluated
+UNFIT = 1e30  # as in shaders/swarm/unfit.glsl: the fitness of what was never evaluated
 OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
 
 
@@ -22,13 +22,14 @@ class DomainTextures:
     """A domain on the GPU, its solved texels packed.
 
     stack: (K, h, w, 4) the packed sample stack to use, weights and all. scale: (h, w) for a robust fitness.
-    brightness: mean intensity of the lights. Errors are radiances and a texel's scale is radiance over intensity: the
-    unit of the lights must not matter.
+    brightness: as in prepare.Prepared, by default the lights' mean intensity.
     """
 
-    def __init__(self, domain: Domain, packing: Packing, stack: np.ndarray, scale: np.ndarray):
+    def __init__(
+        self, domain: Domain, packing: Packing, stack: np.ndarray, scale: np.ndarray, brightness: float | None = None
+    ):
         self.domain, self.packing = domain, packing
-        self.brightness = float(domain.intensities.mean())
+        self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = observation_defines(domain.lights, domain.views, domain.card)
         position, normal, tangent = (
             packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent)

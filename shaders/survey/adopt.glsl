@@ -1,5 +1,5 @@
 // Over W×H texels: the estimates with the normal that the survey has found, packed as the estimates are.
-// Reads the estimates and u_survey_0, u_survey_1: those of the survey's own model, whose first three are its normal.
+// Reads the estimates and u_survey_0: those of the survey's own model, whose first three are its normal.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"

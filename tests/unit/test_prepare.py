@@ -51,7 +51,7 @@ def test_samples_under_the_shadow_threshold_weigh_nothing():
     fitness = replace(fitness, loss="robust", shadow=0.5)
     scale = prepare.texel_scale(domain, 80)
     stack = domain.stack.copy()
-    prepare.drop_shadow(stack, domain.intensities, scale, fitness)
+    prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
     for y, x in np.argwhere(domain.solvable):
         before = domain.stack[:, y, x].astype(np.float64)
         grey = before[:, :3].mean(axis=1) / domain.intensities.mean(axis=1)
@@ -60,12 +60,33 @@ def test_samples_under_the_shadow_threshold_weigh_nothing():
     assert 0 < (stack[..., 3] > 0).sum() < (domain.stack[..., 3] > 0).sum()
 
 
+@pytest.mark.parametrize("distance", [0.3, 3.0])
+def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distance):
+    rng = np.random.default_rng(3)
+    domain = make_domain(5, 4, holes=False)
+    count = domain.observations
+    place = np.concatenate([rng.normal(size=(count, 2)) * 0.2, np.ones((count, 1))], axis=1)
+    lights = np.concatenate([distance * place, np.ones((count, 1))], axis=1)
+    toward = lights[:, None, None, :3] - domain.bake.position
+    squared = (toward.astype(np.float64) ** 2).sum(axis=-1)
+    shade = rng.uniform(0.1, 1.0, squared.shape)  # radiance under an irradiance of π
+    radiance = shade[..., None] * domain.intensities[:, None, None].mean(axis=-1, keepdims=True) / squared[..., None]
+    stack = np.concatenate([np.repeat(radiance, 3, axis=-1), np.ones((*shade.shape, 1))], axis=-1).astype(np.float32)
+    near = replace(domain, stack=stack, lights=lights)
+    scale = prepare.texel_scale(near, 80)
+    np.testing.assert_allclose(scale, np.percentile(shade, 80, axis=0), rtol=1e-5)
+    assert prepare.brightness(near) == pytest.approx(domain.intensities.mean() * (1 / squared).mean(), rel=1e-6)
+    fitness = replace(load_schedule("swarm").fitness, loss="robust", shadow=0.5)
+    prepare.drop_shadow(stack, lights, domain.intensities, domain.bake.position, scale, fitness)
+    np.testing.assert_array_equal(stack[..., 3] > 0, shade >= 0.5 * scale)
+
+
 @pytest.mark.parametrize("change", [{"loss": "l1"}, {"loss": "l2"}, {"shadow": 0.0}])
 def test_only_a_robust_fitness_with_a_threshold_drops_shadow(change):
     domain = make_domain(5, 4)
     stack = domain.stack.copy()
     fitness = replace(replace(load_schedule("swarm").fitness, loss="robust", shadow=0.9), **change)
-    prepare.drop_shadow(stack, domain.intensities, np.ones(domain.shape), fitness)
+    prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, np.ones(domain.shape), fitness)
     np.testing.assert_array_equal(stack, domain.stack)
 
 
