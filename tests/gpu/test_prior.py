@@ -263,7 +263,7 @@ def test_two_lobes_are_told_better_with_their_neighbours_than_without(recover):
         turned = np.arccos(np.clip((found["normal"] * truth["normal"]).sum(axis=-1), -1, 1))
         errors[rounds]["normal"] = np.degrees(turned).mean()
     for name in ("r1", "r2", "w"):
-        assert errors[2][name] < 0.5 * errors[0][name]
+        assert errors[2][name] < 0.7 * errors[0][name]
     assert errors[2]["normal"] < errors[0]["normal"]
 
 
