@@ -105,6 +105,15 @@ def test_a_texture_that_is_too_large_makes_tiles_that_stay_on_the_device():
     assert all(5 * np.ceil(np.sqrt(tile.texels)) <= 300 for tile in narrow.tiles) and len(narrow.tiles) >= 3
 
 
+def test_a_lone_tile_that_is_not_the_whole_domain_has_a_halo():
+    covered = np.zeros((200, 200), bool)
+    covered[10:40, 20:50] = True
+    need = need_of()
+    plan = plan_recovery(covered, need, PLENTY, Limits(side=190))
+    assert [tuple(box) for box in plan.boxes] == [(20, 10, 30, 30)]
+    assert plan.halo == need.reach > 0
+
+
 def test_more_observations_than_a_texture_has_layers_are_refused():
     with pytest.raises(InputError, match="2049 observations exceed this GPU's textures of 2048 layers; hold some out"):
         plan_recovery(disc(8, 4), need_of(2049), PLENTY)

@@ -161,3 +161,15 @@ def test_a_survey_of_a_preset_is_set_whole(tmp_path):
     path.write_text(text.replace("trust = 1.2\n", "trust = 1.2\nlobes = 2\n"), encoding="utf-8")
     with pytest.raises(InputError, match=r"\[survey\]: unknown key 'lobes'"):
         load_schedule(path)
+
+
+@pytest.mark.parametrize("part", ["survey", "polish", "prior"])
+@pytest.mark.parametrize("value", [0, False])
+def test_a_part_that_is_switched_off_by_its_name_is_refused_with_the_setting_to_use(part, value):
+    with pytest.raises(InputError, match=rf"{part} has settings of its own, as in {part}_\w+=0"):
+        load_schedule("standard").replaced(**{part: value})
+
+
+def test_a_judge_that_takes_no_error_for_none_is_refused():
+    with pytest.raises(InputError, match="survey_judge_delta must be above 0"):
+        load_schedule("standard").replaced(survey_judge_delta=0)
