@@ -1,7 +1,8 @@
 """IRPSO recovers a material from photographs: normal, albedo and roughness maps by a particle swarm at every texel.
 
-In Blender ``register`` adds the command ``blender --command irpso``. In Python the names of ``__all__`` are the public
-interface; nothing is imported before one of them is asked for, so that numpy-only parts work without Blender.
+In Blender ``register`` adds the panels and the command ``blender --command irpso``. In Python the names of ``__all__``
+are the public interface; nothing is imported before one of them is asked for, so that numpy-only parts work without
+Blender.
 """
 
 from importlib import import_module
@@ -35,9 +36,12 @@ def __dir__() -> list[str]:
 
 
 def register() -> None:
-    """Add the program to Blender: the command ``irpso``. Blender calls it when the extension is enabled."""
+    """Add the program to Blender: the command ``irpso`` and the user interface. Blender calls it on enabling."""
     import bpy
 
+    from .ui import registration
+
+    registration.register()
     _commands.append(bpy.utils.register_cli_command("irpso", _run_command))
 
 
@@ -45,6 +49,9 @@ def unregister() -> None:
     """Take out of Blender all that ``register`` added."""
     import bpy
 
+    from .ui import registration
+
+    registration.unregister()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
 

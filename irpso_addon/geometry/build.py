@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +27,17 @@ def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None 
     the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
     file goes when the domain does. Raises InputError for several cameras, images of another size or nothing to see.
     """
+    return _finished(card_steps(capture, depth, scratch))
+
+
+def card_steps(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Generator[None, None, Domain]:
+    """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
     mask = check_card(capture)
     camera = capture.cameras[0]
     local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective)
     stack = new_stack(len(capture.observations), *mask.shape, scratch)
     for observation, out in zip(capture.observations, stack, strict=True):
+        yield
         image = _read(observation, capture)
         seen = mask & (image[..., 3] > 0)
         out[seen] = image[seen]
@@ -39,6 +45,15 @@ def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None 
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     views = np.broadcast_to(local.view, (len(stack), 4))
     return _domain(capture.observations, _card_bake(local, mask, depth), stack, views, inverse, card=True)
+
+
+def _finished(steps: Generator[None, None, Domain]) -> Domain:
+    """Run steps to their end and return what they return."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
 
 
 def check_card(capture: Capture) -> np.ndarray:
@@ -69,17 +84,30 @@ def domain_from_mesh(
     time. The domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. Raises InputError for
     overlapping UVs (unless allowed), images of another size than their camera, or when no texel is seen by any camera.
     """
+    return _finished(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch))
+
+
+def mesh_steps(
+    capture: Capture,
+    mesh: MeshData,
+    width: int,
+    height: int,
+    grazing: float = GRAZING,
+    allow_overlap: bool = False,
+    scratch: Path | None = None,
+) -> Generator[None, None, Domain]:
+    """Yield before each camera and each image, and return what ``domain_from_mesh`` does."""
     _check_masks(capture)
     bake = bake_uv(mesh, width, height, allow_overlap)
     if not bake.coverage.any():
         raise InputError(f"no texel of {width} × {height} lies on '{mesh.name}' in its UV map; raise the resolution")
-    used = {observation.camera for observation in capture.observations}
-    projectors = {
-        index: Projector(bake, bake_camera(mesh, capture.cameras[index]), capture.cameras[index], grazing)
-        for index in sorted(used)
-    }
+    projectors = {}
+    for index in sorted({observation.camera for observation in capture.observations}):
+        yield
+        projectors[index] = Projector(bake, bake_camera(mesh, capture.cameras[index]), capture.cameras[index], grazing)
     stack = new_stack(len(capture.observations), height, width, scratch)
     for observation, out in zip(capture.observations, stack, strict=True):
+        yield
         index = observation.camera
         out[:] = projectors[index].sample(_read(observation, capture), np.asarray(capture.masks[index], bool))
     _check_seen(capture, stack, f"mesh '{mesh.name}'")

@@ -1,0 +1,48 @@
+"""Adding the user interface to Blender and taking it out again, whole."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
+# In this order; each may have CLASSES, register() and unregister(). What a module's classes refer to comes before it.
+MODULES = (
+    "schedule_settings",
+    "settings",
+)
+
+
+def register() -> None:
+    """Register every module's classes, then call its own register(). Where one fails, what was added is taken out."""
+    import bpy
+
+    done: list[ModuleType] = []
+    try:
+        for name in MODULES:
+            module = import_module(f".{name}", __package__)
+            done.append(module)
+            for cls in getattr(module, "CLASSES", ()):
+                bpy.utils.register_class(cls)
+            getattr(module, "register", _nothing)()
+    except Exception:
+        _unregister(done)
+        raise
+
+
+def unregister() -> None:
+    """Take out what ``register`` added, in the opposite order."""
+    _unregister([import_module(f".{name}", __package__) for name in MODULES])
+
+
+def _unregister(modules: list[ModuleType]) -> None:
+    import bpy
+
+    for module in reversed(modules):
+        getattr(module, "unregister", _nothing)()
+        for cls in reversed(getattr(module, "CLASSES", ())):
+            if getattr(cls, "is_registered", False):
+                bpy.utils.unregister_class(cls)
+
+
+def _nothing() -> None:
+    """Stand in for what a module does not have."""

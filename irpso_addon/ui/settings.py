@@ -1,0 +1,210 @@
+"""What the user sets, kept in the .blend: the scene's settings, the view's, and each light's image."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..errors import InputError
+from ..reflectance.model import ReflectanceModel, load_model, shipped_models
+from .schedule_settings import ScheduleSettings
+
+CUSTOM = "CUSTOM"  # a model of the user's own
+_LARGEST_SIDE = 16384
+_COLOUR_SPACES = (
+    ("auto", "Automatic", "8-bit images are sRGB, all others linear"),
+    ("srgb", "sRGB", "All images are sRGB, as cameras write JPEG"),
+    ("linear", "Linear", "All images hold linear radiance"),
+)
+_SOURCES = (
+    ("FILES", "Files", "A folder of photographs with their lights, an .lp list or a capture.toml"),
+    ("SCENE", "This Scene", "The cameras and lights of the open file, each light with its image"),
+)
+_SUBJECTS = (
+    ("MESH", "Mesh", "Recover the maps of a mesh, in its UV map"),
+    ("CARD", "Flat Card", "Recover the maps of a flat surface: the photographs' own pixels"),
+)
+_SHOWN = (
+    ("PARAMETER", "Map", "A recovered map"),
+    ("ERROR", "Error", "How far the render is from the photographs: blue is close, red is far"),
+    ("CONFIDENCE", "Uncertainty", "Standard deviation of a map: blue is certain, red is not"),
+    ("RENDER", "Render", "The recovered material under the light of one observation"),
+    ("REFERENCE", "Photograph", "The observation itself"),
+    ("SPLIT", "Split", "Render on the left, photograph on the right"),
+    ("BLINK", "Blink", "Render and photograph in turns"),
+)
+
+
+def model_of(settings: "Settings") -> ReflectanceModel:
+    """Return the model that is chosen. Raises InputError."""
+    if settings.model != CUSTOM:
+        return load_model(settings.model)
+    if not settings.model_path:
+        raise InputError("Model: no file is chosen; give the .toml of your own model")
+    return load_model(bpy.path.abspath(settings.model_path))
+
+
+def refresh_parameters(settings: "Settings") -> None:
+    """Bring the list of parameters in line with the model, keeping what was set for those that stay."""
+    try:
+        parameters = model_of(settings).parameters
+    except InputError:
+        parameters = ()
+    former = {item.name: (item.recover, item.value, tuple(item.color), item.image) for item in settings.parameters}
+    settings.parameters.clear()
+    for parameter in parameters:
+        item = settings.parameters.add()
+        item.name, item.components, item.is_normal = parameter.name, parameter.components, parameter.is_normal
+        recover, value, color, image = former.get(
+            parameter.name, (True, parameter.default[0], (*parameter.default, 0, 0, 0)[:3], None)
+        )
+        item.recover, item.value, item.color, item.image = recover, value, color, image
+
+
+def _model_changed(self, context) -> None:
+    refresh_parameters(self)
+
+
+_MODEL_ITEMS = [
+    *((name, load_model(name).title, f"The shipped model {name}") for name in shipped_models()),
+    (CUSTOM, "Own Model…", "A .toml that declares the parameters, with its .glsl beside it"),
+]
+
+
+def _parameter_items(self, context):
+    _PARAMETER_ITEMS[:] = [(item.name, bpy.path.display_name(item.name), "") for item in self.id_data.irpso.parameters]
+    return _PARAMETER_ITEMS or [("NONE", "None", "")]
+
+
+_PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # Blender keeps no reference to the texts of a dynamic enumeration
+
+
+def _is_mesh(self, obj) -> bool:
+    return obj.type == "MESH"
+
+
+class FindingItem(bpy.types.PropertyGroup):
+    """One thing that is wrong with a capture."""
+
+    severity: StringProperty()
+    message: StringProperty()
+
+
+class ParameterItem(bpy.types.PropertyGroup):
+    """One parameter of the model: recovered, or given as a number, a colour or an image."""
+
+    recover: BoolProperty(name="Recover", description="Find this map; otherwise it is taken as given", default=True)
+    components: IntProperty(default=1)
+    is_normal: BoolProperty()
+    value: FloatProperty(
+        name="Value", description="The number that is taken as given", default=0.5, soft_min=0, soft_max=1
+    )
+    color: FloatVectorProperty(
+        name="Color", description="The colour that is taken as given", subtype="COLOR", size=3, default=(0.5, 0.5, 0.5),
+        min=0,
+    )  # fmt: skip
+    image: PointerProperty(
+        name="Image", type=bpy.types.Image, description="The map that is taken as given, instead of one value"
+    )
+
+
+class ViewSettings(bpy.types.PropertyGroup):
+    """What is drawn over the viewport and the Image editor while a recovery runs."""
+
+    show: BoolProperty(name="Show Maps", description="Draw the maps on the subject while they converge", default=True)
+    shown: EnumProperty(name="Show", items=_SHOWN, default="PARAMETER")
+    parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
+    observation: IntProperty(
+        name="Observation", description="Whose light and image are shown, counted from 0", min=0, default=0
+    )
+    split: FloatProperty(
+        name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
+        default=0.5,
+    )  # fmt: skip
+    limit: FloatProperty(
+        name="Red At", description="The error, or the standard deviation, that is drawn red; 0 finds one", min=0,
+        soft_max=1, default=0, precision=3,
+    )  # fmt: skip
+    exposure: FloatProperty(name="Exposure", description="In stops, of render and photograph", soft_min=-5, soft_max=5)
+    opacity: FloatProperty(name="Opacity", subtype="FACTOR", min=0, max=1, default=1)
+    show_lights: BoolProperty(name="Lights", description="Draw the dome of lights around the subject", default=True)
+    show_cameras: BoolProperty(name="Cameras", description="Draw the capture's cameras", default=True)
+    dome_radius: FloatProperty(
+        name="Dome Radius", description="How far away distant lights are drawn; 0 fits the subject", min=0, default=0,
+        subtype="DISTANCE",
+    )  # fmt: skip
+    show_curves: BoolProperty(
+        name="Error Curves", description="Draw the error of probed texels against the iterations", default=True
+    )
+    show_swarm: BoolProperty(
+        name="Swarm", description="Draw the particles of the chosen probe in the space that they search", default=False
+    )
+    probe: IntProperty(name="Probe", description="The probe whose swarm is drawn, from 1", min=1, max=4, default=1)
+
+
+class Settings(bpy.types.PropertyGroup):
+    """All that a recovery needs to know of a scene."""
+
+    source: EnumProperty(name="Capture From", items=_SOURCES, default="FILES")
+    capture_path: StringProperty(
+        name="Capture", description="Folder of photographs with their lights, an .lp list or a capture.toml",
+        subtype="FILE_PATH",
+    )  # fmt: skip
+    colour_space: EnumProperty(name="Color Space", description="Of the image files", items=_COLOUR_SPACES)
+    checked_path: StringProperty(description="The capture that the findings are of")
+    summary: StringProperty(description="What the capture holds")
+    findings: CollectionProperty(type=FindingItem)
+    subject: EnumProperty(name="Subject", items=_SUBJECTS, default="CARD")
+    object: PointerProperty(
+        name="Object", description="The mesh whose maps are recovered; empty takes the active one",
+        type=bpy.types.Object, poll=_is_mesh,
+    )  # fmt: skip
+    resolution: IntProperty(
+        name="Resolution", description="Texels along a side of the mesh's maps; a card's maps have the images' size",
+        subtype="PIXEL", min=1, max=_LARGEST_SIDE, soft_min=64, soft_max=4096, default=512,
+    )  # fmt: skip
+    model: EnumProperty(
+        name="Model", description="What is recovered", items=_MODEL_ITEMS, default="principled", update=_model_changed
+    )
+    model_path: StringProperty(
+        name="Model File", description="A .toml that declares the parameters, with its .glsl beside it",
+        subtype="FILE_PATH", update=_model_changed,
+    )  # fmt: skip
+    parameters: CollectionProperty(type=ParameterItem)
+    schedule: PointerProperty(type=ScheduleSettings)
+    seed: IntProperty(name="Seed", description="Of the random numbers: the same seed gives the same maps")
+    view: PointerProperty(type=ViewSettings)
+
+
+class ObservationSettings(bpy.types.PropertyGroup):
+    """The photograph that was taken under a light."""
+
+    image: PointerProperty(
+        name="Photograph", description="The image that was taken under this light", type=bpy.types.Image
+    )
+    camera: PointerProperty(
+        name="Camera", description="The camera that took it; empty takes the scene's", type=bpy.types.Object,
+        poll=lambda self, obj: obj.type == "CAMERA",
+    )  # fmt: skip
+
+
+CLASSES = (FindingItem, ParameterItem, ViewSettings, Settings, ObservationSettings)
+
+
+def register() -> None:
+    """Give scenes and objects their settings."""
+    bpy.types.Scene.irpso = PointerProperty(type=Settings)
+    bpy.types.Object.irpso = PointerProperty(type=ObservationSettings)
+
+
+def unregister() -> None:
+    """Take the settings away; what is stored in the .blend stays there."""
+    del bpy.types.Object.irpso
+    del bpy.types.Scene.irpso
