@@ -1,0 +1,25 @@
+// A picture on a surface: u_picture, and from the column u_split of the window on u_second. Display values, nearest
+// texel; nothing is drawn where alpha is 0 or uv leaves the picture.
+
+#include "view/screen.glsl"
+
+vec4 texel_of(sampler2D picture)
+{
+    ivec2 size = textureSize(picture, 0);
+    // A uv of 1 is the far edge of the last texel.
+    return texelFetch(picture, min(ivec2(v_uv * vec2(size)), size - 1), 0);
+}
+
+void main()
+{
+    if (any(lessThan(v_uv, vec2(0.0))) || any(greaterThan(v_uv, vec2(1.0)))) {
+        discard;
+        return;
+    }
+    vec4 display = gl_FragCoord.x < u_split ? texel_of(u_picture) : texel_of(u_second);
+    if (display.a <= 0.0) {
+        discard;
+        return;
+    }
+    o_color = on_screen(vec4(display.rgb, display.a * u_opacity));
+}
