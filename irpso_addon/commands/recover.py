@@ -28,15 +28,20 @@ from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.memory import parse_memory
 from ..solver.plan import Plan
-from ..solver.pyramid import Pyramid
-from ..solver.recovery import Recovery
+from ..solver.planning import (
+    AnyRecovery,
+    covered_texels,
+    held_out_last,
+    make_plan,
+    planned_recovery,
+    scratch_folder,
+)
 from ..solver.schedule import Schedule
 from ..solver.tiled import TiledRecovery
 from .history import History
 from .interrupt import held_back
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .pictures import error_preview, relit_preview
-from .planning import covered_texels, held_out_last, make_plan, planned_recovery, scratch_folder
 from .progress import ProgressBar, unseen_reports
 
 CHECKPOINT = "checkpoint.npz"
@@ -78,7 +83,10 @@ def run(options: Namespace) -> dict:
     kept = [k for k in range(domain.observations) if k not in job.held_out]
     plan = _plan(options, job, domain.solvable, plan.stack_on)
     started = time.perf_counter()
-    with planned_recovery(plan, subset(domain, kept), job.model, job.schedule, job.known, options) as recovery:
+    with planned_recovery(
+        plan, subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry,
+        scratch_folder(Path(options.output)),
+    ) as recovery:  # fmt: skip
         job.seconds["prepare"] = time.perf_counter() - started
         history = History(recovery, job.truth)
         maps = _solve(recovery, history, job, options)
@@ -143,7 +151,10 @@ def _subject(options: Namespace) -> tuple[object | None, MeshData | None]:
 def _plan(options: Namespace, job: _Job, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
     counts = len(job.capture.observations), len(job.held_out)
     resumed = job.folder / CHECKPOINT if options.resume else None
-    return make_plan(options, coverage, job.model, job.schedule, job.known, *counts, stack_on, resumed)
+    return make_plan(
+        coverage, job.model, job.schedule, job.known, *counts,
+        memory=options.memory, entry=options.entry, stack_on=stack_on, resumed=resumed,
+    )  # fmt: skip
 
 
 def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, subject: object | None) -> Domain:
@@ -165,7 +176,7 @@ def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, su
     return domain
 
 
-def _solve(recovery: Recovery | Pyramid | TiledRecovery, history: History, job: _Job, options: Namespace) -> Maps:
+def _solve(recovery: AnyRecovery, history: History, job: _Job, options: Namespace) -> Maps:
     checkpoint = job.folder / CHECKPOINT
     if options.resume:
         history.take(recovery.load(checkpoint))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from argparse import Namespace
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,14 +17,17 @@ from ..geometry.domain import Domain
 from ..geometry.mesh import MeshData
 from ..gpu import context
 from ..reflectance.model import ReflectanceModel
-from ..solver import checkpoint
-from ..solver.memory import machine_memory
-from ..solver.need import recovery_need
-from ..solver.plan import Limits, Plan, plan_recovery
-from ..solver.pyramid import Pyramid
-from ..solver.recovery import Recovery
-from ..solver.schedule import Schedule, refuse_levels
-from ..solver.tiled import TiledRecovery
+from . import checkpoint
+from .memory import machine_memory
+from .need import recovery_need
+from .plan import Limits, Plan, plan_recovery
+from .prepare import Prepared
+from .pyramid import Pyramid
+from .recovery import Recovery
+from .schedule import Schedule, refuse_levels
+from .tiled import TiledRecovery
+
+AnyRecovery = Recovery | Pyramid | TiledRecovery
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -34,30 +36,33 @@ def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[in
 
 
 def make_plan(
-    options: Namespace,
     coverage: np.ndarray,
     model: ReflectanceModel,
     schedule: Schedule,
     known: Collection[str],
     observations: int,
-    held_out: int,
+    held_out: int = 0,
+    *,
+    memory: str | None = None,
+    entry: str = "auto",
     stack_on: str | None = None,
     resumed: Path | None = None,
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
 
-    stack_on: where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles.
+    memory: what may be used, as in "4G" or "device=4G,host=8G"; else what is free. entry: as for a Recovery. stack_on:
+    where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles.
     """
     device = context.describe()
-    memory = machine_memory(options.memory, str(device["renderer"]))
+    allowed = machine_memory(memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
-    need = recovery_need(model, schedule, known, observations, held_out, options.entry != "fragment")
+    need = recovery_need(model, schedule, known, observations, held_out, entry != "fragment")
     boxes = []
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
         _check_boxes(boxes, coverage)
-    plan = plan_recovery(coverage, need, memory, limits, stack_on, boxes)
-    if not _untiled(plan):
+    plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes)
+    if not untiled(plan):
         refuse_levels(schedule)
     return plan
 
@@ -97,16 +102,23 @@ def planned_recovery(
     domain: Domain,
     model: ReflectanceModel,
     schedule: Schedule,
-    known: dict[str, np.ndarray],
-    options: Namespace,
-) -> Recovery | Pyramid | TiledRecovery:
-    """Return the recovery that the plan and the schedule ask for."""
-    settings = (domain, model, schedule, options.seed, known, options.entry)
-    if _untiled(plan):
-        return Recovery(*settings) if schedule.levels == 1 else Pyramid(*settings)
-    scratch = scratch_folder(Path(options.output)) if plan.state_on == "scratch" else None
-    return TiledRecovery(*settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=scratch)
+    seed: int,
+    known: Mapping[str, np.ndarray],
+    entry: str,
+    scratch: Path,
+    prepared: Prepared | None = None,
+) -> AnyRecovery:
+    """Return the recovery that the plan and the schedule ask for.
+
+    scratch: the folder for scratch files. prepared: as for a Recovery, where the domain is solved as one.
+    """
+    settings = (domain, model, schedule, seed, known, entry)
+    if untiled(plan):
+        return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
+    folder = scratch if plan.state_on == "scratch" else None
+    return TiledRecovery(*settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
 
 
-def _untiled(plan: Plan) -> bool:
+def untiled(plan: Plan) -> bool:
+    """Return whether the domain is solved as one."""
     return plan.boxes == [(0, 0, plan.shape[1], plan.shape[0])]
