@@ -46,8 +46,9 @@ format: environment-test ## rewrite the sources in the style that lint asks for
 	$(RUN) -m ruff check --quiet --fix .
 	$(RUN) -m ruff format --quiet .
 
-extension: environment ## the zip that Blender installs, into dist/
+extension: environment ## the zips that Blender installs, into dist/; tries this system's in Blender (BLENDER=…)
 	$(RUN) scripts/extension.py dist
+	BLENDER="$(BLENDER)" $(RUN) scripts/install_extension.py dist
 
 clean: ## remove what the targets made, the environments included
 	rm -rf .venv .venv-* out dist build .cache .pytest_cache .ruff_cache

@@ -1,24 +1,47 @@
-"""Builds the zip that Blender installs, with Blender's own tool, under plain Python.
+"""Builds the zips that Blender installs, one for each system, with Blender's own tool, under plain Python.
 
 Usage: python scripts/extension.py FOLDER [--without-wheels]
-With the wheels of OpenEXR, which Blender has not, the zip works in every supported Blender on its own.
+With the wheels of OpenEXR, which Blender has not, a zip works in every supported Blender of its system on its own.
+The same sources give the same bytes.
 """
 
 import argparse
 import importlib.util
+import platform
 import subprocess
 import sys
 import tempfile
+import tomllib
 import zipfile
-from importlib.metadata import version
 from pathlib import Path
 
-from own_symbols import make_symbolic
+import wheels
 
 ROOT = Path(__file__).resolve().parent.parent
-# The Pythons inside the supported versions of Blender: 3.11 up to 5.0, 3.13 after it; and the systems they run on.
-PYTHONS = ("3.11", "3.13")
-PLATFORMS = ("manylinux_2_28_x86_64", "win_amd64", "macosx_11_0_arm64")
+CACHE = ROOT / ".cache" / "wheels"
+# Blender's names of this system and its processor, where Python's differ from them.
+SYSTEMS = {"darwin": "macos"}
+MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
+# The date of every file in a zip: the earliest that the format can say.
+DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def this_platform() -> str:
+    """Return Blender's name of the system that this runs on, such as ``linux-x64``."""
+    system, machine = platform.system().lower(), platform.machine().lower()
+    return f"{SYSTEMS.get(system, system)}-{MACHINES.get(machine, machine)}"
+
+
+def manifest() -> dict:
+    """Return the extension's manifest."""
+    return tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+
+
+def zip_path(folder: Path, system: str = "") -> Path:
+    """Return where Blender's tool puts the zip for a system, or the one for all."""
+    told = manifest()
+    parts = [told["id"], told["version"], system.replace("-", "_")]
+    return folder / f"{'-'.join(filter(None, parts))}.zip"
 
 
 def builder() -> Path:
@@ -40,46 +63,70 @@ def blender_extension(*arguments: str | Path) -> None:
         raise SystemExit(f"{result.stdout}{result.stderr}".strip())
 
 
-def add_wheels(package: Path) -> None:
-    """Download OpenEXR's wheels into a package folder and name them in its manifest."""
-    wheels = package / "wheels"
-    pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--dest", wheels]
-    for python in PYTHONS:
-        for platform in PLATFORMS:
-            wanted = [f"OpenEXR=={version('OpenEXR')}", "--python-version", python, "--platform", platform]
-            subprocess.run([*pip, *wanted], check=True)
-    for wheel in wheels.glob("*linux*.whl"):
-        make_symbolic(wheel)
-    names = ", ".join(f'"./wheels/{wheel.name}"' for wheel in sorted(wheels.iterdir()))
-    manifest = package / "blender_manifest.toml"
-    manifest.write_text(f"wheels = [{names}]\n{manifest.read_text(encoding='utf-8')}", encoding="utf-8")
+def same_bytes(package: Path) -> None:
+    """Rewrite a zip in place with its files in the order of their names and all of one date."""
+    with zipfile.ZipFile(package) as archive:
+        files = {item.filename: (item, archive.read(item)) for item in archive.infolist() if not item.is_dir()}
+    with zipfile.ZipFile(package, "w") as archive:
+        for name, (before, data) in sorted(files.items()):
+            item = zipfile.ZipInfo(name, DATE)
+            item.compress_type, item.external_attr = before.compress_type, 0o644 << 16
+            archive.writestr(item, data, compresslevel=9)
 
 
-def build(folder: Path, with_wheels: bool = True) -> Path:
-    """Build and validate the extension; return the path of the zip in ``folder``."""
+def finish(packages: list[Path]) -> None:
+    """Make zips the same for the same sources, then have Blender's tool validate them."""
+    for package in packages:
+        same_bytes(package)
+        blender_extension("validate", package)
+
+
+def build_plain(folder: Path) -> Path:
+    """Build and validate the extension without wheels, for every system; return the zip in ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    blender_extension("build", "--source-dir", ROOT, "--output-dir", folder)
+    package = zip_path(folder)
+    finish([package])
+    return package
+
+
+def build_all(folder: Path) -> dict[str, tuple[Path, list[str]]]:
+    """Build and validate a zip for every system; return, for each, the zip and the Pythons it has OpenEXR for."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        source = ROOT
-        if with_wheels:
-            # What belongs in the zip is said once, in the manifest: so pack, unpack, add the wheels, pack again.
-            plain = build(Path(scratch) / "plain", with_wheels=False)
-            source = Path(scratch) / "package"
-            with zipfile.ZipFile(plain) as archive:
-                archive.extractall(source)
-            add_wheels(source)
-        blender_extension("build", "--source-dir", source, "--output-dir", folder)
-    newest = max(folder.glob("*.zip"), key=lambda path: path.stat().st_mtime)
-    blender_extension("validate", newest)
-    return newest
+        # What belongs in the zip is said once, in the manifest: so pack, unpack, add the wheels, pack again.
+        source = Path(scratch) / "package"
+        with zipfile.ZipFile(build_plain(Path(scratch))) as archive:
+            archive.extractall(source)
+        served = wheels.collect(source / "wheels", CACHE)
+        systems = [system for system, pythons in served.items() if pythons]
+        names = [f"./wheels/{wheel.name}" for wheel in sorted((source / "wheels").iterdir())]
+        text = (source / "blender_manifest.toml").read_text(encoding="utf-8")
+        # A list of strings is written alike in Python and in TOML.
+        added = f"platforms = {systems}\nwheels = {names}\n"
+        (source / "blender_manifest.toml").write_text(added + text, encoding="utf-8")
+        blender_extension("build", "--split-platforms", "--source-dir", source, "--output-dir", folder)
+    built = {system: (zip_path(folder, system), served[system]) for system in systems}
+    finish([package for package, _ in built.values()])
+    return built
 
 
 def main() -> None:
-    """Build into the folder named on the command line and say where the zip is."""
+    """Build into the folder named on the command line; say where the zips are, and what no wheel was found for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--without-wheels", action="store_true", help="leave OpenEXR out: smaller, needs no network")
     options = parser.parse_args()
-    print(build(options.folder, not options.without_wheels))
+    if options.without_wheels:
+        print(build_plain(options.folder))
+        return
+    built = build_all(options.folder)
+    for package, pythons in built.values():
+        print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {wheels.requirement()}, Python {', '.join(pythons)}")
+    for system in wheels.PLATFORMS:
+        for python in wheels.PYTHONS:
+            if python not in built.get(system, (None, []))[1]:
+                print(f"no wheel of {wheels.requirement()} exists for {system} with Python {python}")
 
 
 if __name__ == "__main__":

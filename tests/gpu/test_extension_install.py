@@ -9,40 +9,33 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+SCRIPTS = ROOT / "scripts"
 
 pytestmark = pytest.mark.bpy_only
 
-# bpy 4.5 does not exit by itself, hence os._exit; what is printed before it is flushed.
-INSTALL = """
-import importlib, json, os, sys
-import bpy
-done = bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=True)
-enabled = [addon.module for addon in bpy.context.preferences.addons if addon.module.endswith("irpso")]
-package = importlib.import_module(enabled[0] + ".irpso_addon")
-paths = importlib.import_module(package.__name__ + ".paths")
-told = {
-    "done": list(done), "enabled": enabled, "commands": len(package._commands), "base": paths.BASE_PACKAGE,
-    "model": package.load_model("lambert").name, "root": str(paths.ROOT),
-}
-bpy.ops.preferences.addon_disable(module=enabled[0])
-told["commands after"] = len(package._commands)
-print("TOLD", json.dumps(told), flush=True)
-os._exit(0)
-"""
+sys.path.insert(0, str(SCRIPTS))
+install_extension = pytest.importorskip("install_extension")
+
+
+def installed(package: Path) -> dict:
+    """Install a zip in the bpy wheel that runs this; return what was found."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "BLENDER")}
+    command = [sys.executable, SCRIPTS / "install_extension.py", package, "--json"]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return json.loads(result.stdout)
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory) -> dict:
+def package(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("install")
-    build = [sys.executable, ROOT / "scripts" / "extension.py", folder, "--without-wheels"]
-    package = subprocess.run(build, capture_output=True, text=True, check=True).stdout.strip()
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment["BLENDER_USER_RESOURCES"] = str(folder / "blender")
-    command = [sys.executable, "-c", INSTALL, package]
-    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
-    lines = [line for line in result.stdout.splitlines() if line.startswith("TOLD ")]
-    assert lines, result.stdout + result.stderr
-    return json.loads(lines[0].removeprefix("TOLD ")) | {"folder": str(folder)}
+    build = [sys.executable, SCRIPTS / "extension.py", folder, "--without-wheels"]
+    return Path(subprocess.run(build, capture_output=True, text=True, check=True).stdout.strip())
+
+
+@pytest.fixture(scope="module")
+def told(package) -> dict:
+    return installed(package)
 
 
 def test_blender_installs_and_enables_the_zip(told):
@@ -50,13 +43,43 @@ def test_blender_installs_and_enables_the_zip(told):
 
 
 def test_enabling_adds_one_command_and_disabling_takes_it_away(told):
-    assert (told["commands"], told["commands after"]) == (1, 0)
+    assert (told["commands"], told["commands after"]) == (["irpso"], [])
+
+
+def test_enabling_adds_the_interface_and_disabling_takes_it_away(told):
+    assert "Settings" in told["classes"]
+    assert told["classes after"] == []
 
 
 def test_the_installed_program_knows_its_own_package(told):
     assert told["base"] == "bl_ext.user_default.irpso"
 
 
-def test_the_installed_program_finds_its_own_shaders(told):
-    assert told["model"] == "lambert"
-    assert told["root"].startswith(told["folder"])
+def test_the_installed_program_finds_its_own_shaders_and_presets(told):
+    assert (told["model"], told["schedule"]) == ("lambert", "standard")
+    assert told["root"].startswith(told["profile"])
+
+
+def test_a_zip_without_wheels_brings_no_openexr(told):
+    assert told["exr"] is None
+
+
+def test_what_is_wrong_with_an_installation_is_said(told):
+    assert install_extension.faults(told, with_wheels=False) == []
+    broken = told | {"classes after": ["Settings"], "commands": []}
+    assert install_extension.faults(broken, with_wheels=True) == [
+        "the command irpso was not registered",
+        "classes outlived the extension: ['Settings']",
+        "OpenEXR is not that of the zip but None",
+        "OpenEXR gave back other numbers than it got",
+    ]
+
+
+def test_a_zip_with_wheels_brings_the_openexr_that_the_program_uses():
+    version = install_extension.extension.manifest()["version"]
+    system = install_extension.extension.this_platform()
+    package = install_extension.extension.zip_path(ROOT / "dist", system)
+    if not package.is_file():
+        pytest.skip(f"irpso {version} is not built for {system}; `make extension` builds it")
+    told = installed(package)
+    assert told["exr"].startswith(told["profile"]) and told["exr same"]

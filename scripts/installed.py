@@ -1,0 +1,103 @@
+"""Run inside Blender, after ``--``: installs and enables a zip, tries what came with it, disables it, tells in JSON.
+
+Usage: blender --background --python scripts/installed.py -- ZIP, or with Blender as a module: python … -- ZIP
+The line begins with TOLD. The program never sees this repository: what works here works for whoever has the zip only.
+"""
+
+import importlib
+import json
+import os
+import sys
+import tempfile
+import traceback
+
+import bpy
+
+
+def watch_commands() -> list[str]:
+    """Return a list that will hold the names of the command line commands that are registered, as they come and go."""
+    names, handles = [], {}
+    register, unregister = bpy.utils.register_cli_command, bpy.utils.unregister_cli_command
+
+    def come(name, function):
+        handle = register(name, function)
+        handles[id(handle)] = name
+        names.append(name)
+        return handle
+
+    def go(handle):
+        unregister(handle)
+        names.remove(handles.pop(id(handle)))
+
+    bpy.utils.register_cli_command, bpy.utils.unregister_cli_command = come, go
+    return names
+
+
+def classes() -> list[str]:
+    """Return the names of the program's classes that Blender knows now, in order."""
+    bases = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences)
+    kinds = [kind for base in bases for kind in base.__subclasses__() if ".irpso." in kind.__module__]
+    return sorted(kind.__name__ for kind in kinds if kind.is_registered)
+
+
+def exr_round_trip(package: str) -> dict:
+    """Write a small file through the program, read it with OpenEXR; return where OpenEXR lies and what came back.
+
+    "exr" is None where the zip brought no OpenEXR and Blender has none.
+    """
+    try:
+        import OpenEXR
+    except ModuleNotFoundError:
+        return {"exr": None}
+    import numpy as np
+
+    sent = np.arange(12, dtype=np.float32).reshape(3, 4) / 7
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "a.exr")
+        importlib.import_module(f"{package}.capture.exr").write_exr(path, {"image": {"Y": sent}})
+        with OpenEXR.File(path, separate_channels=True) as file:
+            came = file.channels()["Y"].pixels[::-1]  # files have the top row first
+    return {"exr": OpenEXR.__file__, "exr version": OpenEXR.__version__, "exr same": bool((came == sent).all())}
+
+
+def try_zip(path: str) -> dict:
+    """Install, enable, try and disable a zip; return what was found at each."""
+    commands = watch_commands()
+    done = bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=True)
+    enabled = [addon.module for addon in bpy.context.preferences.addons if addon.module.endswith(".irpso")]
+    if not enabled:
+        raise RuntimeError("Blender did not enable the extension; see its output")
+    name = f"{enabled[0]}.irpso_addon"
+    package, paths = importlib.import_module(name), importlib.import_module(f"{name}.paths")
+    told = {
+        "blender": bpy.app.version_string,
+        "python": "{}.{}".format(*sys.version_info),
+        "done": list(done),
+        "enabled": enabled,
+        "commands": list(commands),
+        "classes": classes(),
+        "base": paths.BASE_PACKAGE,
+        "root": str(paths.ROOT),
+        "model": package.load_model("lambert").name,
+        "schedule": package.load_schedule("standard").name,
+    }
+    told |= exr_round_trip(name)
+    bpy.ops.preferences.addon_disable(module=enabled[0])
+    return told | {"commands after": list(commands), "classes after": classes()}
+
+
+def main() -> int:
+    """Try the zip named on the command line; return 1 where it failed, with the traceback on stderr."""
+    try:
+        told = try_zip(os.path.abspath(sys.argv[sys.argv.index("--") + 1]))
+    except Exception:  # noqa: BLE001 Blender goes on after a script's error and ends with 0
+        traceback.print_exc()
+        return 1
+    print("TOLD", json.dumps(told), flush=True)
+    return 0
+
+
+code = main()
+sys.stdout.flush()
+sys.stderr.flush()
+os._exit(code)  # bpy 4.5 does not end by itself
