@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from types import MappingProxyType
+from typing import Any, Literal
 
 from ..errors import InputError
 from ..files import load_shipped_table, shipped_names
 from ..paths import PRESETS
+from .limits import Limits, check_values, field_limits
 
 Walls = Literal["clamp", "stop", "reflect"]
 Loss = Literal["l1", "l2", "robust"]
@@ -22,15 +24,8 @@ MAX_DIMENSIONS = 8  # two RGBA texels a particle
 ALL = "all"
 REST = "rest"  # what no stage of the schedule names
 _TOP_KEYS = ("name", "title", "cycles", "threshold", "levels", "level_iterations")
-_POLISH = "polish_"  # before the names of its settings, where they stand beside those of the swarm
-_CHOICES = {
-    "walls": get_args(Walls), "loss": get_args(Loss), "seed": get_args(Seed), "normal": get_args(NormalSearch),
-    "update": get_args(Update), "linear": get_args(LinearKind),
-}  # fmt: skip
-_WHOLE = ("particles", "neighbourhood", "cycles")
-_POSITIVE = ("v_max", "delta", "percentile")
-_MOST_LEVELS = 5  # a coarse texel is then 16 × 16
-_MOST = {"seeded": 1, "c3_until": 1, "percentile": 100}
+_ITERATIONS = "iterations"  # of every stage
+_GROUPS = ("swarm", "fitness")  # their settings go by their bare names, those of the others by the group's before it
 
 
 @dataclass(frozen=True)
@@ -187,6 +182,17 @@ class Schedule:
     polish: Polish = Polish()
     prior: Prior = Prior()
 
+    def settings(self) -> dict[str, Any]:
+        """Return every setting that ``replaced`` takes, by its name there, but for ``search``; see SETTINGS.
+
+        iterations: the most of any stage.
+        """
+        parts = {part: getattr(self, part) for part in (*_GROUPS, *_OPTIONAL)}
+        named = {_prefix(part) + f.name: getattr(group, f.name) for part, group in parts.items()
+                 for f in dataclasses.fields(group)}  # fmt: skip
+        own = {name: getattr(self, name) for name in SETTINGS if name in _TOP_KEYS}
+        return {**named, **own, _ITERATIONS: max((stage.iterations for stage in self.stages), default=0)}
+
     def replaced(self, **changes: Any) -> Schedule:
         """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
 
@@ -201,14 +207,14 @@ class Schedule:
         if (iterations := changes.pop("iterations", None)) is not None:
             stages = tuple(dataclasses.replace(stage, iterations=iterations) for stage in result.stages)
             result = dataclasses.replace(result, stages=stages)
-        for part in ("swarm", "fitness"):
+        for part in _GROUPS:
             group = getattr(result, part)
             names = {f.name for f in dataclasses.fields(group)} & set(changes)
             values = {name: changes.pop(name) for name in names}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
         for part in _OPTIONAL:
             group = getattr(result, part)
-            names = {f"{part}_{f.name}": f.name for f in dataclasses.fields(group)}
+            names = {_prefix(part) + f.name: f.name for f in dataclasses.fields(group)}
             values = {names[name]: changes.pop(name) for name in names.keys() & set(changes)}
             result = dataclasses.replace(result, **{part: dataclasses.replace(group, **values)})
         for part, kind in _OPTIONAL.items():
@@ -232,6 +238,18 @@ def refuse_levels(schedule: Schedule) -> None:
 
 
 _OPTIONAL = {"survey": Survey, "polish": Polish, "prior": Prior}  # may be absent: there is none then
+
+
+def _prefix(part: str) -> str:
+    return "" if part in _GROUPS else f"{part}_"
+
+
+_PARTS = ("name", "title", "stages", *_GROUPS, *_OPTIONAL)
+SETTINGS: Mapping[str, Limits] = MappingProxyType({
+    **field_limits(Swarm), **field_limits(Fitness), **field_limits(Stage, without=("search",)),
+    **field_limits(Schedule, without=_PARTS),
+    **{name: limits for part, kind in _OPTIONAL.items() for name, limits in field_limits(kind, _prefix(part)).items()},
+})  # fmt: skip
 
 
 def shipped_presets() -> list[str]:
@@ -277,86 +295,12 @@ def _check(schedule: Schedule, where: str = "") -> None:
     if not schedule.stages:
         raise InputError(f"{where}: it has no [[stage]]; add one with search and iterations")
     for stage in schedule.stages:
-        _check_whole("iterations", stage.iterations, where, 0)
+        SETTINGS[_ITERATIONS].check(_ITERATIONS, stage.iterations, where)
         names = stage.search
         if not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names):
             raise InputError(f'{where}: search must be a list of names, as in search = ["normal"], not {names!r}')
-    groups = (schedule.swarm, schedule.fitness)
-    settings = {f.name: getattr(group, f.name) for group in groups for f in dataclasses.fields(group)}
-    for name, value in {**settings, "cycles": schedule.cycles, "threshold": schedule.threshold}.items():
-        if name in _CHOICES:
-            if value not in _CHOICES[name]:
-                raise InputError(f"{where}: {name} must be one of {', '.join(_CHOICES[name])}, not {value!r}")
-        elif name in _WHOLE:
-            _check_whole(name, value, where)
-        elif not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
-            raise InputError(f"{where}: {name} must be a number from 0, not {value!r}")
-        elif name in _POSITIVE and value == 0:
-            raise InputError(f"{where}: {name} must be above 0")
-        elif value > _MOST.get(name, value):
-            raise InputError(f"{where}: {name} must be at most {_MOST[name]}, not {value!r}")
+    check_values(SETTINGS, schedule.settings(), where)
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
-    _check_levels(schedule, where)
-    _check_survey(schedule.survey, where)
-    _check_polish(schedule.polish, where)
-    _check_prior(schedule.prior, where)
     if schedule.polish.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
         raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
-    if schedule.swarm.neighbourhood % 2 == 0:
-        raise InputError(f"{where}: neighbourhood must be odd (1, 3, 5, …), not {schedule.swarm.neighbourhood}")
-
-
-def _check_levels(schedule: Schedule, where: str) -> None:
-    _check_whole("levels", schedule.levels, where)
-    if schedule.levels > _MOST_LEVELS:
-        raise InputError(f"{where}: levels must be at most {_MOST_LEVELS}, not {schedule.levels}")
-    part = schedule.level_iterations
-    if not isinstance(part, int | float) or isinstance(part, bool) or not 0 < part <= 1:
-        raise InputError(f"{where}: level_iterations must be a fraction above 0, up to 1, not {part!r}")
-
-
-def _check_survey(survey: Survey, where: str) -> None:
-    for name in ("iterations", "polish_iterations", "observations"):
-        _check_whole(f"survey_{name}", getattr(survey, name), where, 0)
-    for name in ("shadow", "judge_delta", "trust"):
-        value = getattr(survey, name)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
-            raise InputError(f"{where}: survey_{name} must be a number from 0, not {value!r}")
-    if survey.judge_delta == 0:
-        raise InputError(f"{where}: survey_judge_delta must be above 0")
-
-
-def _check_polish(polish: Polish, where: str) -> None:
-    for name in ("iterations", "rounds"):
-        _check_whole(_POLISH + name, getattr(polish, name), where, 0)
-    for name in ("start_iterations", "round_iterations"):
-        _check_whole(_POLISH + name, getattr(polish, name), where)
-    for name in ("starts", "central"):
-        if not isinstance(value := getattr(polish, name), bool):
-            raise InputError(f"{where}: {_POLISH}{name} must be true or false, not {value!r}")
-    for name in ("daring", "damping", "gain", "smallest_step"):
-        value = getattr(polish, name)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < float("inf"):
-            raise InputError(f"{where}: {_POLISH}{name} must be a number from 0, not {value!r}")
-    if polish.damping == 0:
-        raise InputError(f"{where}: {_POLISH}damping must be above 0")
-
-
-def _check_prior(prior: Prior, where: str) -> None:
-    _check_whole("prior_rounds", prior.rounds, where, 0)
-    for name in ("scales", "iterations"):
-        _check_whole(f"prior_{name}", getattr(prior, name), where)
-    if prior.scales > 6:
-        raise InputError(f"{where}: prior_scales must be at most 6, which is 64 texels, not {prior.scales}")
-    if not isinstance(prior.turn, bool):
-        raise InputError(f"{where}: prior_turn must be true or false, not {prior.turn!r}")
-    for name in ("likeness", "likeness_color", "spread", "noise_freedom", "share", "tolerance"):
-        value = getattr(prior, name)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < float("inf"):
-            raise InputError(f"{where}: prior_{name} must be a number above 0, not {value!r}")
-
-
-def _check_whole(name: str, value: Any, where: str, least: int = 1) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise InputError(f"{where}: {name} must be a whole number from {least}, not {value!r}")
