@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError
 from ..files import replacing_file
 from ..reflectance.model import ReflectanceModel
@@ -12,9 +14,10 @@ from .nodes import OwnNodes, set_input
 from .result import Maps
 from .tables import MapTable, map_tables
 from .textures import TAG as IMAGE_TAG
-from .textures import material_images
+from .textures import check_images, material_images
 
 TAG = "irpso_subject"
+_TRIAL = "trial, removed at once"
 
 # Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.
 _MATTE = {"Roughness": 1.0, "Specular IOR Level": 0.0}
@@ -48,6 +51,23 @@ def build_material(maps: Maps, subject: str, images_folder: str | Path | None = 
             bpy.data.materials.remove(material)
         raise
     return material
+
+
+def check_material(model: ReflectanceModel, subject: str) -> None:
+    """Raise InputError where ``build_material`` would, whatever the maps; the open file is left as it was."""
+    import bpy
+
+    _own_material(subject)
+    check_images(model, subject)
+    groups = set(bpy.data.node_groups)
+    texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in model.parameters}
+    made = build_material(Maps(model, texel, np.ones((1, 1), bool)), _TRIAL)
+    images = [image for image in bpy.data.images if str(image.get(IMAGE_TAG, "")).startswith(f"{_TRIAL}/")]
+    bpy.data.materials.remove(made)
+    for image in images:
+        bpy.data.images.remove(image)
+    for group in set(bpy.data.node_groups) - groups:
+        bpy.data.node_groups.remove(group)
 
 
 def check_object(obj) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..capture.exr import write_exr
 from ..errors import InputError
+from ..reflectance.model import ReflectanceModel
 from .blender_images import encode_png
 from .result import Maps
 from .tables import MapTable, encoded_values, map_tables, map_values
@@ -30,6 +31,12 @@ def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, 
             images[table.name] = _update_image(images[table.name], name, path, table, packed=folder is None)
             images[table.name][TAG] = f"{subject}/{table.name}"
     return images
+
+
+def check_images(model: ReflectanceModel, subject: str) -> None:
+    """Raise InputError where an image made for this subject before is linked from a library, or a map has no place."""
+    for table in map_tables(model):
+        _own_image(subject, table.name)
 
 
 def bpy_name(subject: str, map_name: str) -> str:

@@ -1,0 +1,193 @@
+"""From a scene's settings to all that a recovery needs, and what is still missing for it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.read import read_draft
+from ..capture.types import Capture
+from ..errors import InputError
+from ..geometry.build import card_steps, mesh_steps
+from ..geometry.domain import Domain
+from ..geometry.frames import from_blender, turned_normals
+from ..geometry.mesh import MeshData, extract_mesh
+from ..maps import material
+from ..maps.encode import linear_from_srgb
+from ..reflectance.model import Parameter, ReflectanceModel
+from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder, untiled
+from ..solver.prepare import Prepared
+from ..solver.schedule import Schedule
+from . import preferences
+from .scene_capture import capture_of
+from .schedule_settings import schedule_of
+from .settings import model_of
+
+
+@dataclass
+class Job:
+    """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
+
+    name: of material and images. object_uid: the session's own number of the mesh object, None for a card. given:
+    parameter name → its map as the user gave it. source: what the sample stack depends on; equal sources have equal
+    domains. None where that cannot be told.
+    """
+
+    capture: Capture
+    name: str
+    object_uid: int | None
+    mesh: MeshData | None
+    model: ReflectanceModel
+    schedule: Schedule
+    seed: int
+    given: dict[str, np.ndarray]
+    resolution: int
+    entry: str
+    memory: str | None
+    scratch: Path
+    source: tuple[Any, ...] | None = None
+    known: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def loading(self) -> Generator[None, None, Domain]:
+        """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
+        # What a plan refuses, it refuses before the images are read.
+        coverage = covered_texels(self.capture, self.mesh, (self.resolution, self.resolution))
+        plan = self._plan(coverage)
+        scratch = self.scratch if plan.stack_on == "scratch" else None
+        if self.mesh is None:
+            return (yield from card_steps(self.capture, scratch=scratch))
+        return (yield from mesh_steps(self.capture, self.mesh, self.resolution, self.resolution, scratch=scratch))
+
+    def solved_as_one(self, domain: Domain) -> bool:
+        """Return whether the domain is solved in one piece, by what memory there is."""
+        return untiled(self._plan(domain.solvable))
+
+    def recovery(self, domain: Domain, prepared: Prepared | None) -> AnyRecovery:
+        """Return the recovery, as large as memory allows. Raises InputError, ShaderError."""
+        self.known = dict(self.given)
+        if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
+            self.known = turned_normals(self.model, self.known, self.mesh, domain.bake, from_blender)
+        return planned_recovery(
+            self._plan(domain.solvable), domain, self.model, self.schedule, self.seed, self.known, self.entry,
+            self.scratch, prepared,
+        )  # fmt: skip
+
+    def _plan(self, coverage: np.ndarray):
+        return make_plan(
+            coverage, self.model, self.schedule, self.given, len(self.capture.observations),
+            memory=self.memory, entry=self.entry,
+        )  # fmt: skip
+
+
+def missing(context) -> str:
+    """Return what is missing for a recovery and what to do about it, "" where nothing is. Opens no file."""
+    settings = context.scene.irpso
+    if settings.source == "FILES" and not settings.capture_path:
+        return "No capture: import a folder of photographs, an .lp list or a capture.toml"
+    if settings.source == "SCENE" and not any(
+        obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects
+    ):
+        return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+    if settings.subject == "MESH":
+        obj = subject_object(context)
+        if obj is None:
+            return "No mesh: choose the object whose maps are to be recovered, or make it active"
+        if not obj.data.uv_layers:
+            return f"'{obj.name}' has no UV map: unwrap it first"
+    if settings.parameters and not any(item.recover for item in settings.parameters):
+        return "Nothing to recover: tick at least one map"
+    return ""
+
+
+def subject_object(context):
+    """Return the mesh object that the settings name, or the active one; None where neither is a mesh."""
+    obj = context.scene.irpso.object or context.view_layer.objects.active
+    return obj if obj is not None and obj.type == "MESH" else None
+
+
+def make_job(context) -> Job:
+    """Return the job that the scene's settings describe. Raises InputError naming the setting and the remedy."""
+    if text := missing(context):
+        raise InputError(text)
+    settings, wanted = context.scene.irpso, preferences.current(context)
+    model, schedule = model_of(settings), schedule_of(settings.schedule)
+    capture = capture_of(context.scene)
+    if len(capture.observations) < 3:
+        raise InputError(f"capture '{capture.name}' has fewer than 3 observations; a normal needs 3 lights")
+    obj = subject_object(context) if settings.subject == "MESH" else None
+    mesh = None
+    if obj is not None:
+        material.check_object(obj)
+        mesh = extract_mesh(obj)
+    name = obj.name if obj is not None else capture.name
+    material.check_material(model, name)
+    size = (settings.resolution,) * 2 if mesh is not None else capture.masks[0].shape
+    return Job(
+        capture, name, None if obj is None else obj.session_uid, mesh, model, schedule, settings.seed,
+        _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
+        scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"), _source(settings, mesh),
+    )  # fmt: skip
+
+
+def _given(settings, model: ReflectanceModel, size: tuple[int, int]) -> dict[str, np.ndarray]:
+    """Return the maps of the parameters that are not to be recovered."""
+    items = {item.name: item for item in settings.parameters}
+    return {
+        parameter.name: _given_map(items[parameter.name], parameter, size)
+        for parameter in model.parameters
+        if parameter.name in items and not items[parameter.name].recover
+    }
+
+
+def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+    low, high = parameter.range
+    if item.image is not None:
+        return _image_map(item.image, parameter, size)
+    if parameter.is_normal:
+        return np.float32((0, 0, 1))
+    values = item.color if parameter.components == 3 else [item.value] * parameter.components
+    values = np.float32(values)
+    if values.min() < low or values.max() > high:
+        raise InputError(f"{parameter.name}: the given value must lie between {low:g} and {high:g}")
+    return values
+
+
+def _image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+    """Return (H, W, components) of a Blender image, in the parameter's own units."""
+    height, width = size
+    if not image.has_data and not image.size[0]:
+        raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
+    if tuple(image.size) != (width, height):
+        raise InputError(
+            f"image '{image.name}', given for {parameter.name}, is {image.size[0]} × {image.size[1]}, the maps"
+            f" {width} × {height}; scale it"
+        )
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, image.channels)[..., : parameter.components]
+    if values.shape[-1] < parameter.components:
+        raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
+    if parameter.is_normal:
+        values = 2 * values - 1
+        return values / np.maximum(np.linalg.norm(values, axis=-1, keepdims=True), 1e-8)
+    if image.colorspace_settings.name == "sRGB" and not image.is_float:
+        values = linear_from_srgb(values)
+    return np.clip(values, *parameter.range).astype(np.float32)
+
+
+def _source(settings, mesh: MeshData | None) -> tuple[Any, ...] | None:
+    """Return what tells whether a domain is still the one of these settings: files with their times, and the mesh."""
+    if settings.source != "FILES":
+        return None
+    import bpy
+
+    path = Path(bpy.path.abspath(settings.capture_path))
+    draft = read_draft(path, settings.colour_space)
+    files = {shot.image.path for shot in draft.shots} | {view.mask.path for view in draft.views if view.mask}
+    stamps = tuple(sorted((str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in {*files, draft.source}))
+    shape = None if mesh is None else (mesh.positions.tobytes(), mesh.uvs.tobytes(), settings.resolution)
+    return stamps, settings.colour_space, hash(shape)

@@ -1,0 +1,211 @@
+"""Recover: the modal operator that steps the session, and what pauses, resumes, stops and cancels it."""
+
+import time
+
+import bpy
+
+from ..errors import IrpsoError
+from ..gpu import probe
+from . import preferences, session
+from .job import make_job, missing
+from .schedule_settings import schedule_of
+
+_TIMER_SECONDS = 1 / 60
+_SLICE_SECONDS = 0.04  # of work between two looks at the user's events: 25 a second, and half of the stall that is felt
+
+
+class IRPSO_OT_recover(bpy.types.Operator):
+    """Recover the maps of the subject from the capture, and watch them converge. Esc pauses"""
+
+    bl_idname = "irpso.recover"
+    bl_label = "Recover"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is a capture, a subject, and nothing under way."""
+        running = session.current()
+        if running is not None and running.state != "done":
+            cls.poll_message_set("A recovery is under way: stop or cancel it first")
+            return False
+        if text := missing(context):
+            cls.poll_message_set(text)
+            return False
+        return True
+
+    def execute(self, context):
+        """Recover to the end and keep the result: what background mode and scripts want."""
+        try:
+            if bpy.app.background:  # in a window Blender has a context, and a probe would take seconds
+                probe.probe()
+            session.begin(make_job(context)).run()
+        except IrpsoError as error:
+            session.end()
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        return bpy.ops.irpso.keep()
+
+    def invoke(self, context, event):
+        """Begin, and leave the window to its user meanwhile."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        try:
+            session.begin(make_job(context))
+        except IrpsoError as error:
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        bpy.ops.irpso.run("INVOKE_DEFAULT")
+        return {"FINISHED"}
+
+
+class IRPSO_OT_run(bpy.types.Operator):
+    """Step the recovery that is under way, slice by slice, until it rests or ends"""
+
+    bl_idname = "irpso.run"
+    bl_label = "Run Recovery"
+    bl_options = {"INTERNAL"}
+
+    _timer = None
+    _session = None
+    _drawn = 0.0
+
+    def invoke(self, context, event):
+        """Go on from timer to timer."""
+        self._session = session.current()
+        if self._session is None or not self._session.active:
+            return {"CANCELLED"}
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_TIMER_SECONDS, window=context.window)
+        manager.modal_handler_add(self)
+        _redraw(context)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Work for one slice at a time; everything but Esc goes on to Blender."""
+        running = self._session
+        if session.current() is not running or not running.active:
+            return self._leave(context)
+        if event.type == "ESC" and event.value == "PRESS":
+            running.pause()
+            self.report({"INFO"}, "Paused: resume, stop or cancel in the IRPSO panel")
+            return self._leave(context)
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        running.tick(_SLICE_SECONDS)
+        now = time.perf_counter()
+        if now - self._drawn >= 1 / preferences.current(context).display_rate:
+            self._drawn = now
+            _redraw(context)
+        return {"PASS_THROUGH"} if running.active else self._leave(context)
+
+    def cancel(self, context):
+        """Rest when the window that it ran in is closed: nothing is lost, another one can resume."""
+        if session.current() is self._session:
+            self._session.pause()
+
+    def _leave(self, context):
+        context.window_manager.event_timer_remove(self._timer)
+        _redraw(context)
+        if self._session.failure:
+            self.report({"ERROR"}, self._session.failure)
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class IRPSO_OT_pause(bpy.types.Operator):
+    """Rest; settings can be changed meanwhile, and are heeded on resuming"""
+
+    bl_idname = "irpso.pause"
+    bl_label = "Pause"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether a recovery runs."""
+        running = session.current()
+        if running is None or running.state != "running":
+            cls.poll_message_set("No recovery is running: press Recover")
+            return False
+        return True
+
+    def execute(self, context):
+        """Pause."""
+        session.current().pause()
+        return {"FINISHED"}
+
+
+class IRPSO_OT_resume(bpy.types.Operator):
+    """Go on with the recovery, heeding settings that were changed"""
+
+    bl_idname = "irpso.resume"
+    bl_label = "Resume"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether a recovery is paused."""
+        running = session.current()
+        if running is None or running.state != "paused":
+            cls.poll_message_set("No recovery is paused")
+            return False
+        return True
+
+    def execute(self, context):
+        """Go on, with the schedule as it is set now."""
+        try:
+            session.current().resume(schedule_of(context.scene.irpso.schedule))
+        except IrpsoError as error:
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        if context.window is not None:
+            bpy.ops.irpso.run("INVOKE_DEFAULT")
+        return {"FINISHED"}
+
+
+class IRPSO_OT_stop(bpy.types.Operator):
+    """Stop here and keep what has been found as the subject's material"""
+
+    bl_idname = "irpso.stop"
+    bl_label = "Stop"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether something has been found."""
+        running = session.current()
+        if running is None or running.recovery is None:
+            cls.poll_message_set("No recovery is under way: press Recover")
+            return False
+        return True
+
+    def execute(self, context):
+        """Keep, and end."""
+        return bpy.ops.irpso.keep("INVOKE_DEFAULT")
+
+
+class IRPSO_OT_cancel(bpy.types.Operator):
+    """Drop what has been found; the scene stays as it was before Recover"""
+
+    bl_idname = "irpso.cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is anything to drop."""
+        if session.current() is None:
+            cls.poll_message_set("No recovery is under way")
+            return False
+        return True
+
+    def execute(self, context):
+        """Drop the session."""
+        session.end()
+        _redraw(context)
+        return {"FINISHED"}
+
+
+def _redraw(context) -> None:
+    """Have the editors drawn anew that show the recovery, in every window."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
+                area.tag_redraw()
+
+
+CLASSES = (IRPSO_OT_recover, IRPSO_OT_run, IRPSO_OT_pause, IRPSO_OT_resume, IRPSO_OT_stop, IRPSO_OT_cancel)

@@ -1,0 +1,321 @@
+"""The one recovery of the window: opened, stepped in slices, looked at, kept or dropped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..errors import IrpsoError
+from ..geometry.domain import Domain
+from ..gpu import context
+from ..maps.material import TAG as SUBJECT_TAG
+from ..maps.result import Maps
+from ..solver.display import Display
+from ..solver.planning import AnyRecovery
+from ..solver.prepare import Prepared, prepare
+from ..solver.recovery import Progress
+from ..solver.schedule import Schedule
+from .job import Job
+
+MOST_PROBES = 4
+_POLL_SECONDS = 0.002  # between looks at the thread that prepares
+_ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
+
+listeners: list[Callable[[], None]] = []  # called when there is something new to draw
+_current: Session | None = None
+_loaded: tuple[tuple[Any, ...], Domain] | None = None  # the last domain that was read: a second run need not wait
+
+
+@dataclass
+class Probe:
+    """A texel that is watched. curve: (iteration, error) as often as it was looked at."""
+
+    row: int
+    column: int
+    curve: list[tuple[int, float]] = field(default_factory=list)
+
+
+class Session:
+    """One recovery under way or waiting to be kept. Nothing of the scene is changed by it.
+
+    state: "loading", "preparing", "running", "paused" or "done". title: what is being done, for people. history:
+    (iteration, mean error) now and then. longest_stall_s: the longest that one tick took. failure: why it ended, ""
+    while nothing is wrong.
+    """
+
+    def __init__(self, job: Job):
+        self.job = job
+        self.state, self.title, self.failure = "loading", "Reading images", ""
+        self.domain: Domain | None = None
+        self.recovery: AnyRecovery | None = None
+        self.display: Display | None = None
+        self.probes: list[Probe] = []
+        self.history: list[tuple[int, float]] = []
+        self.error: float | None = None
+        self.seconds = 0.0
+        self.longest_stall_s = 0.0
+        self.kept = False
+        self.closed = False
+        self._read = 0
+        self._asked = 0.0  # when the error was looked at last
+        self._thread: threading.Thread | None = None
+        self._finishing = False
+        self._opening: Generator[None, None, None] | None = self._open()
+
+    @property
+    def mesh(self):
+        """The mesh as it was when the recovery began, None for a card."""
+        return self.job.mesh
+
+    @property
+    def progress(self) -> Progress | None:
+        """How far the recovery is, None before it has begun."""
+        return self.recovery.progress if self.recovery is not None else None
+
+    @property
+    def fraction(self) -> float:
+        """How far the phase that is under way is: of the images that are read, then of the work."""
+        if self.recovery is not None:
+            return self.recovery.progress.fraction
+        return self._read / len(self.job.capture.observations) if self.state == "loading" else 0.0
+
+    @property
+    def rate(self) -> float:
+        """Evaluations per second, on average since the start."""
+        return self.recovery.progress.evaluations / self.seconds if self.recovery is not None and self.seconds else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """An estimate, None while there is too little to tell from."""
+        part = self.fraction
+        if self.recovery is None or part < 0.02:
+            return None
+        return self.seconds * (1 - part) / part
+
+    @property
+    def active(self) -> bool:
+        """Whether there is work to be done now."""
+        return self.state in ("loading", "preparing", "running")
+
+    def subject(self):
+        """Return the bpy object of the mesh, or of the card once it was kept; None where there is none (any more)."""
+        uid = self.job.object_uid
+        if uid is not None:
+            return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+        return next((o for o in bpy.data.objects if o.get(SUBJECT_TAG) == self.job.name and o.library is None), None)
+
+    def tick(self, budget_s: float) -> None:
+        """Work for about so long. Whatever fails ends the session, with ``failure`` set."""
+        if not self.active or self.closed:
+            return
+        started = time.perf_counter()
+        try:
+            self._work(started + budget_s)
+        except (IrpsoError, MemoryError) as error:
+            self.failure = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
+            self.close()
+        took = time.perf_counter() - started
+        self.longest_stall_s = max(self.longest_stall_s, took)
+        if self.recovery is not None:
+            self.seconds += took
+        _tell()
+
+    def run(self) -> None:
+        """Work to the end: for background mode. Raises what ``tick`` would have kept as a failure."""
+        while self.active:
+            self._work(time.perf_counter() + 0.5)
+
+    def pause(self) -> None:
+        """Rest until ``resume``."""
+        if self.state == "running":
+            self.state = "paused"
+            _tell()
+
+    def resume(self, schedule: Schedule | None = None) -> None:
+        """Go on where it was paused, with another schedule from what has been found, where one is given.
+
+        Raises InputError where that schedule does not fit.
+        """
+        if self.state != "paused":
+            return
+        if schedule is not None and schedule != self.job.schedule:
+            self._change(schedule)
+        self.state = "running"
+        _tell()
+
+    def maps(self) -> Maps:
+        """Return what has been found so far, in the solver's frames."""
+        return self.recovery.maps()
+
+    def add_probe(self, row: int, column: int) -> None:
+        """Watch a texel; the oldest of more than four is dropped."""
+        self.probes.append(Probe(row, column))
+        del self.probes[:-MOST_PROBES]
+        _tell()
+
+    def remove_probe(self, index: int) -> None:
+        """Stop watching a texel."""
+        del self.probes[index]
+        _tell()
+
+    def close(self) -> None:
+        """Free all that lies on the GPU. It may be called at any time, and again."""
+        global _current
+        self.closed, self.state = True, "done"
+        self._opening = None
+        if self._thread is not None:
+            self._thread.join()  # it holds the arrays that are about to go; it takes a second or two at most
+            self._thread = None
+        if self.display is not None:
+            self.display.close()
+        if self.recovery is not None:
+            self.recovery.close()
+        self.display = self.recovery = self.domain = None
+        if _current is self:
+            _current = None
+        _tell()
+
+    def _work(self, deadline: float) -> None:
+        if self._opening is not None:
+            self._advance_opening(deadline)
+        elif self.state == "running":
+            progress = self.recovery.step(time_budget_s=max(0.001, deadline - time.perf_counter()))
+            self.title = progress.title
+            self._look(progress)
+            if progress.done:
+                self._finish()
+
+    def _advance_opening(self, deadline: float) -> None:
+        while self._opening is not None:
+            try:
+                next(self._opening)
+            except StopIteration:
+                self._opening = None
+            if time.perf_counter() >= deadline:
+                return
+
+    def _open(self) -> Generator[None, None, None]:
+        """Read, prepare, begin: the way to the first picture, yielding where a window may be drawn."""
+        global _loaded
+        context.ensure()
+        key = self.job.source
+        if key is not None and _loaded is not None and _loaded[0] == key:
+            self.domain = _loaded[1]
+        else:
+            _loaded = None  # two domains at once may be more than there is room for
+            loading = self.job.loading()
+            self.domain = yield from self._counted(loading)
+            if key is not None:
+                _loaded = (key, self.domain)
+        self.state, self.title = "preparing", "Fitting a first guess"
+        prepared = None
+        if self.job.solved_as_one(self.domain) and self.job.schedule.levels == 1:
+            prepared = yield from self._prepared()
+        yield
+        self.recovery = self.job.recovery(self.domain, prepared)
+        self.display = Display(self.recovery)
+        self.state = "running"
+
+    def _counted(self, loading: Generator[None, None, Domain]) -> Generator[None, None, Domain]:
+        while True:
+            try:
+                next(loading)
+            except StopIteration as stop:
+                return stop.value
+            self._read += 1
+            yield
+
+    def _prepared(self) -> Generator[None, None, Prepared]:
+        """Run the numpy part in a thread of its own, so that the window goes on being drawn."""
+        found: list[Any] = []
+
+        def work() -> None:
+            try:
+                found.append(prepare(self.domain, self.job.model, self.job.schedule))
+            except BaseException as error:  # noqa: BLE001  raised again where it is waited for
+                found.append(error)
+
+        self._thread = threading.Thread(target=work, name="irpso prepare")
+        self._thread.start()
+        while self._thread.is_alive():
+            self._thread.join(_POLL_SECONDS)
+            yield
+        self._thread = None
+        if isinstance(found[0], BaseException):
+            raise found[0]
+        return found[0]
+
+    def _change(self, schedule: Schedule) -> None:
+        changed = self.recovery.changed(schedule)
+        self.display.close()
+        self.recovery.close()
+        self.recovery, self.display = changed, Display(changed)
+        self.job = replace(self.job, schedule=schedule)
+
+    def _look(self, progress: Progress) -> None:
+        now = time.perf_counter()
+        if progress.iteration < 0 or (now - self._asked < _ERROR_EVERY and not progress.done):
+            return
+        self._asked = now
+        self.error = float(self.recovery.mean_error())
+        if np.isfinite(self.error):
+            self.history.append((progress.iteration_in_all, self.error))
+
+    def _finish(self) -> None:
+        self.state, self.title = "done", "Done"
+
+
+def current() -> Session | None:
+    """Return the session that runs or waits to be kept, None where there is none."""
+    return _current
+
+
+def begin(job: Job) -> Session:
+    """Begin a session; one that waits to be kept is dropped."""
+    global _current
+    if _current is not None:
+        _current.close()
+    _current = Session(job)
+    _tell()
+    return _current
+
+
+def end() -> None:
+    """Drop the session, if there is one."""
+    if _current is not None:
+        _current.close()
+
+
+def _tell() -> None:
+    for listener in list(listeners):
+        listener()
+
+
+def forget() -> None:
+    """Drop the session and what was read for it: the file is another one now."""
+    global _loaded
+    end()
+    _loaded = None
+
+
+def register() -> None:
+    """Watch for another file being loaded."""
+    bpy.app.handlers.load_pre.append(_on_load)
+
+
+def unregister() -> None:
+    """End what runs, and stop watching."""
+    forget()
+    bpy.app.handlers.load_pre.remove(_on_load)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    forget()
