@@ -1,20 +1,135 @@
-"""The schedule as settings of the scene: the name of a preset, and what differs from it."""
+"""The schedule as settings of the scene: a preset's name, and every setting at the value that is in effect.
+
+The properties are made of the schedule's own table of settings: defaults are those of the preset a new scene has,
+limits are those that schedules are checked by.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
 
 import bpy
-from bpy.props import StringProperty
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..solver.schedule import Schedule, load_schedule
+from ..errors import InputError
+from ..solver.limits import Limits
+from ..solver.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from .schedule_words import WORDS
+
+FIRST = "standard"  # the preset of a new scene
+_ABOVE = 1e-6  # Blender's limits may themselves be set; this stands for "above zero"
+_DIGITS = 6  # the most that Blender shows behind the point
+
+
+def _fill(self: ScheduleSettings, context: Any) -> None:
+    try:
+        fill(self, base_schedule(self))
+    except InputError:
+        return  # said by schedule_of when it is needed; the values stay as they are
+
+
+def _make_odd(self: ScheduleSettings, context: Any) -> None:
+    if self.neighbourhood % 2 == 0:
+        self.neighbourhood += 1
 
 
 class ScheduleSettings(bpy.types.PropertyGroup):
-    """A preset's name and what differs from it."""
-
-    preset: StringProperty(name="Preset", description="The schedule of the search", default="standard")
+    """A preset's name, and the settings; choosing a preset fills them."""
 
 
-CLASSES = (ScheduleSettings,)
+@cache
+def _shipped(name: str) -> Schedule:
+    return load_schedule(name)
+
+
+def base_schedule(settings: ScheduleSettings) -> Schedule:
+    """Return the schedule that the settings begin from, as it stands in its file. Raises InputError.
+
+    Shipped ones are read once, so that panels may ask at every redraw; a .toml of the user's own is read every time.
+    """
+    name = settings.preset
+    return _shipped(name) if name in _names() else load_schedule(bpy.path.abspath(name))
+
+
+@cache
+def _names() -> frozenset[str]:
+    return frozenset(shipped_presets())
+
+
+def is_shipped(settings: ScheduleSettings) -> bool:
+    """Return whether the settings begin from a schedule that comes with the program."""
+    return settings.preset in _names()
+
+
+def fill(settings: ScheduleSettings, schedule: Schedule) -> None:
+    """Set all settings to what the schedule has."""
+    for name, value in schedule.settings().items():
+        setattr(settings, name, value)
+
+
+def differences(settings: ScheduleSettings) -> dict[str, Any]:
+    """Return setting → value for those that differ from the preset, as ``Schedule.replaced`` takes them.
+
+    Blender keeps numbers in 32 bits, in which 0.03 is 0.02999999933: numbers are compared in 32 bits, and one that the
+    user has set is taken for the shortest decimal that rounds to it, which is what was typed. Raises InputError.
+    """
+    base = base_schedule(settings).settings()
+    found = {}
+    for name, value in base.items():
+        shown = getattr(settings, name)
+        if SETTINGS[name].kind is float:
+            if np.float32(shown) != np.float32(value):
+                found[name] = float(str(np.float32(shown)))
+        elif shown != value:
+            found[name] = shown
+    return found
 
 
 def schedule_of(settings: ScheduleSettings) -> Schedule:
-    """Return the schedule that the settings describe. Raises InputError."""
-    return load_schedule(settings.preset)
+    """Return the schedule that the settings describe: the preset's own where nothing differs. Raises InputError."""
+    changes = differences(settings)
+    base = base_schedule(settings)
+    return base.replaced(**changes) if changes else base
+
+
+def _property(name: str, limits: Limits, default: Any) -> Any:
+    words = WORDS[name]
+    texts = {"name": words.label, "description": words.tip}
+    if limits.choices:
+        items = [(choice, *words.choices[choice]) for choice in limits.choices]
+        return EnumProperty(items=items, default=default, **texts)
+    if limits.kind is bool:
+        return BoolProperty(default=default, **texts)
+    bounds = {"min": limits.least, "soft_min": limits.least}
+    if limits.most is not None:
+        bounds |= {"max": limits.most, "soft_max": limits.most}
+    if words.soft_max is not None:
+        bounds["soft_max"] = words.soft_max
+    if limits.kind is int:
+        if limits.odd:
+            bounds["update"] = _make_odd
+        return IntProperty(default=default, subtype=words.subtype, **bounds, **texts)
+    if limits.above:
+        bounds |= {"min": limits.least + _ABOVE, "soft_min": limits.least + _ABOVE}
+    return FloatProperty(
+        default=default, subtype=words.subtype, precision=min(words.precision, _DIGITS), step=1, **bounds, **texts
+    )
+
+
+def _declare() -> None:
+    defaults = load_schedule(FIRST).settings()
+    declared = {name: _property(name, limits, defaults[name]) for name, limits in SETTINGS.items()}
+    ScheduleSettings.__annotations__ = {
+        "preset": StringProperty(
+            name="Preset", description="The schedule of the search, or a .toml file of your own", default=FIRST,
+            update=_fill,
+        ),
+        "own": StringProperty(description="The preset of the user's own that was chosen last"),
+        **declared,
+    }  # fmt: skip
+
+
+_declare()
+CLASSES = (ScheduleSettings,)
