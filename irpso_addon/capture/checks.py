@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
+
+from .steps import run_steps
 
 _UNIT = 1e-3  # DiLiGenT's six printed digits stay within 1e-6; a table of three digits within 1e-3
 _SAME_LIGHT_DEGREES = 0.01
@@ -56,7 +60,15 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
     Phase correlation of the size of log-brightness gradients (edges stay in place when the light moves, their sign
     does not) between each frame and the mean of the others, as in Kuglin and Hines 1975. Up to 16 pixels are searched.
     """
-    features = np.stack([_edges(frame) for frame in frames])
+    return run_steps(shift_steps(frames))
+
+
+def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
+    """Yield twice for each frame, and return what ``frame_shifts`` does."""
+    features = np.empty(frames.shape, np.float32)
+    for frame, out in zip(frames, features, strict=True):
+        yield
+        out[:] = _edges(frame)
     total = features.sum(axis=0, dtype=np.float64)
     shifts = np.zeros((len(frames), 2), int)
     reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
@@ -66,6 +78,7 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
         -(np.fft.fftfreq(frames.shape[1])[:, None] ** 2 + np.fft.rfftfreq(frames.shape[2])[None] ** 2) / (2 * _PASS**2)
     )
     for k, feature in enumerate(features):
+        yield
         cross = np.fft.rfft2(feature) * np.conj(np.fft.rfft2(total - feature))
         size = np.abs(cross)
         cross *= low_pass / np.maximum(size, 1e-3 * size.max() + 1e-30)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from .camera import Camera
 from .images import ImageRef, ImageStore
 from .picture import Decoder
 from .problems import CaptureError, raise_all
+from .steps import run_steps
 from .types import Capture, Light, Observation
 
 
@@ -58,13 +59,22 @@ def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
 
     Every image's header is looked at. Raises CaptureError naming the first fault and carrying the others.
     """
+    return run_steps(build_steps(draft, decoder))
+
+
+def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
+    """Yield before each image's header is looked at and each mask is read, and return what ``build_capture`` does."""
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
     lights = [_light(shot, faults) for shot in draft.shots]
-    sizes = [_size(shot.image, store, faults) for shot in draft.shots]
+    sizes = []
+    for shot in draft.shots:
+        yield
+        sizes.append(_size(shot.image, store, faults))
     raise_all(faults)
     cameras, masks = [], []
     for index, view in enumerate(draft.views):
+        yield
         seen = [(s, size) for s, size in zip(draft.shots, sizes, strict=True) if s.camera == index]
         width, height = _camera_size(view, seen, faults)
         cameras.append(view.make(width, height))

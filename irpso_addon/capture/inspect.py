@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from . import checks, enough
 from .camera import Camera
-from .draft import Draft, build_capture
+from .draft import Draft, build_steps
 from .picture import Decoder, Samples
 from .problems import CaptureError
 from .read import read_draft
+from .steps import run_steps
 from .types import Capture
 
+_T = TypeVar("_T")
 _THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
 _COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
@@ -87,6 +90,13 @@ def inspect_capture(
     warned of. What else they are enough for is among the facts.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
+    return run_steps(inspect_steps(path, decoder, colour_space, asked))
+
+
+def inspect_steps(
+    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", asked: Sequence[str] = ("normals",)
+) -> Generator[str, None, Report]:
+    """Yield, before each piece of the work, what it is, in words, and return what ``inspect_capture`` does."""
     path = Path(path)
     try:
         draft = read_draft(path, colour_space)
@@ -99,12 +109,13 @@ def inspect_capture(
                  for ask in asked for s in lacks[ask]]  # fmt: skip
     facts.append(("enough for", _enough_for(lacks)))
     try:
-        capture = build_capture(draft, decoder)
+        capture = yield from _told("Looking at headers", len(draft.shots), build_steps(draft, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
     facts += _facts(draft, capture)
     groups = {camera: _frames_of(capture, camera) for camera in range(len(capture.cameras))}
     for index, observation in enumerate(capture.observations):
+        yield f"Checking images: {index + 1} of {len(capture.observations)}"
         try:
             found = observation.read.samples()
         except CaptureError as error:
@@ -114,9 +125,21 @@ def inspect_capture(
     for camera, frames in groups.items():
         if frames.names:
             facts.append(_brightness(frames))
-            findings += _frame_findings(frames)
+            findings += yield from _told("Comparing images", 0, _frame_steps(frames))
             findings += _geometry_findings(draft, capture, camera, frames)
     return Report(path, tuple(facts), tuple(findings))
+
+
+def _told(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:
+    """Yield ``what`` with a count, up to ``total`` where that is not 0, for each step, and return what they return."""
+    done = 0
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
+        done += 1
+        yield f"{what}: {min(done, total)} of {total}" if total else what
 
 
 def _errors(error: CaptureError) -> tuple[Finding, ...]:
@@ -228,7 +251,19 @@ def _brightness(frames: _Frames) -> tuple[str, str]:
     return "brightness", f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
 
 
-def _frame_findings(frames: _Frames) -> Iterator[Finding]:
+def _frame_steps(frames: _Frames) -> Generator[None, None, list[Finding]]:
+    """Return what comparing the frames of one camera finds."""
+    shifts = yield from checks.shift_steps(np.stack(frames.crops))
+    if frames.factor > 1:
+        coarse = yield from checks.shift_steps(np.stack(frames.thumbnails))
+        coarse *= frames.factor
+        shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
+                          coarse, shifts)  # fmt: skip
+    yield
+    return list(_frame_findings(frames, shifts))
+
+
+def _frame_findings(frames: _Frames, shifts: np.ndarray) -> Iterator[Finding]:
     names = frames.names
     if np.mean(frames.clipped) > _CLIPPED:
         worst = int(np.argmax(frames.clipped))
@@ -244,11 +279,6 @@ def _frame_findings(frames: _Frames) -> Iterator[Finding]:
         code, word = ("image_same", "is") if difference <= _IDENTICAL else ("image_similar", "is nearly")
         message = f"{names[j]}: {word} the same image as {names[i]} (difference {difference:.2%})"
         yield Finding("warning", code, message + "; check for a frame copied twice")
-    shifts = checks.frame_shifts(np.stack(frames.crops))
-    if frames.factor > 1:
-        coarse = checks.frame_shifts(thumbnails) * frames.factor
-        shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
-                          coarse, shifts)  # fmt: skip
     moved = np.flatnonzero(shifts.any(axis=1))
     for k in moved[:5]:
         yield Finding(

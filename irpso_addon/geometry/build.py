@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.steps import run_steps
 from ..capture.types import Capture, Light, Observation
 from ..errors import InputError
 from .bake import bake_camera, bake_uv
@@ -27,7 +28,7 @@ def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None 
     the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
     file goes when the domain does. Raises InputError for several cameras, images of another size or nothing to see.
     """
-    return _finished(card_steps(capture, depth, scratch))
+    return run_steps(card_steps(capture, depth, scratch))
 
 
 def card_steps(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Generator[None, None, Domain]:
@@ -45,15 +46,6 @@ def card_steps(capture: Capture, depth: float = 1.0, scratch: Path | None = None
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     views = np.broadcast_to(local.view, (len(stack), 4))
     return _domain(capture.observations, _card_bake(local, mask, depth), stack, views, inverse, card=True)
-
-
-def _finished(steps: Generator[None, None, Domain]) -> Domain:
-    """Run steps to their end and return what they return."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def check_card(capture: Capture) -> np.ndarray:
@@ -84,7 +76,7 @@ def domain_from_mesh(
     time. The domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. Raises InputError for
     overlapping UVs (unless allowed), images of another size than their camera, or when no texel is seen by any camera.
     """
-    return _finished(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch))
+    return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch))
 
 
 def mesh_steps(
