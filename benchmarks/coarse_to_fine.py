@@ -99,7 +99,7 @@ def _captured(folder: Path, size: int) -> Subject:
 
 def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
     """Return errors and cost of one recovery."""
-    from irpso_addon.commands.pictures import image_psnr, image_rows
+    from irpso_addon.solver.pictures import image_psnr, image_rows
     from irpso_addon.solver.pyramid import Pyramid
 
     context.ensure()

@@ -26,7 +26,9 @@ from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.history import History
 from ..solver.memory import parse_memory
+from ..solver.pictures import error_preview, relit_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
     AnyRecovery,
@@ -38,10 +40,8 @@ from ..solver.planning import (
 )
 from ..solver.schedule import Schedule
 from ..solver.tiled import TiledRecovery
-from .history import History
 from .interrupt import held_back
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
-from .pictures import error_preview, relit_preview
 from .progress import ProgressBar, unseen_reports
 
 CHECKPOINT = "checkpoint.npz"

@@ -9,9 +9,9 @@ import numpy as np
 from ..maps.pictures import Curves, convergence, display_image, spread_marks
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
-from ..solver.pyramid import Pyramid
-from ..solver.recovery import Recovery
-from ..solver.tiled import TiledRecovery
+from .pyramid import Pyramid
+from .recovery import Recovery
+from .tiled import TiledRecovery
 
 _ITERATIONS = "iterations"
 _LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations

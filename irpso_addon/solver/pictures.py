@@ -13,7 +13,7 @@ from ..maps.pictures import PreviewRow, display_image, preview
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..maps.tables import map_tables
-from ..solver.forward import Renderer
+from .forward import Renderer
 
 _SHOWN = 3  # observations in a preview, the median one among them
 _WHITE = 99.5  # percentile of the reference that is shown as white
