@@ -46,3 +46,15 @@ def test_the_page_says_when_inspects_figures_are_not_those_measured():
 
     assert lights._outdated(rows(0.0)) == []
     assert "number 10, roughness: 35.4% there, 45.4% here" in lights._outdated(rows(0.1))[0]
+
+
+@pytest.mark.parametrize("figure", enough.NUMBER, ids=lambda figure: f"{figure.value} lights")
+def test_inspect_calls_lights_enough_where_few_of_the_measured_texels_failed(figure):
+    # Spread over the whole sphere, so that nothing but their number speaks against them.
+    told, findings = lights.spoken(lights.lights_of("number", figure.value))
+    # Five lights did worse than three by chance: nothing is enough below what was not.
+    failed = np.array([f.failed for f in enough.NUMBER if f.value >= figure.value]).max(axis=0)
+    wanted = [ask for ask, part in zip(enough.ASKS, failed, strict=True) if part <= enough.FEW]
+    said = told.split("; ")[0].split(", ") if not told.startswith("not") else []
+    assert said == wanted
+    assert len(findings) == len(enough.ASKS) - len(wanted)

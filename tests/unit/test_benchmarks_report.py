@@ -90,3 +90,10 @@ def test_quick_results_are_kept_apart_and_say_so(program, tmp_path):
     assert "the numbers mean nothing" in run("--quick") and calls == [False, True]
     assert "mean nothing" not in run()
     assert json.loads((tmp_path / "cache" / "one.json").read_text())["data"] == {"value": 1}
+
+
+def test_every_program_with_a_result_is_run_by_make_bench():
+    run = pytest.importorskip("benchmarks.run", reason="scipy or bpy is not installed")
+    folder = Path(report.__file__).parent
+    written = {path.name for path in folder.glob("*.py") if "\nPROGRAM = " in path.read_text(encoding="utf-8")}
+    assert {Path(program.PROGRAM.source).name for program in run.PROGRAMS.values()} == written
