@@ -6,9 +6,10 @@ import numpy as np
 
 UNCOVERED = (0.150, 0.150, 0.156)
 
+# (N, 3) display values at equal steps, straight lines between them.
 # Lightness (OKLab) rises from deep blue to yellow at two thirds and falls little to red, so that steps of equal error
 # look about equally large and the highest errors stand out by hue and saturation, not by glare.
-_COLORS = np.array([
+COLORS = np.array([
     (0.130, 0.145, 0.420), (0.130, 0.300, 0.690), (0.110, 0.500, 0.800), (0.140, 0.660, 0.700), (0.400, 0.760, 0.480),
     (0.730, 0.810, 0.320), (0.970, 0.760, 0.230), (0.960, 0.520, 0.170), (0.880, 0.270, 0.150), (0.720, 0.070, 0.120),
 ])  # fmt: skip
@@ -21,7 +22,7 @@ def false_color(error: np.ndarray, maximum: float, covered: np.ndarray | None = 
     """
     error = np.asarray(error, np.float64)
     shown = np.isfinite(error) if covered is None else np.isfinite(error) & covered
-    place = np.clip(np.where(shown, error, 0) / (maximum if maximum > 0 else 1.0), 0, 1) * (len(_COLORS) - 1)
-    knots = np.arange(len(_COLORS))
-    colors = np.stack([np.interp(place, knots, _COLORS[:, c]) for c in range(3)], axis=-1)
+    place = np.clip(np.where(shown, error, 0) / (maximum if maximum > 0 else 1.0), 0, 1) * (len(COLORS) - 1)
+    knots = np.arange(len(COLORS))
+    colors = np.stack([np.interp(place, knots, COLORS[:, c]) for c in range(3)], axis=-1)
     return np.where(shown[..., None], colors, UNCOVERED).astype(np.float32)

@@ -1,0 +1,44 @@
+// Over the domain: a measure of every texel in false colours, u_ramp from 0 to u_limit.
+// Reads u_packed and u_measure_0 …, packed numbers, negative where none has been measured yet. Shown is the largest of
+// u_components numbers from u_at on. What is not a number has the last colour of u_ramp, which is beyond its end.
+
+#include "common/packing.glsl"
+
+float measure_at(ivec2 texel, int number)
+{
+    vec4 four = texelFetch(u_measure_0, texel, 0);
+#if MEASURES > 1
+    four = number >= 4 ? texelFetch(u_measure_1, texel, 0) : four;
+#endif
+#if MEASURES > 2
+    four = number >= 8 ? texelFetch(u_measure_2, texel, 0) : four;
+#endif
+    return four[number % 4];
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    ivec2 at = packed_at(texel);
+    o_picture = vec4(0.0);
+    if (at.x < 0) {
+        return true;
+    }
+    float value = measure_at(at, u_at);
+    for (int i = 1; i < u_components; i++) {
+        value = max(value, measure_at(at, u_at + i));
+    }
+    if (value < 0.0) {
+        return true;
+    }
+    int last = textureSize(u_ramp, 0).x - 2;
+    if (isnan(value) || isinf(value)) {
+        o_picture = texelFetch(u_ramp, ivec2(last + 1, 0), 0);
+        return true;
+    }
+    float place = clamp(value / u_limit, 0.0, 1.0) * float(last);
+    int knot = min(int(place), last - 1);
+    vec4 low = texelFetch(u_ramp, ivec2(knot, 0), 0);
+    vec4 high = texelFetch(u_ramp, ivec2(knot + 1, 0), 0);
+    o_picture = mix(low, high, place - float(knot));
+    return true;
+}

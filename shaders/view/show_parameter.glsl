@@ -1,0 +1,40 @@
+// Over the domain: one parameter as a picture. Reads u_packed and the estimates.
+// u_at, u_components: which numbers of a material. u_encoding: 0 a fraction of the range from u_low, u_width wide;
+// 1 a colour; 2 a normal. A parameter of one number is grey, of two red and green, of four its first three.
+
+#include "common/estimate.glsl"
+#include "common/packing.glsl"
+#include "view/encode.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    ivec2 at = packed_at(texel);
+    o_picture = vec4(0.0);
+    if (at.x < 0) {
+        return true;
+    }
+    float c[12];
+    material_to(estimate_at(at), c);
+    vec3 value = vec3(0.0);
+    for (int i = 0; i < min(u_components, 3); i++) {
+        value[i] = c[u_at + i];
+    }
+    if (u_components == 1) {
+        value = vec3(value.x);
+    }
+    if (u_encoding == 2) {
+        // 1e-12: a direction that has no length has none to show.
+        value = 0.5 * value * inversesqrt(max(dot(value, value), 1e-12)) + 0.5;
+    }
+    else if (u_encoding == 1) {
+        value = srgb_from_linear(value);
+    }
+    else {
+        value = clamp((value - u_low) / u_width, vec3(0.0), vec3(1.0));
+        if (u_components == 2) {
+            value.z = 0.0;
+        }
+    }
+    o_picture = vec4(value, 1.0);
+    return true;
+}
