@@ -7,28 +7,12 @@ from argparse import Namespace
 
 from ..gpu import probe
 from ..maps.report import versions
-from ..reflectance.model import shipped_models
-from ..solver.schedule import shipped_presets
+from ..solver.machine import fact_lines, machine_facts
 
 
 def run(options: Namespace) -> dict:
     """Probe the GPU in a child process and print what it is. Raises GpuUnavailableError."""
     found = probe.probe()
-    ratio = found["fragment_seconds"] / found["compute_seconds"]
-    entry = probe.chosen_entry(found)
-    facts = {
-        **{f"version of {name}": value for name, value in versions().items()},
-        "GPU": found["renderer"],
-        "vendor": found["vendor"],
-        "driver": found["version"],
-        "backend": found["backend"],
-        "largest texture": f"{found['max_texture_size']} texels, {found['max_texture_layers']} layers",
-        "probe": f"right both ways; compute runs {ratio:.2f} times as fast as fragment passes",
-        "passes used": entry,
-        "models": ", ".join(shipped_models()),
-        "presets": ", ".join(shipped_presets()),
-    }
     if not options.json:
-        width = max(map(len, facts))
-        sys.stdout.write("".join(f"{name:{width}}  {value}\n" for name, value in facts.items()))
-    return {**found, "entry": entry, "versions": versions()}
+        sys.stdout.write("".join(f"{line}\n" for line in fact_lines(machine_facts(found))))
+    return {**found, "entry": probe.chosen_entry(found), "versions": versions()}

@@ -70,8 +70,6 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
     pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over.
     Raises InputError where the object is no camera or its projection is neither perspective nor orthographic.
     """
-    import bpy
-
     if obj.type != "CAMERA":
         raise InputError(f"object '{obj.name}' is of type {obj.type}, not a camera; name a camera object")
     data = obj.data
@@ -88,12 +86,33 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
         scale = data.lens / sensor * side
     else:
         scale = side / data.ortho_scale
-    matrix = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world.normalized()
+    matrix = world_matrix(obj)
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return Camera(
         width=width,
         height=height,
         scale=(scale, scale / tall),
         centre=(width / 2 - data.shift_x * side, height / 2 - data.shift_y * side / tall),
-        matrix=np.array(matrix, np.float64),
+        matrix=matrix,
         perspective=data.type == "PERSP",
     )
+
+
+def world_matrix(obj: Any) -> np.ndarray:
+    """Return (4, 4) float64, an object's matrix in the world, also where it is hidden in viewports.
+
+    Blender evaluates nothing that is disabled in viewports: the matrix_world of such an object is an old one, or none
+    in a file just opened. Its own transform and its parents' are put together here. Raises InputError where
+    a hidden one has constraints or a parent that is more than an object.
+    """
+    import bpy
+
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    if evaluated.is_evaluated:
+        return np.array(evaluated.matrix_world, np.float64)
+    if obj.constraints or (obj.parent is not None and obj.parent_type != "OBJECT"):
+        raise InputError(f"object '{obj.name}' is disabled in viewports and has constraints; show it, or apply them")
+    matrix = np.array(obj.matrix_basis, np.float64)
+    if obj.parent is None:
+        return matrix
+    return world_matrix(obj.parent) @ np.array(obj.matrix_parent_inverse, np.float64) @ matrix

@@ -7,8 +7,10 @@ from types import ModuleType
 
 # In this order; each may have CLASSES, register() and unregister(). What a module's classes refer to comes before it.
 MODULES = (
+    "preferences",
     "schedule_settings",
     "settings",
+    "capture_import",
 )
 
 

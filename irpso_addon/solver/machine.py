@@ -1,0 +1,34 @@
+"""What this machine is, for people: the GPU, what it can hold, what will be used, and the versions of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..gpu.probe import chosen_entry
+from ..maps.report import versions
+from ..reflectance.model import shipped_models
+from .schedule import shipped_presets
+
+
+def machine_facts(found: Mapping[str, Any]) -> dict[str, str]:
+    """Return what ``gpu.probe.probe`` found, in words: name → fact, in reading order."""
+    ratio = found["fragment_seconds"] / found["compute_seconds"]
+    return {
+        **{f"version of {name}": value for name, value in versions().items()},
+        "GPU": found["renderer"],
+        "vendor": found["vendor"],
+        "driver": found["version"],
+        "backend": found["backend"],
+        "largest texture": f"{found['max_texture_size']} texels, {found['max_texture_layers']} layers",
+        "probe": f"right both ways; compute runs {ratio:.2f} times as fast as fragment passes",
+        "passes used": chosen_entry(found),
+        "models": ", ".join(shipped_models()),
+        "presets": ", ".join(shipped_presets()),
+    }
+
+
+def fact_lines(facts: Mapping[str, str]) -> list[str]:
+    """Return one line for each fact, the facts beneath each other."""
+    width = max(map(len, facts))
+    return [f"{name:{width}}  {value}" for name, value in facts.items()]

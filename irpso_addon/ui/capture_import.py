@@ -1,0 +1,267 @@
+"""Choosing a capture's files: a file browser, drag and drop, File > Import; and looking them over without a pause."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import StringProperty
+
+from ..capture.draft import Draft
+from ..capture.inspect import Finding, Report, inspect_steps
+from ..capture.read import read_draft
+from ..errors import InputError
+from ..maps.blender_images import decode
+from .scene_capture import capture_of, capture_path
+from .settings import model_of
+
+_SLICE = 0.02  # seconds of checking at a time, between which Blender answers
+_PAUSE = 0.005  # seconds until the next slice
+_EXTENSIONS = ".lp;.toml;.txt"
+_TABLES = (".lp", ".toml")  # of what lies in a capture, what may be one by itself
+_CAMERA = "camera.toml"  # that is part of a folder's capture
+_AREAS = ("VIEW_3D", "IMAGE_EDITOR")
+
+
+@dataclass
+class _Check:
+    """A capture that is being looked over. scene: its number in this session; path: as the settings have it."""
+
+    scene: int
+    path: str
+    steps: Generator[str, None, Report]
+    doing: str = ""
+
+
+_running: list[_Check] = []  # at most one
+
+
+def checking(scene) -> str:
+    """Return what the check of a scene's capture does now, in words; "" while there is none."""
+    if not _running or _running[0].scene != scene.session_uid or not bpy.app.timers.is_registered(_tick):
+        return ""
+    return _running[0].doing
+
+
+def capture_at(path: Path) -> Path:
+    """Return what a person means by a path: an .lp or .toml itself, of any other file its folder."""
+    if path.is_file() and (path.suffix.lower() not in _TABLES or path.name.lower() == _CAMERA):
+        return path.parent
+    return path
+
+
+def subject_of(draft: Draft) -> str:
+    """Return "MESH" where cameras have places, as around an object, "CARD" where one camera looks straight down."""
+    cameras = [view.make(1, 1) for view in draft.views]
+    return "CARD" if len(cameras) == 1 and np.array_equal(cameras[0].matrix, np.eye(4)) else "MESH"
+
+
+def asked_of(settings) -> tuple[str, ...]:
+    """Return what is to be recovered, of ``enough.ASKS``: what the lights are to be judged for."""
+    try:
+        model = model_of(settings)
+    except InputError:
+        return ("normals",)
+    given = {item.name for item in settings.parameters if not item.recover}
+    wanted = [parameter for parameter in model.parameters if parameter.name not in given]
+    asked = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
+    if any(parameter.kind == "search" and not parameter.is_normal for parameter in wanted):
+        asked.append("two lobes" if model.ordered else "roughness")
+    return tuple(asked)
+
+
+def begin_check(scene) -> None:
+    """Look the scene's capture over: in the background at once, in a window bit by bit while it goes on working."""
+    settings = scene.irpso
+    steps = inspect_steps(capture_path(settings), decode, settings.colour_space, asked_of(settings))
+    _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
+    if bpy.app.background:
+        while _slice(_running[0]):
+            pass
+    elif not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=_PAUSE)
+
+
+def _tick() -> float | None:
+    """Go on for a slice; called by Blender's timer, which ends with None."""
+    if not _running:
+        return None
+    more = _slice(_running[0])
+    _redraw()
+    return _PAUSE if more else None
+
+
+def _slice(check: _Check) -> bool:
+    """Go on with a check for a slice of time and return whether there is more to do."""
+    scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
+    if scene is None or scene.irpso.capture_path != check.path:
+        _running.clear()
+        return False
+    end = time.perf_counter() + _SLICE
+    while time.perf_counter() < end:
+        try:
+            check.doing = next(check.steps)
+        except StopIteration as stop:
+            _running.clear()
+            _store(scene.irpso, stop.value)
+            return False
+    return True
+
+
+def _store(settings, report: Report) -> None:
+    settings.checked_path = settings.capture_path
+    settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
+    _store_findings(settings, report.findings)
+
+
+def _store_findings(settings, findings: Iterable[Finding]) -> None:
+    settings.findings.clear()
+    for finding in findings:
+        item = settings.findings.add()
+        item.severity, item.message = finding.severity, finding.message
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in _AREAS:
+                area.tag_redraw()
+
+
+class ImportCapture(bpy.types.Operator):
+    """Choose photographs with known lights: a folder of them, an .lp list, a capture.toml, or any file beside them"""
+
+    bl_idname = "irpso.import_capture"
+    bl_label = "Import Capture"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default=_EXTENSIONS.replace(".", "*."), options={"HIDDEN"})
+
+    def invoke(self, context, event):
+        """Ask for a file, unless one was dropped."""
+        if self.filepath or self.directory:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Make the files the scene's capture and begin to check them; settings stay as they are where they are none."""
+        settings, chosen = context.scene.irpso, self.filepath or self.directory
+        try:
+            if not chosen:
+                raise InputError("no file or folder was chosen; give the path of a capture")
+            path = capture_at(Path(bpy.path.abspath(chosen)))
+            draft = read_draft(path, settings.colour_space)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        settings.source, settings.capture_path = "FILES", _kept_path(path)
+        settings.subject = subject_of(draft)
+        settings.summary = f"kind: {draft.kind}\nimages: {len(draft.shots)}"
+        settings.findings.clear()
+        settings.checked_path = ""
+        settings.view.observation = 0
+        begin_check(context.scene)
+        self.report({"INFO"}, f"{draft.name}: {len(draft.shots)} images")
+        _warn(self, settings)
+        return {"FINISHED"}
+
+
+def _kept_path(path: Path) -> str:
+    """Return the path as the .blend file is to keep it: relative to it where the user has set that for new files."""
+    text = str(path.resolve())
+    wanted = bpy.context.preferences.filepaths.use_relative_paths
+    if not (wanted and bpy.data.filepath):
+        return text
+    try:
+        return bpy.path.relpath(text)
+    except ValueError:  # Windows has no relative path from one drive to another
+        return text
+
+
+def _warn(operator, settings) -> None:
+    """Report the first of the findings, errors before warnings."""
+    found = sorted(settings.findings, key=lambda item: item.severity != "error")
+    if found:
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        operator.report({"WARNING"}, found[0].message + more)
+
+
+class CheckCapture(bpy.types.Operator):
+    """Look the capture over again: are all images there, sharp against each other, well exposed and rightly listed"""
+
+    bl_idname = "irpso.check_capture"
+    bl_label = "Check Capture"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture."""
+        settings = context.scene.irpso
+        there = settings.source == "SCENE" or bool(settings.capture_path)
+        if not there:
+            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return there
+
+    def execute(self, context):
+        """Begin the check of files, or make the one of the scene's cameras and lights."""
+        settings = context.scene.irpso
+        if settings.source == "FILES":
+            begin_check(context.scene)
+        else:
+            _check_scene(context.scene)
+        _warn(self, settings)
+        return {"FINISHED"}
+
+
+def _check_scene(scene) -> None:
+    """Find what keeps the scene's own cameras, lights and images from being a capture."""
+    settings = scene.irpso
+    settings.checked_path, settings.summary = "", ""
+    try:
+        capture = capture_of(scene)
+    except InputError as error:
+        _store_findings(settings, [Finding("error", "scene", str(error))])
+        return
+    sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
+    settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
+    _store_findings(settings, ())
+
+
+class CaptureFiles(bpy.types.FileHandler):
+    """Captures that are dragged into a 3D viewport or an Image editor."""
+
+    bl_idname = "IRPSO_FH_capture"
+    bl_label = "IRPSO Capture"
+    bl_import_operator = ImportCapture.bl_idname
+    bl_file_extensions = _EXTENSIONS
+
+    @classmethod
+    def poll_drop(cls, context) -> bool:
+        """Whether the area under the cursor takes captures."""
+        return context.area is not None and context.area.type in _AREAS
+
+
+def _menu(self, context) -> None:
+    self.layout.operator(ImportCapture.bl_idname, text="IRPSO Capture (.lp, .toml, folder)")
+
+
+CLASSES = (ImportCapture, CheckCapture, CaptureFiles)
+
+
+def register() -> None:
+    """Add the entry of File > Import."""
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    """Take the entry out, and end a check that is going on."""
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    _running.clear()
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
