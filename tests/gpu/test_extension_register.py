@@ -12,8 +12,11 @@ pytestmark = pytest.mark.bpy_only
 
 def registered_names() -> set[str]:
     """Return the classes, property groups and handlers that extensions leave behind when they forget to clean up."""
-    kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences, bpy.types.UIList)
-    classes = {f"{kind.__name__}.{name.__name__}" for kind in kinds for name in kind.__subclasses__()}
+    kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences, bpy.types.UIList,
+             bpy.types.FileHandler)  # fmt: skip
+    # A class goes on existing in Python once its module has been imported.
+    found = [(kind, cls) for kind in kinds for cls in kind.__subclasses__() if getattr(cls, "is_registered", False)]
+    classes = {f"{kind.__name__}.{cls.__name__}" for kind, cls in found}
     handlers = [(name, getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers)]
     hooks = {f"{name}.{hook.__name__}" for name, hooks in handlers if isinstance(hooks, list) for hook in hooks}
     owners = (bpy.types.Scene, bpy.types.Object, bpy.types.Material, bpy.types.WindowManager)
