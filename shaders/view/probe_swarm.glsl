@@ -1,0 +1,55 @@
+// The swarm of the texel (u_column, u_row) of the domain, a particle a column: rows 0–2 the material that it stands for,
+// rows 3–5 that of its personal best, row 6 its fitness; row 7 the material of the global best in columns 0–2.
+// Reads u_packed, the geometry, the estimates, the swarm atlas and the global bests.
+
+#include "common/estimate.glsl"
+#include "swarm/atlas.glsl"
+#include "swarm/neighbours.glsl"
+#include "codec.glsl"
+
+void read_place(sampler2D atlas, ivec2 texel, int particle, out float x[8])
+{
+    vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
+    for (int i = 0; i < 4; i++) {
+        x[i] = part[i];
+    }
+#if BLOCKS > 1
+    part = texelFetch(atlas, atlas_texel(texel, 1, particle), 0);
+#endif
+    for (int i = 0; i < 4; i++) {
+        x[4 + i] = part[i];
+    }
+}
+
+bool texel_kernel(ivec2 place)
+{
+    ivec2 at = packed_at(ivec2(u_column, u_row));
+    o_numbers = vec4(0.0);
+    int particle = min(place.x, PARTICLES - 1);
+    if (at.x < 0) {
+        return true;
+    }
+    if (place.y == 6) {
+        o_numbers = vec4(texelFetch(u_particle_fitness, atlas_texel(at, 0, particle), 0).x);
+        return true;
+    }
+    float x[8];
+    if (place.y < 3) {
+        read_place(u_particle_position, at, particle, x);
+    }
+    else if (place.y < 6) {
+        read_place(u_particle_best, at, particle, x);
+    }
+    else {
+        read_best(at, x);
+    }
+    Material s = estimate_at(at);
+    decode(x, reach_of(scale_at(at)), s);
+    float c[12];
+    material_to(s, c);
+    int first = 4 * (place.y < 6 ? place.y % 3 : min(place.x, 2));
+    for (int i = 0; i < 4; i++) {
+        o_numbers[i] = c[first + i];
+    }
+    return true;
+}

@@ -1,0 +1,28 @@
+// A row of ESTIMATES + 1 texels about the texel (u_column, u_row) of the domain: the components of its estimate, then
+// (mean absolute error, weights, largest error, 1), all 0 where it is not solved.
+// Reads u_packed, the estimates, the geometry, the sample stack and the observation table.
+
+#include "common/estimate.glsl"
+#include "common/packing.glsl"
+#include "swarm/mean_error.glsl"
+
+bool texel_kernel(ivec2 place)
+{
+    ivec2 at = packed_at(ivec2(u_column, u_row));
+    o_numbers = vec4(0.0);
+    if (at.x < 0) {
+        return true;
+    }
+    Material s = estimate_at(at);
+    float c[12];
+    material_to(s, c);
+    if (place.x < ESTIMATES) {
+        for (int i = 0; i < 4; i++) {
+            o_numbers[i] = c[4 * place.x + i];
+        }
+    }
+    else {
+        o_numbers = vec4(mean_error(at, s).xyz, 1.0);
+    }
+    return true;
+}
