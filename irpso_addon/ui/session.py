@@ -20,7 +20,8 @@ from ..maps.result import Maps
 from ..solver.display import Display
 from ..solver.planning import AnyRecovery
 from ..solver.prepare import Prepared, prepare
-from ..solver.recovery import Progress
+from ..solver.pyramid import Pyramid
+from ..solver.recovery import Progress, Recovery
 from ..solver.schedule import Schedule
 from .job import Job
 
@@ -118,6 +119,7 @@ class Session:
         started = time.perf_counter()
         try:
             self._work(started + budget_s)
+            self._look()
         except (IrpsoError, MemoryError) as error:
             self.failure = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
             self.close()
@@ -188,7 +190,6 @@ class Session:
         elif self.state == "running":
             progress = self.recovery.step(time_budget_s=max(0.001, deadline - time.perf_counter()))
             self.title = progress.title
-            self._look(progress)
             if progress.done:
                 self._finish()
 
@@ -220,7 +221,8 @@ class Session:
             prepared = yield from self._prepared()
         yield
         self.recovery = self.job.recovery(self.domain, prepared)
-        self.display = Display(self.recovery)
+        if isinstance(self.recovery, Recovery | Pyramid):  # a domain in tiles has no picture of the whole
+            self.display = Display(self.recovery, self.job.known)
         self.state = "running"
 
     def _counted(self, loading: Generator[None, None, Domain]) -> Generator[None, None, Domain]:
@@ -256,12 +258,16 @@ class Session:
         changed = self.recovery.changed(schedule)
         self.display.close()
         self.recovery.close()
-        self.recovery, self.display = changed, Display(changed)
+        self.recovery, self.display = changed, Display(changed, self.job.known)
         self.job = replace(self.job, schedule=schedule)
 
-    def _look(self, progress: Progress) -> None:
+    def _look(self) -> None:
+        """Note the mean error now and then. A domain in tiles does not tell it while it is solved."""
         now = time.perf_counter()
-        if progress.iteration < 0 or (now - self._asked < _ERROR_EVERY and not progress.done):
+        if not isinstance(self.recovery, Recovery | Pyramid) or now - self._asked < _ERROR_EVERY and self.active:
+            return
+        progress = self.recovery.progress
+        if progress.iteration < 0 and self.history:
             return
         self._asked = now
         self.error = float(self.recovery.mean_error())
