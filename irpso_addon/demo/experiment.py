@@ -167,9 +167,7 @@ def image_errors(subject: Subject, maps: Maps) -> np.ndarray:
 
 def world_normals(bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
     """Return tangent-space normals (H, W, 3) in world axes."""
-    bitangent = bake.tangent[..., 3:] * np.cross(bake.normal, bake.tangent[..., :3])
-    axes = (bake.tangent[..., :3], bitangent, bake.normal)
-    return sum(normals[..., i : i + 1] * axis for i, axis in enumerate(axes))
+    return np.einsum("hwi,hwij->hwj", normals, bake.frames())
 
 
 def choose_marks(subject: Subject) -> tuple[tuple[int, int], ...]:

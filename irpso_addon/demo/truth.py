@@ -38,14 +38,12 @@ def material_at(bake: GeometryBake) -> dict[str, np.ndarray]:
 
 
 def _bumpy_normal(bake: GeometryBake, p: np.ndarray) -> np.ndarray:
-    normal, tangent = bake.normal.astype(np.float64), bake.tangent.astype(np.float64)
+    normal = bake.normal.astype(np.float64)
     gradient = sum(slope * _field(p, length, 10 + i)[1] for i, (length, slope) in enumerate(_BUMPS))
     along = (gradient * normal).sum(axis=-1, keepdims=True)
     bumped = normal - (gradient - along * normal)
     bumped /= np.maximum(np.linalg.norm(bumped, axis=-1, keepdims=True), 1e-9)
-    bitangent = tangent[..., 3:] * np.cross(normal, tangent[..., :3])
-    axes = (tangent[..., :3], bitangent, normal)
-    return np.stack([(bumped * axis).sum(axis=-1) for axis in axes], axis=-1)
+    return np.einsum("hwij,hwj->hwi", bake.frames(), bumped)
 
 
 def _field(p: np.ndarray, wavelength: float, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -65,7 +65,7 @@ def finer_map(
 def in_world(domain: Domain, normals: np.ndarray) -> np.ndarray:
     """Return (H, W, 3) float64 world vectors of normals in the texels' tangent frames; as they are on a card."""
     normals = np.asarray(normals, np.float64)
-    return normals if domain.card else np.einsum("hwi,hwij->hwj", normals, _frames(domain.bake))
+    return normals if domain.card else np.einsum("hwi,hwij->hwj", normals, domain.bake.frames())
 
 
 def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
@@ -73,16 +73,10 @@ def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
 
     What points below a texel's surface is bent up to it; what points nowhere is the texel's own normal.
     """
-    local = vectors if domain.card else np.einsum("hwj,hwij->hwi", vectors, _frames(domain.bake))
+    local = vectors if domain.card else np.einsum("hwj,hwij->hwi", vectors, domain.bake.frames())
     local = np.concatenate([local[..., :2], np.maximum(local[..., 2:], 0)], axis=-1)
     length = np.linalg.norm(local, axis=-1, keepdims=True)
     return np.where(length > _SHORT, local / np.maximum(length, _SHORT), (0.0, 0.0, 1.0))
-
-
-def _frames(bake: GeometryBake) -> np.ndarray:
-    """Return (H, W, 3, 3) rows tangent, bitangent, normal."""
-    normal, tangent = bake.normal.astype(np.float64), bake.tangent.astype(np.float64)
-    return np.stack([tangent[..., :3], tangent[..., 3:] * np.cross(normal, tangent[..., :3]), normal], axis=-2)
 
 
 def _cells(values: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,15 @@ class GeometryBake:
     tangent: np.ndarray
     coverage: np.ndarray
     uv: np.ndarray
+
+    def frames(self, texels: Any = ...) -> np.ndarray:
+        """Return (…, 3, 3) float64 rows tangent, bitangent, normal in world axes, of all texels or some.
+
+        texels: an index into the (H, W) texels, as numpy takes it; without it the rows are of (H, W, 3, 3).
+        """
+        normal, tangent = self.normal[texels].astype(np.float64), self.tangent[texels].astype(np.float64)
+        bitangent = tangent[..., 3:] * np.cross(normal, tangent[..., :3])
+        return np.stack([tangent[..., :3], bitangent, normal], axis=-2)
 
 
 @dataclass(frozen=True)

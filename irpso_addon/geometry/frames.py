@@ -66,18 +66,11 @@ def _convert(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, change) -> 
     for start in range(0, len(texels), _BLOCK):
         block = texels[start : start + _BLOCK]
         given = np.asarray(normals, np.float64).reshape(-1, 3)[block]
-        changed = change(_solver_frames(bake, block), _blender_frames(mesh, bake, block), mesh.matrix[:3, :3], given)
+        frames = bake.frames(np.unravel_index(block, bake.coverage.shape))
+        changed = change(frames, _blender_frames(mesh, bake, block), mesh.matrix[:3, :3], given)
         changed[~changed.any(axis=1)] = (0, 0, 1)
         result.reshape(-1, 3)[block] = _unit(changed)
     return result
-
-
-def _solver_frames(bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3) rows tangent, bitangent, normal in the world."""
-    normal = bake.normal.reshape(-1, 3)[texels].astype(np.float64)
-    tangent = bake.tangent.reshape(-1, 4)[texels].astype(np.float64)
-    bitangent = tangent[:, 3:] * np.cross(normal, tangent[:, :3])
-    return np.stack([tangent[:, :3], bitangent, normal], axis=1)
 
 
 def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:

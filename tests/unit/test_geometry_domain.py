@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.geometry.domain import subset, tile
+from irpso_addon.geometry.domain import GeometryBake, subset, tile
 from irpso_addon.geometry.mesh import check_uvs
 from tests.geometry_oracle import plane
 
@@ -140,3 +141,19 @@ def test_collapsed_texture_coordinates_are_refused_with_their_share_of_the_surfa
         check_uvs("Rock", "UVMap", mesh.positions, uvs)
     with pytest.raises(InputError, match="not numbers"):
         check_uvs("Rock", "UVMap", mesh.positions, uvs * np.nan)
+
+
+def test_the_frames_of_texels_are_right_handed_where_their_sign_is_and_mirrored_elsewhere():
+    rng = np.random.default_rng(5)
+    turns = Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()  # columns: tangent, bitangent, normal of a right-handed frame
+    sign = np.resize([1.0, -1, -1], 12)
+    tangent = np.concatenate([turns[..., 0], sign[:, None]], axis=1).reshape(3, 4, 4).astype(np.float32)
+    normal = turns[..., 2].reshape(3, 4, 3).astype(np.float32)
+    empty = np.zeros((3, 4, 0), np.float32)
+    bake = GeometryBake(empty, normal, tangent, np.ones((3, 4), bool), empty)
+    wanted = turns.transpose(0, 2, 1) * np.stack([np.ones(12), sign, np.ones(12)], axis=1)[..., None]
+    found = bake.frames()
+    assert found.dtype == np.float64
+    np.testing.assert_allclose(found, wanted.reshape(3, 4, 3, 3), atol=2e-7)
+    np.testing.assert_allclose(np.linalg.det(found).ravel(), sign, atol=1e-6)
+    np.testing.assert_array_equal(bake.frames((np.array([2, 0]), np.array([1, 3]))), found[[2, 0], [1, 3]])
