@@ -29,18 +29,18 @@ def check_output_folder(folder: str | Path) -> Path:
     Nothing is left behind: the trial file has no name or is removed at once.
     """
     if not str(folder):
-        raise InputError("the output folder's name is empty; give one with -o")
+        raise InputError("the output folder's name is empty; give one")
     folder = Path(folder)
     place = folder
     while not place.exists() and place != place.parent:
         place = place.parent
     if not place.is_dir():
-        raise InputError(f"{place}: is a file, so no result can be written to {folder}; choose another folder with -o")
+        raise InputError(f"{place}: is a file, so no result can be written to {folder}; choose another folder")
     try:
         with tempfile.TemporaryFile(dir=place):
             return folder
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another folder with -o") from error
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
 
 
 def write_maps(

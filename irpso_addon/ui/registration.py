@@ -11,6 +11,13 @@ MODULES = (
     "schedule_settings",
     "settings",
     "capture_import",
+    "scene_setup",
+    "presets",
+    "upkeep",
+    "keep",
+    "panels",
+    "view_panels",
+    "image_panels",
 )
 
 

@@ -127,6 +127,7 @@ def _declare() -> None:
             update=_fill,
         ),
         "own": StringProperty(description="The preset of the user's own that was chosen last"),
+        "own_text": StringProperty(description="What its file holds"),
         **declared,
     }  # fmt: skip
 

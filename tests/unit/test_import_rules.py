@@ -35,7 +35,20 @@ ALLOWED = {
     "__main__": {"cli", "gpu"},
     "__init__": {"cli", "ui"},
 }
-BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "gpu_extras", "bl_ui", "bl_math", "aud", "blf", "idprop", "imbuf"}
+BLENDER = {
+    "bpy",
+    "bmesh",
+    "mathutils",
+    "gpu",
+    "gpu_extras",
+    "bl_ui",
+    "bl_operators",
+    "bl_math",
+    "aud",
+    "blf",
+    "idprop",
+    "imbuf",
+}
 THIRD_PARTY = {"numpy", "OpenEXR"}
 WITHOUT_BLENDER = BASE | {"reflectance", "capture"}
 GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)

@@ -1,0 +1,47 @@
+"""What panels are made of: wrapped text, numbers for people, a line of facts."""
+
+from __future__ import annotations
+
+import textwrap
+
+_CHARACTER = 6.6  # pixels of an average one at scale 1, in Blender's own font
+_MARGINS = 58  # pixels of a panel's width that text does not get: edges, tab, icon
+_LEAST = 16  # characters a line
+
+
+def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
+    """Draw a text over as many lines as the panel's width asks for, its icon before the first."""
+    scale = context.preferences.system.ui_scale
+    width = context.region.width if context.region is not None else 0
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for line in textwrap.wrap(text, max(_LEAST, int((width / scale - _MARGINS) / _CHARACTER))):
+        column.label(text=line, icon=icon, translate=False)
+        icon = "BLANK1" if icon != "NONE" else icon
+
+
+def fact(layout, name: str, value: str) -> None:
+    """Draw a name and what is true of it."""
+    row = layout.split(factor=0.4)
+    left = row.row()
+    left.alignment = "RIGHT"
+    left.label(text=name)
+    row.label(text=value, translate=False)
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as in "0:35", "12:03" or "1:02:03"."""
+    whole = max(0, round(seconds))
+    minutes = f"{whole // 60 % 60}:{whole % 60:02d}"
+    return f"{whole // 3600}:{minutes:0>5}" if whole >= 3600 else minutes
+
+
+def rate(evaluations: float) -> str:
+    """Return evaluations per second in thousands or millions, as in "2.31 M/s"."""
+    return f"{evaluations / 1e6:.2f} M/s" if evaluations >= 1e5 else f"{evaluations / 1e3:.1f} k/s"
+
+
+def percent(error: float) -> str:
+    """Return an error, a part of white, in per cent with three figures."""
+    value = 100 * error
+    return f"{value:.3g} %" if value >= 0.01 else f"{value:.1e} %"

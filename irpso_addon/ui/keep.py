@@ -1,0 +1,213 @@
+"""Keeping what was found: as the subject's material, in one undo step, and as files like the command line's."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, StringProperty
+
+from ..errors import InputError, IrpsoError
+from ..geometry.frames import to_blender, turned_normals
+from ..gpu import context as gpu_context
+from ..maps import material
+from ..maps.pictures import Curves, convergence, display_image
+from ..maps.report import build_report, limit_warnings
+from ..maps.result import Maps
+from ..maps.tables import map_tables
+from ..maps.write import write_maps
+from ..solver.pictures import error_preview
+from . import preferences, session
+
+_NOTHING = "Nothing has been recovered yet: press Recover"
+_STANDARD = "Standard"
+
+
+def found_maps(running: session.Session) -> tuple[Maps, Maps]:
+    """Return what was found, in the solver's frames, and with normals in those of Blender's normal maps."""
+    maps = running.maps()
+    if running.mesh is None:
+        return maps, maps
+    values = turned_normals(maps.model, maps.values, running.mesh, running.domain.bake, to_blender)
+    return maps, replace(maps, values=values)
+
+
+def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
+    """Return the report on a session's maps, as the command line writes it."""
+    job, progress = running.job, running.progress
+    settings = {
+        "capture": str(job.capture.source or job.capture.name),
+        "object": None if running.mesh is None else job.name,
+        "preset": asdict(job.schedule),
+        "known": sorted(job.given),
+        "entry": running.recovery.entry,
+        "done": progress.done,
+    }
+    report = build_report(
+        maps, settings=settings, seed=job.seed, gpu=gpu_context.describe()["renderer"],
+        iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
+    )  # fmt: skip
+    return report | {"warnings": limit_warnings(maps, job.given)}
+
+
+def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
+    """Return preview and, where there is a history, convergence: file stem → (H, W, 3) display values."""
+    pictures = {"preview": error_preview(running.domain, maps, None)}
+    panels = [_curve("Mean error", [running.history])] if running.history else []
+    watched = [probe for probe in running.probes if probe.curve]
+    if watched:
+        panels.append(_curve("Error of the marked texels", [probe.curve for probe in watched]))
+    if panels:
+        normal = next(parameter for parameter in maps.model.parameters if parameter.is_normal)
+        image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
+        pictures["convergence"] = convergence(image, [(p.column, p.row) for p in watched], panels)
+    return pictures
+
+
+def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
+    """Return curves of (iteration, error) that were looked at different iterations, in % of white."""
+    iterations = sorted({iteration for curve in curves for iteration, _ in curve})
+    errors = np.full((len(iterations), len(curves)), np.nan)
+    for column, curve in enumerate(curves):
+        for iteration, error in curve:
+            errors[iterations.index(iteration), column] = 100 * error
+    return Curves(title, np.array(iterations), errors, "%", log=True)
+
+
+def _found(cls) -> bool:
+    """Whether there is something to keep; tells the operator's button what to do where not."""
+    running = session.current()
+    if running is None or running.recovery is None:
+        cls.poll_message_set(_NOTHING)
+        return False
+    return True
+
+
+class IRPSO_OT_keep(bpy.types.Operator):
+    """Make the maps the material of the subject. Nodes that you have added to it stay"""
+
+    bl_idname = "irpso.keep"
+    bl_label = "Keep"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is something to keep."""
+        return _found(cls)
+
+    def execute(self, context):
+        """Make images, material and, on a card, its object; what runs rests meanwhile."""
+        running = session.current()
+        running.pause()
+        try:
+            text = _keep(context, running)
+        except IrpsoError as error:
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        running.kept = True
+        self.report({"INFO"}, text)
+        return {"FINISHED"}
+
+
+def _keep(context, running: session.Session) -> str:
+    """Keep, and return a sentence that says what was done. Raises InputError."""
+    name = running.job.name
+    subject = running.subject()
+    if subject is None and running.mesh is not None:
+        raise InputError(f"'{name}' has been deleted: undo that and keep again, or export the maps")
+    if subject is not None:
+        material.check_object(subject)
+    _, maps = found_maps(running)
+    folder = preferences.current(context).output_folder
+    made = material.build_material(maps, name, folder or None)
+    if running.mesh is None:
+        subject = material.card_object(name, *maps.covered.shape)
+        _show(context, subject)
+    material.apply_material(subject, made)
+    count = len(map_tables(maps.model))
+    where = f"in {folder}" if folder else "packed into the file"
+    return f"Material '{made.name}' on '{subject.name}', with {count} maps {where}"
+
+
+def _show(context, card) -> None:
+    """Bring a card into the scene, and into view: it may have been hidden, or deleted, since it was made."""
+    if card.name not in context.scene.objects:
+        context.scene.collection.objects.link(card)
+    card.hide_viewport = card.hide_render = False
+    if card.name in context.view_layer.objects:
+        card.hide_set(False)
+
+
+class IRPSO_OT_export_maps(bpy.types.Operator):
+    """Write the maps into a folder: pictures of 16 bits, EXR of 32 bits, a report and a preview"""
+
+    bl_idname = "irpso.export_maps"
+    bl_label = "Export Maps"
+
+    directory: StringProperty(name="Folder", description="Where the maps are written", subtype="DIR_PATH")
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is something to export."""
+        return _found(cls)
+
+    def invoke(self, context, event):
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Write everything, or nothing."""
+        running = session.current()
+        if running is None or running.recovery is None:  # it may have ended while the folder was chosen
+            self.report({"ERROR"}, _NOTHING)
+            return {"CANCELLED"}
+        if not self.directory:
+            self.report({"ERROR"}, "No folder: choose where the maps are to be written")
+            return {"CANCELLED"}
+        folder = Path(bpy.path.abspath(self.directory))
+        try:
+            maps, written = found_maps(running)
+            files = write_maps(written, folder, report_of(running, maps), pictures_of(running, maps))
+        except IrpsoError as error:
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{len(files)} files written to {folder}")
+        return {"FINISHED"}
+
+
+class IRPSO_OT_standard_view(bpy.types.Operator):
+    """Show colors as they are: the Standard view transform, without the film look that AgX and Filmic add.
+
+    Only so a render can be compared with the photographs
+    """
+
+    bl_idname = "irpso.standard_view"
+    bl_label = "Use Standard View"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether another view transform is set."""
+        if is_standard_view(context.scene):
+            cls.poll_message_set("The scene has the Standard view transform already")
+            return False
+        return True
+
+    def execute(self, context):
+        """Set view transform and look, and nothing else."""
+        context.scene.view_settings.view_transform = _STANDARD
+        context.scene.view_settings.look = "None"
+        return {"FINISHED"}
+
+
+def is_standard_view(scene) -> bool:
+    """Return whether the scene is shown without a film look."""
+    return scene.view_settings.view_transform == _STANDARD and scene.view_settings.look == "None"
+
+
+CLASSES = (IRPSO_OT_keep, IRPSO_OT_export_maps, IRPSO_OT_standard_view)

@@ -1,0 +1,309 @@
+"""The panels of the 3D viewport's sidebar, in the order in which an artist works."""
+
+from __future__ import annotations
+
+import bpy
+
+from . import drawing, session, upkeep
+from .capture_import import checking
+from .job import missing, subject_object
+from .presets import label_of
+from .schedule_words import GROUPS
+from .settings import CUSTOM
+
+_SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
+_MOST_FINDINGS = 8
+
+
+class Sidebar:
+    """The tab that the panels are in."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "IRPSO"
+
+
+def under_way() -> session.Session | None:
+    """Return the session that has not ended yet, None where there is none."""
+    running = session.current()
+    return running if running is not None and running.state != "done" else None
+
+
+class _BeforeRun(Sidebar):
+    """A panel of settings that a recovery under way does not heed: it makes room for what it does."""
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        return under_way() is None
+
+
+class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
+    """What was photographed, and what is wrong with it."""
+
+    bl_label = "Capture"
+
+    def draw(self, context) -> None:
+        """Draw the source, what is in it, and findings."""
+        layout, settings = self.layout, context.scene.irpso
+        layout.row().prop(settings, "source", expand=True)
+        if settings.source == "FILES":
+            row = layout.row(align=True)
+            row.prop(settings, "capture_path", text="")
+            row.operator("irpso.import_capture", text="", icon="FILEBROWSER")
+            if not settings.capture_path:
+                return
+            column = layout.column()
+            column.use_property_split, column.use_property_decorate = True, False
+            column.prop(settings, "colour_space")
+        else:
+            _draw_light(layout, context)
+        _draw_check(layout, context, settings)
+        if settings.source == "FILES":
+            layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
+
+
+def _draw_light(layout, context) -> None:
+    """Draw what the active light was photographed under it with, or say where to set that."""
+    obj = context.object
+    if obj is None or obj.type != "LIGHT":
+        drawing.wrapped(layout, context, "Select a light to give it its photograph", "INFO")
+        return
+    box = layout.box()
+    box.label(text=obj.name, icon="LIGHT", translate=False)
+    box.template_ID(obj.irpso, "image", open="image.open")
+    column = box.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(obj.irpso, "camera")
+
+
+def _draw_check(layout, context, settings) -> None:
+    """Draw what the capture holds, what is wrong with it, and the button that looks it over."""
+    doing = checking(context.scene)
+    current = settings.source == "SCENE" or settings.checked_path == settings.capture_path
+    lines = settings.summary.splitlines() if doing or current else []
+    if lines:
+        column = layout.column(align=True)
+        column.scale_y = 0.8
+        for line in lines:
+            name, _, value = line.partition(": ")
+            drawing.fact(column, name[:1].upper() + name[1:], value)
+    if doing:
+        layout.label(text=doing, icon="SORTTIME", translate=False)
+        return
+    found = sorted(settings.findings, key=lambda item: item.severity != "error") if current else []
+    for item in found[:_MOST_FINDINGS]:
+        row = layout.row()
+        row.alert = item.severity == "error"
+        drawing.wrapped(row, context, item.message, _SEVERITIES.get(item.severity, "INFO"))
+    if len(found) > _MOST_FINDINGS:
+        layout.label(text=f"and {len(found) - _MOST_FINDINGS} more like these", icon="BLANK1")
+    if lines and not found:
+        layout.label(text="Nothing Suspicious", icon="CHECKMARK")
+    layout.operator("irpso.check_capture", text="Check Again" if lines else "Check", icon="VIEWZOOM")
+
+
+class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
+    """What the maps are recovered of."""
+
+    bl_label = "Subject"
+
+    def draw(self, context) -> None:
+        """Draw mesh or card."""
+        layout, settings = self.layout, context.scene.irpso
+        layout.row().prop(settings, "subject", expand=True)
+        if settings.subject != "MESH":
+            return
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(settings, "object")
+        if settings.object is None and (active := subject_object(context)) is not None:
+            column.label(text=f"Active: {active.name}", icon="OBJECT_DATA", translate=False)
+        column.prop(settings, "resolution")
+
+
+class IRPSO_PT_material(_BeforeRun, bpy.types.Panel):
+    """What is recovered."""
+
+    bl_label = "Maps"
+
+    def draw(self, context) -> None:
+        """Draw the model, and each of its parameters with what is given where it is not recovered."""
+        layout, settings = self.layout, context.scene.irpso
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(settings, "model")
+        if settings.model == CUSTOM:
+            column.prop(settings, "model_path", text="File")
+        if upkeep.is_wanting(settings):
+            upkeep.ask()
+        column = layout.column(heading="Recover", align=True)
+        for item in settings.parameters:
+            column.prop(item, "recover", text=bpy.path.display_name(item.name), translate=False)
+            if not item.recover:
+                _draw_given(column, item)
+
+
+def _draw_given(layout, item) -> None:
+    """Draw the image that is taken for a parameter, or the value where there is none."""
+    box = layout.box().column(align=True)
+    if item.image is None and item.is_normal:
+        box.label(text="Taken as flat, or from an image:")
+    elif item.image is None:
+        box.prop(item, "color" if item.components == 3 else "value", text="")
+    box.template_ID(item, "image", open="image.open")
+
+
+class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
+    """The button, and how far it is."""
+
+    bl_label = "Recover"
+
+    def draw(self, context) -> None:
+        """Draw what can be done now."""
+        running = session.current()
+        if running is None:
+            _draw_start(self.layout, context, "Recover")
+        elif running.state == "done":
+            draw_result(self.layout, context, running)
+            self.layout.separator()
+            _draw_start(self.layout, context, "Recover Again")
+        else:
+            draw_progress(self.layout, context, running)
+
+
+def draw_presets(layout, settings) -> None:
+    """Draw the menu of presets with its + and −; shipped ones have no −."""
+    row = layout.row(align=True)
+    row.menu("IRPSO_MT_presets", text=label_of(settings.schedule), translate=False)
+    row.operator("irpso.preset_add", text="", icon="ADD")
+    if settings.schedule.own:
+        row.operator("irpso.preset_add", text="", icon="REMOVE").remove_active = True
+
+
+def _draw_start(layout, context, text: str) -> None:
+    draw_presets(layout, context.scene.irpso)
+    row = layout.row()
+    row.scale_y = 2
+    row.operator("irpso.recover", text=text, icon="PLAY")
+    if wanting := missing(context):
+        drawing.wrapped(layout, context, wanting, "INFO")
+
+
+def draw_progress(layout, context, running: session.Session) -> None:
+    """Draw what is done, how far it is, how well, how fast, how long still; and the buttons."""
+    layout.label(text=running.job.name, icon="TEXTURE", translate=False)
+    progress = running.progress
+    text = f"{running.title}  {running.fraction:.0%}"
+    if running.state == "paused":
+        text = f"Paused  {running.fraction:.0%}"
+    layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
+    if progress is not None:
+        column = layout.column(align=True)
+        column.scale_y = 0.9
+        drawing.fact(column, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
+        drawing.fact(column, "Error", "–" if running.error is None else drawing.percent(running.error))
+        drawing.fact(column, "Evaluations", drawing.rate(running.rate))
+        left = running.seconds_left
+        drawing.fact(column, "Time Left", "–" if left is None else drawing.clock(left))
+    if running.state == "paused":
+        draw_presets(layout, context.scene.irpso)
+    row = layout.row()
+    row.scale_y = 1.5
+    if running.state == "paused":
+        row.operator("irpso.resume", icon="PLAY")
+    elif running.state == "running":
+        row.operator("irpso.pause", icon="PAUSE")
+    row = layout.row(align=True)
+    if running.recovery is not None:
+        row.operator("irpso.stop", text="Stop and Keep", icon="CHECKMARK")
+    row.operator("irpso.cancel", text="Cancel", icon="X")
+
+
+def draw_result(layout, context, running: session.Session) -> None:
+    """Draw what has been found, and what can be done with it."""
+    column = layout.column(align=True)
+    column.label(text=f"{running.job.name}: Kept" if running.kept else f"{running.job.name}: Done", icon="CHECKMARK",
+                 translate=False)  # fmt: skip
+    if running.error is not None:
+        drawing.fact(column, "Error", drawing.percent(running.error))
+    drawing.fact(column, "Time", drawing.clock(running.seconds))
+    row = layout.row()
+    row.scale_y = 1.0 if running.kept else 2.0
+    row.operator("irpso.keep", text="Keep Again" if running.kept else "Keep", icon="MATERIAL")
+    row = layout.row(align=True)
+    row.operator("irpso.export_maps", text="Export Maps…", icon="EXPORT")
+    row.operator("irpso.cancel", text="Close" if running.kept else "Discard", icon="X")
+    if running.kept and context.scene.view_settings.view_transform != "Standard":
+        drawing.wrapped(
+            layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
+        )
+        layout.operator("irpso.standard_view", icon="COLOR")
+
+
+class IRPSO_PT_search(Sidebar, bpy.types.Panel):
+    """All settings of the search."""
+
+    bl_label = "Search Settings"
+    bl_parent_id = "IRPSO_PT_recover"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether settings are heeded now: before a run, and while it is paused."""
+        running = under_way()
+        return running is None or running.state == "paused"
+
+    def draw(self, context) -> None:
+        """Draw the seed; the rest is in panels of its own."""
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(context.scene.irpso, "seed")
+
+
+def _shown(settings, name: str) -> bool:
+    """Return whether a setting does anything with the others as they are."""
+    schedule = settings.schedule
+    if name in ("linear_reach",):
+        return True
+    switch = {"survey": "survey_iterations", "polish": "polish_iterations", "prior": "prior_rounds"}
+    part = name.partition("_")[0]
+    if part in switch and name != switch[part]:
+        return getattr(schedule, switch[part]) > 0
+    if name in ("delta", "shadow"):
+        return schedule.loss == "robust"
+    if name in ("seeded", "seed_spread"):
+        return schedule.seed != "random"
+    if name == "level_iterations":
+        return schedule.levels > 1
+    return True
+
+
+def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]:
+    """Return the closed panel of one group of settings."""
+
+    def draw(self, context) -> None:
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        for name in names:
+            if _shown(context.scene.irpso, name):
+                column.prop(context.scene.irpso.schedule, name)
+
+    idname = f"IRPSO_PT_{title.lower()}"
+    return type(
+        idname,
+        (Sidebar, bpy.types.Panel),
+        {
+            "__doc__": f"Settings of the search: {title.lower()}.", "__module__": __name__, "bl_label": title,
+            "bl_parent_id": "IRPSO_PT_search", "bl_options": {"DEFAULT_CLOSED"}, "draw": draw,
+        },
+    )  # fmt: skip
+
+
+CLASSES = (
+    IRPSO_PT_capture,
+    IRPSO_PT_subject,
+    IRPSO_PT_material,
+    IRPSO_PT_recover,
+    IRPSO_PT_search,
+    *(_settings_panel(title, names) for title, names in GROUPS.items()),
+)

@@ -1,0 +1,121 @@
+"""What is drawn of a recovery, chosen in the 3D viewport's sidebar and in the Image editor's."""
+
+from __future__ import annotations
+
+import bpy
+
+from . import drawing, session
+from .panels import Sidebar
+
+# Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
+_PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
+_OF_A_MAP = ("PARAMETER", "CONFIDENCE")
+_OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
+_IN_FALSE_COLORS = ("ERROR", "CONFIDENCE")
+
+
+def draw_shown(layout, view, running: session.Session) -> None:
+    """Draw which picture is shown, and the settings that matter for it."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(view, "shown")
+    if view.shown in _OF_A_MAP:
+        column.prop(view, "parameter")
+    if view.shown in _IN_FALSE_COLORS:
+        column.prop(view, "limit")
+    if view.shown in _OF_A_LIGHT:
+        observations = running.job.capture.observations
+        number = min(view.observation, len(observations) - 1)
+        column.prop(view, "observation")
+        drawing.fact(column, f"of {len(observations)}", observations[number].name)
+        column.prop(view, "exposure")
+    if view.shown == "SPLIT":
+        column.prop(view, "split", slider=True)
+
+
+class IRPSO_PT_view(Sidebar, bpy.types.Panel):
+    """The maps while they converge, on the subject."""
+
+    bl_label = "View"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are maps to be seen."""
+        running = session.current()
+        return running is not None and running.display is not None
+
+    def draw_header(self, context) -> None:
+        """Draw the switch of it all."""
+        self.layout.prop(context.scene.irpso.view, "show", text="")
+
+    def draw(self, context) -> None:
+        """Draw what is shown and how."""
+        view = context.scene.irpso.view
+        if not view.show:
+            self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
+            return
+        draw_shown(self.layout, view, session.current())
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(view, "opacity", slider=True)
+
+
+class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
+    """The lights and cameras of the capture, around the subject."""
+
+    bl_label = "Lights and Cameras"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture to be drawn."""
+        return session.current() is not None
+
+    def draw(self, context) -> None:
+        """Draw the switches."""
+        view = context.scene.irpso.view
+        column = self.layout.column(heading="Show")
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(view, "show_lights")
+        column.prop(view, "show_cameras")
+        if view.show_lights:
+            column.prop(view, "dome_radius")
+
+
+def draw_probes(layout, context) -> None:
+    """Draw the probed texels with their errors, and what is drawn of them."""
+    view, running = context.scene.irpso.view, session.current()
+    layout.operator("irpso.probe", icon="EYEDROPPER")
+    column = layout.column(align=True)
+    for number, probe in enumerate(running.probes):
+        row = column.row(align=True)
+        error = f"   {drawing.percent(probe.curve[-1][1])}" if probe.curve else ""
+        row.label(text=f"{probe.column}, {probe.row}{error}", icon=_PROBE_ICONS[number], translate=False)
+        row.operator("irpso.remove_probe", text="", icon="X", emboss=False).index = number
+    if not running.probes:
+        return
+    column = layout.column(heading="Show")
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(view, "show_curves")
+    column.prop(view, "show_swarm")
+    if view.show_swarm and len(running.probes) > 1:
+        column.prop(view, "probe", text="Swarm of Probe")
+
+
+class IRPSO_PT_probes(Sidebar, bpy.types.Panel):
+    """Texels that are watched."""
+
+    bl_label = "Probes"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are texels to be watched."""
+        running = session.current()
+        return running is not None and running.display is not None
+
+    def draw(self, context) -> None:
+        """Draw the list."""
+        draw_probes(self.layout, context)
+
+
+CLASSES = (IRPSO_PT_view, IRPSO_PT_dome, IRPSO_PT_probes)
