@@ -13,6 +13,9 @@ import traceback
 
 import bpy
 
+# What an extension may register a class of.
+BASES = ("AddonPreferences", "FileHandler", "Header", "Menu", "Operator", "Panel", "PropertyGroup", "UIList")
+
 
 def watch_commands() -> list[str]:
     """Return a list that will hold the names of the command line commands that are registered, as they come and go."""
@@ -35,7 +38,7 @@ def watch_commands() -> list[str]:
 
 def classes() -> list[str]:
     """Return the names of the program's classes that Blender knows now, in order."""
-    bases = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences)
+    bases = [getattr(bpy.types, name) for name in BASES]
     kinds = [kind for base in bases for kind in base.__subclasses__() if ".irpso." in kind.__module__]
     return sorted(kind.__name__ for kind in kinds if kind.is_registered)
 
