@@ -14,6 +14,8 @@ MODULES = (
     "scene_setup",
     "presets",
     "upkeep",
+    "session",
+    "recover",
     "keep",
     "panels",
     "view_panels",
