@@ -93,6 +93,8 @@ def faults(told: dict, with_wheels: bool) -> list[str]:
         "the command irpso outlived the extension": told["commands after"] == [],
         "the extension has no panel or operator": told["classes"] != [],
         f"classes outlived the extension: {told['classes after']}": told["classes after"] == [],
+        f"Blender warns of it: {told['violations']}": told["violations"] == [],
+        f"it wrote into its own folder: {told['written']}": told["written"] == [],
         "the program was not run from where it was installed": told["root"].startswith(told["profile"]),
     }
     if with_wheels:
@@ -125,7 +127,8 @@ def main() -> int:
         print(*(f"WRONG: {line}" for line in wrong), sep="\n")
         return 1
     exr = f"OpenEXR {told['exr version']} of the zip" if told["exr"] else "no OpenEXR"
-    print(f"  {len(told['classes'])} classes, command {', '.join(told['commands'])}, {exr}; disabled without a trace")
+    parts = f"{told['modules']} modules, {len(told['classes'])} classes, command {', '.join(told['commands'])}"
+    print(f"  {parts}, {exr}; disabled without a trace")
     print(f"In your own Blender:  blender --command extension install-file -r user_default --enable {package}")
     return 0
 

@@ -7,9 +7,11 @@ The line begins with TOLD. The program never sees this repository: what works he
 import importlib
 import json
 import os
+import pkgutil
 import sys
 import tempfile
 import traceback
+from pathlib import Path
 
 import bpy
 
@@ -43,6 +45,29 @@ def classes() -> list[str]:
     return sorted(kind.__name__ for kind in kinds if kind.is_registered)
 
 
+def import_all(package: str) -> int:
+    """Import every module of the program but the one that starts it from a shell; return how many there are."""
+    folders = sys.modules[package].__path__
+    names = [module.name for module in pkgutil.walk_packages(folders, f"{package}.")]
+    names = [name for name in names if not name.endswith(".__main__")]
+    for name in names:
+        importlib.import_module(name)
+    return len(names)
+
+
+def violations(extension: str) -> list[str]:
+    """Return what Blender would warn of in its list of extensions: modules outside its own package, and paths."""
+    look = importlib.import_module("addon_utils")._extensions_warnings_get
+    look._is_first = True  # it looks once, then answers the same
+    return look().get(extension, [])
+
+
+def files(folder: Path) -> list[str]:
+    """Return the files in a folder, but those of Python's own cache."""
+    paths = [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
+
+
 def exr_round_trip(package: str) -> dict:
     """Write a small file through the program, read it with OpenEXR; return where OpenEXR lies and what came back.
 
@@ -72,6 +97,7 @@ def try_zip(path: str) -> dict:
         raise RuntimeError("Blender did not enable the extension; see its output")
     name = f"{enabled[0]}.irpso_addon"
     package, paths = importlib.import_module(name), importlib.import_module(f"{name}.paths")
+    brought = files(paths.ROOT)
     told = {
         "blender": bpy.app.version_string,
         "python": "{}.{}".format(*sys.version_info),
@@ -79,12 +105,14 @@ def try_zip(path: str) -> dict:
         "enabled": enabled,
         "commands": list(commands),
         "classes": classes(),
+        "modules": import_all(name),
         "base": paths.BASE_PACKAGE,
         "root": str(paths.ROOT),
         "model": package.load_model("lambert").name,
         "schedule": package.load_schedule("standard").name,
     }
     told |= exr_round_trip(name)
+    told |= {"violations": violations(enabled[0]), "written": sorted({*files(paths.ROOT)} ^ {*brought})}
     bpy.ops.preferences.addon_disable(module=enabled[0])
     return told | {"commands after": list(commands), "classes after": classes()}
 

@@ -60,6 +60,20 @@ def test_the_installed_program_finds_its_own_shaders_and_presets(told):
     assert told["root"].startswith(told["profile"])
 
 
+def test_every_module_of_the_program_can_be_imported_from_where_it_is_installed(told):
+    shipped = [path for path in (ROOT / "irpso_addon").rglob("*.py") if path.name != "__init__.py"]
+    packages = [path for path in (ROOT / "irpso_addon").rglob("__init__.py")]
+    assert told["modules"] == len(shipped) - 1 + len(packages) - 1  # without __main__ and the package itself
+
+
+def test_blender_has_nothing_to_warn_of(told):
+    assert told["violations"] == []
+
+
+def test_the_program_writes_nothing_into_its_own_folder(told):
+    assert told["written"] == []
+
+
 def test_a_zip_without_wheels_brings_no_openexr(told):
     assert told["exr"] is None
 
