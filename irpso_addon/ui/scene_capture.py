@@ -75,6 +75,7 @@ def natural(name: str) -> list:
 
 
 def _scene_steps(scene) -> Generator[None, None, Capture]:
+    bpy.context.view_layer.update()  # else what a script has just added is not in it
     lights = photographed_lights(scene)
     if not lights:
         raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")

@@ -1,0 +1,384 @@
+"""A capture's cameras, lights and photographs as objects of the scene, one light lit at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from mathutils import Matrix, Vector
+
+from ..capture.camera import Camera
+from ..capture.draft import Draft, build_capture
+from ..capture.headers import read_header
+from ..capture.images import ImageRef
+from ..capture.read import read_draft
+from ..capture.types import Capture, Light
+from ..errors import InputError
+from ..maps import material
+from ..maps.blender_images import decode
+from ..maps.lights import point_power, sun_strength
+from . import scene_images
+from .job import subject_object
+from .scene_capture import ASPECT, CAPTURE, LIGHT_TYPES, capture_path, in_order, natural
+
+# Custom properties of own objects: "view 0", "light 12"; and a camera's image size (width, height).
+_ROLE, _RESOLUTION = "irpso_role", "irpso_resolution"
+_CARD_DEPTH = 1.0  # where domain_from_card takes a card to lie, in world units from the camera
+_DOME = 2.0  # the dome's radius over the subject's
+_SENSOR = 36.0  # mm, Blender's own default
+_SMALL = 0.3  # of the dome's radius: how large cameras are drawn
+
+
+@dataclass(frozen=True)
+class _Dome:
+    """Where distant lights are put for show: around centre (3,), at radius, in world units."""
+
+    centre: np.ndarray
+    radius: float
+
+
+def create_scene(scene, draft: Draft, capture: Capture) -> list:
+    """Make the capture's cameras and lights in the scene, or bring its own ones up to date; return the lights.
+
+    draft: of the same capture. Nothing that the user made is changed, but for a scene without a camera, which gets one
+    and its resolution. ``scene_capture.capture_from_scene`` of the result is the capture again, to float32.
+    """
+    owned = {obj[_ROLE]: obj for obj in _own(scene) if obj[CAPTURE] == capture.name}
+    made: list = []
+    collection = _collection(scene, capture.name)
+    images = _Images()
+    dome = _dome(scene, capture)
+    views = []
+    for index, (view, camera, mask) in enumerate(zip(draft.views, capture.cameras, capture.masks, strict=True)):
+        obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", _new_camera, collection, capture)
+        set_camera(obj, camera)
+        obj.data.clip_end = max(obj.data.clip_end, 10 * float(np.linalg.norm(camera.position - dome.centre)))
+        obj.data.display_size = _SMALL * dome.radius
+        obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
+        views.append(obj)
+    lights = []
+    for index, (shot, observation) in enumerate(zip(draft.shots, capture.observations, strict=True)):
+        name = f"Light {index:03d} {observation.name}"
+        obj = _object(owned, made, f"light {index}", name, _new_light, collection, capture)
+        set_light(obj, observation.light, dome.centre, dome.radius)
+        obj.irpso.image, obj.irpso.camera = images.of(shot.image), views[observation.camera]
+        lights.append(obj)
+    _remove(set(owned.values()) - set(made))
+    if scene.camera is None:
+        scene.camera = views[0]
+    scene[CAPTURE] = capture.name
+    show_observation(scene, scene.irpso.view.observation)
+    return lights
+
+
+def show_observation(scene, index: int) -> None:
+    """Light the scene with one observation's light alone, and show its photograph behind its camera's view.
+
+    Only lights and cameras that ``create_scene`` made are touched. The scene's camera changes if it is one of them.
+    """
+    lights = [obj for obj in _own(scene) if obj.type == "LIGHT"]
+    current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
+    if not current:
+        return
+    shown = current[sorted(current, key=natural)[min(index, len(current) - 1)]]
+    for obj in lights:
+        # Written only where it changes: each write has Blender build its dependencies anew.
+        if obj.hide_render != (obj != shown):
+            obj.hide_render = obj != shown
+        if obj.hide_viewport != (obj != shown):
+            obj.hide_viewport = obj != shown
+    camera = shown.irpso.camera
+    if camera is None or CAPTURE not in camera:
+        return
+    _set_background(camera.data, shown.irpso.image)
+    if scene.camera is not None and CAPTURE in scene.camera:
+        scene.camera = camera
+        _set_resolution(scene, camera)
+
+
+def set_camera(obj, camera: Camera) -> None:
+    """Give a camera object the projection and place of a camera: ``geometry.scene.camera_from_object`` undoes it."""
+    data, (width, height) = obj.data, (camera.width, camera.height)
+    tall = camera.scale[0] / camera.scale[1]  # of a pixel, over its width
+    data.type = "PERSP" if camera.perspective else "ORTHO"
+    data.sensor_fit = "HORIZONTAL"
+    if camera.perspective:
+        data.sensor_width = max(_SENSOR, width / camera.scale[0])  # a lens is 1 mm or longer
+        data.lens = data.sensor_width * camera.scale[0] / width
+    else:
+        data.ortho_scale = width / camera.scale[0]
+    data.shift_x = (width / 2 - camera.centre[0]) / width
+    data.shift_y = (height / 2 - camera.centre[1]) * tall / width
+    obj[_RESOLUTION] = width, height
+    obj[ASPECT] = (max(1.0, 1 / tall), max(1.0, tall))
+    obj.rotation_mode = "QUATERNION"  # Euler angles lose half of the digits near a quarter turn
+    obj.matrix_world = Matrix(camera.matrix.tolist())
+
+
+def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) -> None:
+    """Make a light object that light: ``scene_capture.light_of`` undoes it. A distant one is put on a dome, for show.
+
+    centre, radius: of the dome, world units.
+    """
+    strongest = max(light.intensity)
+    obj.data.type = "SUN" if light.distant else "POINT"
+    data = obj.data  # its class has changed with its type
+    data.color = [value / strongest for value in light.intensity]
+    for name, value in (("exposure", 0.0), ("normalize", True), ("use_temperature", False)):
+        if hasattr(data, name):  # since Blender 4.5
+            setattr(data, name, value)
+    if light.distant:
+        data.energy, data.angle = sun_strength(strongest), 0.0
+    else:
+        data.energy, data.shadow_soft_size = point_power(strongest), 0.0
+    direction = Vector(light.vector)
+    obj.rotation_mode = "QUATERNION"
+    obj.rotation_quaternion = direction.to_track_quat("Z", "Y") if light.distant else (1, 0, 0, 0)
+    obj.location = Vector(centre) + radius * direction if light.distant else direction
+
+
+def place_card(card, camera: Camera) -> None:
+    """Put a card object (``material.card_object``) where the camera's image covers it exactly."""
+    reach = _CARD_DEPTH if camera.perspective else 1.0
+    # Both sides of the card are in units of its width.
+    width, height = (
+        reach * size / scale for size, scale in zip((camera.width, camera.height), camera.scale, strict=True)
+    )
+    middle = [
+        reach * (size / 2 - centre) / scale
+        for size, centre, scale in zip((camera.width, camera.height), camera.centre, camera.scale, strict=True)
+    ]
+    size = Matrix.Diagonal((width, height * camera.width / camera.height, 1.0, 1.0))
+    place = Matrix.Translation((*middle, -_CARD_DEPTH))
+    card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
+
+
+def _own(scene) -> list:
+    return [obj for obj in scene.objects if CAPTURE in obj and _ROLE in obj and obj.library is None]
+
+
+def _object(owned: dict, made: list, role: str, name: str, new, collection, capture: Capture):
+    """Return the own object of this role, new and tagged where there is none."""
+    obj = owned.get(role)
+    if obj is None:
+        obj = new(name)
+        obj[CAPTURE], obj[_ROLE] = capture.name, role
+        collection.objects.link(obj)
+    made.append(obj)
+    return obj
+
+
+def _new_camera(name: str):
+    return bpy.data.objects.new(name, bpy.data.cameras.new(name))
+
+
+def _new_light(name: str):
+    return bpy.data.objects.new(name, bpy.data.lights.new(name, "SUN"))
+
+
+def _collection(scene, name: str):
+    for collection in scene.collection.children_recursive:
+        if collection.get(CAPTURE) == name:
+            return collection
+    collection = bpy.data.collections.new(f"IRPSO {name}")
+    collection[CAPTURE] = name
+    scene.collection.children.link(collection)
+    return collection
+
+
+def _remove(objects: set) -> None:
+    """Delete objects, and their data where nothing else uses them."""
+    data = {obj.data for obj in objects}
+    bpy.data.batch_remove(list(objects))
+    bpy.data.batch_remove([item for item in data if item.users == 0])
+
+
+def _dome(scene, capture: Capture) -> _Dome:
+    """Return a dome around the subject: the mesh, else the card of a single camera, else the world's origin."""
+    settings = scene.irpso
+    obj = subject_object(bpy.context) if settings.subject == "MESH" else None
+    if obj is not None:
+        corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    elif len(capture.cameras) == 1:
+        corners = capture.cameras[0].points(_CARD_DEPTH)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    else:
+        near = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
+        corners = np.array([(-near / 4,) * 3, (near / 4,) * 3])
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    around = float(np.linalg.norm(corners - centre, axis=1).max()) or 1.0
+    return _Dome(centre, settings.view.dome_radius or _DOME * around)
+
+
+def _set_background(data, image) -> None:
+    data.show_background_images = True
+    background = data.background_images[0] if data.background_images else data.background_images.new()
+    if background.image != image:
+        background.image = image
+
+
+def _set_resolution(scene, camera) -> None:
+    """Give the scene the size and the pixels of a camera's photographs."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = camera[_RESOLUTION]
+    render.resolution_percentage = 100
+    render.pixel_aspect_x, render.pixel_aspect_y = camera[ASPECT]
+
+
+class _Images:
+    """The open file's images by what they are of; loaded where there is none, with no pixels yet."""
+
+    def __init__(self):
+        self._found = {self._key_of(image): image for image in bpy.data.images if self._is_file(image)}
+
+    @staticmethod
+    def _is_file(image) -> bool:
+        return image.source == "FILE" and image.library is None and bool(image.filepath)
+
+    @staticmethod
+    def _key_of(image) -> tuple:
+        path = scene_images.file_of(image).resolve()
+        return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
+
+    def of(self, reference: ImageRef, mask: bool = False):
+        """Return the image of a capture's file."""
+        path = reference.path.resolve()
+        exr = path.suffix.lower() == ".exr"
+        space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
+        key = path, reference.part, reference.layer, space
+        if key not in self._found:
+            image = bpy.data.images.load(str(path), check_existing=False)
+            names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
+            for name, value in zip(names, key[1:], strict=True):
+                if value is not None:
+                    image[name] = value
+            if mask:
+                image.colorspace_settings.name = "Non-Color"
+            elif not exr and (space == "linear" or (space is None and read_header(path).bits == 16)):
+                image.colorspace_settings.name = "Linear Rec.709"
+            self._found[key] = image
+        return self._found[key]
+
+
+class CreateScene(bpy.types.Operator):
+    """Make the capture's cameras and lights as objects: each light with its photograph, lit one at a time as the
+    observation is chosen. Running it again brings them up to date and leaves everything else as it is"""
+
+    bl_idname = "irpso.create_scene"
+    bl_label = "Create Cameras and Lights"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture of files."""
+        chosen = bool(context.scene.irpso.capture_path)
+        if not chosen:
+            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return chosen
+
+    def execute(self, context):
+        """Make them; on a card the card as well, where the camera's image covers it."""
+        scene = context.scene
+        settings = scene.irpso
+        try:
+            draft = read_draft(capture_path(settings), settings.colour_space)
+            capture = build_capture(draft, decode)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        lights = create_scene(scene, draft, capture)
+        if settings.subject == "CARD" and len(capture.cameras) == 1:
+            card = material.card_object(capture.name, *capture.masks[0].shape)
+            if card.matrix_basis == Matrix():  # else it was placed before, by hand perhaps
+                place_card(card, capture.cameras[0])
+        cameras = len(capture.cameras)
+        self.report({"INFO"}, f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}")
+        return {"FINISHED"}
+
+
+class ShowObservation(bpy.types.Operator):
+    """Light the scene as this observation was: its light alone shines, its photograph lies behind its camera's view"""
+
+    bl_idname = "irpso.show_observation"
+    bl_label = "Show Observation"
+    bl_options = {"REGISTER", "UNDO"}
+
+    index: IntProperty(name="Observation", description="Counted from 0", min=0)
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether the scene has lights of a capture."""
+        there = CAPTURE in context.scene
+        if not there:
+            cls.poll_message_set("No lights of a capture: press Create Cameras and Lights first")
+        return there
+
+    def execute(self, context):
+        """Choose the observation; the scene follows."""
+        context.scene.irpso.view.observation = self.index
+        return {"FINISHED"}
+
+
+class AssignImages(bpy.types.Operator):
+    """Choose the photographs of the scene's lights: the first image by name goes to the first light by name, and so on.
+    Where lights are selected, only those get images"""
+
+    bl_idname = "irpso.assign_images"
+    bl_label = "Assign Images to Lights"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"})
+    filter_image: BoolProperty(default=True, options={"HIDDEN"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are lights that can have images."""
+        there = bool(_assignable(context))
+        if not there:
+            cls.poll_message_set("The scene has no Sun and no Point light: add one for each photograph")
+        return there
+
+    def invoke(self, context, event):
+        """Ask for the files."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Give them to the lights in the order of names, and tell what was left over."""
+        names = sorted((item.name for item in self.files if item.name), key=natural)
+        context.view_layer.update()  # else what a script has just added is not in it
+        lights = _assignable(context)
+        if not names:
+            self.report({"ERROR"}, "no image was chosen; select the photographs of the lights in the file browser")
+            return {"CANCELLED"}
+        folder = Path(bpy.path.abspath(self.directory))
+        if gone := next((name for name in names if not (folder / name).is_file()), None):
+            self.report({"ERROR"}, f"{folder / gone}: this image is not there; choose another")
+            return {"CANCELLED"}
+        images = _Images()
+        for light, name in zip(lights, names, strict=False):
+            light.irpso.image = images.of(ImageRef(folder / name))
+        if len(names) == len(lights):
+            self.report({"INFO"}, f"{len(names)} images assigned to {len(lights)} lights")
+            return {"FINISHED"}
+        count = min(len(names), len(lights))
+        left = f"light '{lights[count].name}'" if len(lights) > count else f"image '{names[count]}'"
+        more = abs(len(names) - len(lights))
+        self.report(
+            {"WARNING"},
+            f"{len(names)} images for {len(lights)} lights: {count} assigned, {more} left over, from {left} on; check"
+            " the selection",
+        )
+        return {"FINISHED"}
+
+
+def _assignable(context) -> list:
+    lights = [obj for obj in in_order(context.scene) if obj.type == "LIGHT" and obj.data.type in LIGHT_TYPES]
+    return [obj for obj in lights if obj.select_get()] or lights
+
+
+CLASSES = (CreateScene, ShowObservation, AssignImages)
