@@ -73,10 +73,14 @@ class Domain:
         A texel that is black under every light says nothing: any normal that faces no light would do for it. Found
         once, since it reads the whole stack.
         """
+        covered = self.bake.coverage
         lit = np.zeros(self.shape, bool)
         for layer in self.stack:
-            lit |= (layer[..., 3] > 0) & (layer[..., :3] > 0).any(axis=-1)
-        return self.bake.coverage & lit
+            # Channel by channel: any() over an axis of three is ten times slower.
+            lit |= (layer[..., 3] > 0) & ((layer[..., 0] > 0) | (layer[..., 1] > 0) | (layer[..., 2] > 0))
+            if lit[covered].all():
+                break
+        return covered & lit
 
 
 def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:

@@ -72,6 +72,12 @@ def _model_changed(self, context) -> None:
     refresh_parameters(self)
 
 
+def _observation_changed(self, context) -> None:
+    from .scene_setup import show_observation  # which stands on these settings
+
+    show_observation(self.id_data, self.observation)
+
+
 _MODEL_ITEMS = [
     *((name, load_model(name).title, f"The shipped model {name}") for name in shipped_models()),
     (CUSTOM, "Own Model…", "A .toml that declares the parameters, with its .glsl beside it"),
@@ -122,8 +128,9 @@ class ViewSettings(bpy.types.PropertyGroup):
     shown: EnumProperty(name="Show", items=_SHOWN, default="PARAMETER")
     parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
     observation: IntProperty(
-        name="Observation", description="Whose light and image are shown, counted from 0", min=0, default=0
-    )
+        name="Observation", description="Whose light and image are shown, counted from 0. Of the capture's lights in"
+        " the scene only this one shines", min=0, default=0, update=_observation_changed,
+    )  # fmt: skip
     split: FloatProperty(
         name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
         default=0.5,
