@@ -47,7 +47,8 @@ class Surface:
 
         picture: a texture of display values, nothing being drawn where its alpha is 0. view_projection, model: (4, 4).
         second: another picture, right of ``split``, a fraction of the region's width. region_size: in pixels, by
-        default of what is drawn into. depth: whether what the scene has in front hides it; it writes no depth.
+        default of what is drawn into. depth: whether what the scene has in front hides it, and its near side its far
+        side.
         """
         matrix = np.asarray(view_projection, np.float64) @ np.asarray(model, np.float64)
         column = _UNSPLIT if second is None else split * (region_size or viewport_size())[0]
@@ -57,7 +58,8 @@ class Surface:
             "u_opacity": opacity,
         }
         bound = {"u_picture": picture, "u_second": picture if second is None else second}
-        _draw(self._shader, self._batch, matrix, constants, bound, depth)
+        # Its own depth too: engines that are still compiling draw no scene that would hide its far side.
+        _draw(self._shader, self._batch, matrix, constants, bound, depth, write=depth)
 
     def close(self) -> None:
         """Free shader and triangles."""
@@ -270,12 +272,18 @@ def _shader(
 
 
 def _draw(
-    shader: Any, batch: Any, matrix: np.ndarray, constants: dict[str, Any], bound: dict[str, Any], depth: bool
+    shader: Any,
+    batch: Any,
+    matrix: np.ndarray,
+    constants: dict[str, Any],
+    bound: dict[str, Any],
+    depth: bool,
+    write: bool = False,
 ) -> None:
     import gpu
     from mathutils import Matrix
 
-    with _state(depth):
+    with _state(depth, write):
         shader.bind()
         for name, texture in bound.items():
             shader.uniform_sampler(name, texture)
@@ -288,13 +296,13 @@ def _draw(
 
 
 @contextmanager
-def _state(depth: bool) -> Iterator[None]:
-    """Blend over what is there, behind the scene's depth or not, and leave the drawing state as it was."""
+def _state(depth: bool, write: bool) -> Iterator[None]:
+    """Blend over what is there, behind what is nearer or not, and leave the drawing state as it was."""
     import gpu
 
     before = gpu.state.depth_test_get(), gpu.state.depth_mask_get(), gpu.state.blend_get()
     gpu.state.depth_test_set("LESS_EQUAL" if depth else "NONE")
-    gpu.state.depth_mask_set(False)
+    gpu.state.depth_mask_set(write)
     gpu.state.blend_set("ALPHA")
     try:
         yield
