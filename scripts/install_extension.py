@@ -1,8 +1,9 @@
 """Installs and enables the extension in a real Blender, in a profile of its own, and says what became of it.
 
-Usage: python scripts/install_extension.py ZIP [--json]
-BLENDER=/path/to/blender names the Blender; without it the bpy wheel serves, with nothing else on its path. Nobody's own
-settings are read or changed: whoever wants the extension runs the command that this prints.
+Usage: python scripts/install_extension.py ZIP [--json] [--wheel]
+BLENDER=/path/to/blender names the Blender. Without it, Debian's serves where the tests in a window have brought it;
+without that, the bpy wheel with nothing else on its path. Nobody's own settings are read or changed: whoever wants the
+extension runs the command that this prints.
 """
 
 import argparse
@@ -14,6 +15,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import extension
@@ -21,20 +25,50 @@ import extension
 HERE = Path(__file__).resolve().parent
 # What the bpy wheel needs beside Python's own modules: itself and numpy, which every Blender brings.
 BARE = ("bpy", "numpy", "numpy.libs")
+TIMEOUT = 300  # seconds; it takes ten
 
 
-def own_blender() -> list[str]:
-    """Return the command that starts the Blender that BLENDER names; empty where it names none."""
+@dataclass(frozen=True)
+class Place:
+    """A Blender to install into. name: for people. run: starts it with arguments and returns what came of it.
+
+    commands: whether it has a command line of its own, which the wheel has not.
+    """
+
+    name: str
+    run: Callable[..., subprocess.CompletedProcess]
+    commands: bool = True
+
+
+def find_place(variables: dict[str, str], scratch: Path, wheel_only: bool) -> Place:
+    """Return the Blender to install into, which will run with these variables added to its environment."""
     named = os.environ.get("BLENDER")
-    if not named:
-        return []
-    if not shutil.which(named):
-        raise SystemExit(f"BLENDER={named} is no program that can be run; name Blender's executable")
-    return [named]
+    if wheel_only:
+        return wheel(variables, scratch / "bare")
+    if named:
+        if not shutil.which(named):
+            raise SystemExit(f"BLENDER={named} is no program that can be run; name Blender's executable")
+        return Place(named, partial(_start, [named], variables))
+    return debians(variables) or wheel(variables, scratch / "bare")
 
 
-def wheel(folder: Path) -> tuple[list[str], dict[str, str]]:
-    """Return the command and the variables for the bpy wheel as a Blender that has nothing else."""
+def debians(variables: dict[str, str]) -> Place | None:
+    """Return Debian's Blender, if the tests in a window have brought one here."""
+    suite = os.environ.get("BLENDER_SUITE") or "trixie"
+    folder = extension.ROOT / ".cache" / f"blender-{suite}"
+    if not folder.is_dir() or not hasattr(os, "geteuid") or os.geteuid():
+        return None
+    from blender_window import blenders, debian
+
+    if not (folder / debian.STAMP).is_file():  # it is being built, or was not to its end
+        return None
+    blender = blenders.Blender(suite, "blender", folder, (Path(tempfile.gettempdir()).resolve(), extension.ROOT))
+    name = f"Debian's, in {folder.relative_to(extension.ROOT)}"
+    return Place(name, lambda *words: blender.run("blender", *map(str, words), variables=variables, timeout=TIMEOUT))
+
+
+def wheel(variables: dict[str, str], folder: Path) -> Place:
+    """Return the bpy wheel as a Blender that has nothing else: its modules are linked into a folder."""
     found = importlib.util.find_spec("bpy")
     if found is None:
         raise SystemExit("No Blender to install into: name one with BLENDER=/path/to/blender")
@@ -44,45 +78,46 @@ def wheel(folder: Path) -> tuple[list[str], dict[str, str]]:
         if (packages / name).exists():
             (folder / name).symlink_to(packages / name)
     # Without -S Python would add its site-packages, whose OpenEXR hides what the zip brings or lacks.
-    return [sys.executable, "-S", "-s"], {"PYTHONPATH": str(folder)}
+    command = [sys.executable, "-S", "-s"]
+    return Place("the bpy wheel", partial(_start, command, variables | {"PYTHONPATH": str(folder)}), commands=False)
 
 
-def run(command: list[str], variables: dict[str, str], cwd: Path) -> subprocess.CompletedProcess:
-    """Run a Blender; leave with what it said if it ended badly."""
+def _start(command: list[str], variables: dict[str, str], *words: str | Path) -> subprocess.CompletedProcess:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | variables
-    result = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
-    if result.returncode:
-        raise SystemExit(f"{shlex.join(command)} ended with {result.returncode}\n{result.stdout}{result.stderr}")
-    return result
+    return subprocess.run([*command, *words], env=environment, capture_output=True, text=True, timeout=TIMEOUT)
 
 
-def install(package: Path) -> dict:
-    """Install a zip; return what scripts/installed.py tells of it, "profile": the folder, now gone, and "command".
+def install(package: Path, wheel_only: bool = False) -> dict:
+    """Install a zip; return what scripts/installed.py tells of it, and "place": the Blender, "profile": the folder.
 
-    "command" is the one that ran, and "usage" what `blender --command irpso --help` printed, None in the wheel.
+    The folder is gone by then. "usage" is what `blender --command irpso --help` printed, None in the wheel.
     """
-    found = own_blender()
+    package = package.resolve()
     with tempfile.TemporaryDirectory() as scratch:
-        profile = Path(scratch) / "profile"
+        profile = Path(scratch).resolve() / "profile"
         profile.mkdir()
-        variables = {"BLENDER_USER_RESOURCES": str(profile)}
-        if found:
-            blender = [*found, "--background", "--factory-startup"]
-            script = [*blender, "--python", str(HERE / "installed.py")]
-        else:
-            bare, more = wheel(Path(scratch) / "bare")
-            blender, script, variables = bare, [*bare, str(HERE / "installed.py")], variables | more
-        result = run([*script, "--", str(package.resolve())], variables, profile)
-        lines = [line for line in result.stdout.splitlines() if line.startswith("TOLD ")]
+        place = find_place({"BLENDER_USER_RESOURCES": str(profile)}, Path(scratch), wheel_only)
+
+        def run(*words: str | Path) -> str:
+            result = place.run(*words)
+            if result.returncode:
+                said = f"{result.stdout}{result.stderr}"
+                raise SystemExit(f"{place.name}: {shlex.join(map(str, words))} ended with {result.returncode}\n{said}")
+            return result.stdout
+
+        start = ("--background", "--factory-startup", "--python") if place.commands else ()
+        said = run(*start, HERE / "installed.py", "--", package)
+        lines = [line for line in said.splitlines() if line.startswith("TOLD ")]
         if not lines:
-            raise SystemExit(f"Blender said nothing of the extension\n{result.stdout}{result.stderr}")
-        told = json.loads(lines[0].removeprefix("TOLD "))
+            raise SystemExit(f"{place.name}: said nothing of the extension\n{said}")
         usage = None
-        if found:
-            add = ["extension", "install-file", "-r", "user_default", "--enable", str(package.resolve())]
-            run([*blender, "--command", *add], variables, profile)
-            usage = run([*found, "--background", "--command", "irpso", "--help"], variables, profile).stdout
-        return told | {"profile": str(profile), "command": shlex.join(blender), "usage": usage}
+        if place.commands:
+            add = ("extension", "install-file", "-r", "user_default", "--enable", package)
+            run("--background", "--factory-startup", "--command", *add)
+            usage = run("--background", "--command", "irpso", "--help")
+        return json.loads(lines[0].removeprefix("TOLD ")) | {
+            "profile": str(profile), "place": place.name, "usage": usage,
+        }  # fmt: skip
 
 
 def faults(told: dict, with_wheels: bool) -> list[str]:
@@ -111,18 +146,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("zip", type=Path, help="a zip, or the folder that extension.py built into")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON line")
+    parser.add_argument("--wheel", action="store_true", help="into the bpy wheel, whatever else there is")
     options = parser.parse_args()
     package = options.zip
     if package.is_dir():
         package = extension.zip_path(package, extension.this_platform())
     if not package.is_file():
         raise SystemExit(f"{package}: no such file; build it with scripts/extension.py")
-    told = install(package)
+    told = install(package, options.wheel)
     if options.json:
         print(json.dumps(told))
         return 0
     wrong = faults(told, with_wheels=package.name != extension.zip_path(package.parent).name)
-    print(f"installed {package.name} in Blender {told['blender']} (Python {told['python']}: {told['command']})")
+    print(f"installed {package.name} in Blender {told['blender']} (Python {told['python']}: {told['place']})")
     if wrong:
         print(*(f"WRONG: {line}" for line in wrong), sep="\n")
         return 1

@@ -1,7 +1,6 @@
 """The built zip, installed into a Blender that has nothing else, by a process that never saw this repository."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,9 +18,8 @@ install_extension = pytest.importorskip("install_extension")
 
 def installed(package: Path) -> dict:
     """Install a zip in the bpy wheel that runs this; return what was found."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "BLENDER")}
-    command = [sys.executable, SCRIPTS / "install_extension.py", package, "--json"]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    command = [sys.executable, SCRIPTS / "install_extension.py", package, "--json", "--wheel"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert result.returncode == 0, result.stdout + result.stderr
     return json.loads(result.stdout)
 
