@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench test test-matrix lint format extension clean environment environment-test \
+.PHONY: help demo paper doctor bench test test-matrix test-gui lint format extension clean environment environment-test \
         environment-bench
 
 help: ## list the targets
@@ -37,6 +37,9 @@ test: environment-test lint ## all checks: style, unit tests, tests in headless 
 
 test-matrix: environment-test ## the headless Blender tests on every supported version of Blender
 	$(RUN) tests/matrix.py
+
+test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/to/blender, or Debian's, built once
+	$(RUN) tests/run_gui.py $(ONLY)
 
 lint: environment-test ## style only
 	$(RUN) -m ruff check --quiet .

@@ -1,0 +1,106 @@
+"""Which Blender is put into a window, and how a program is started beside it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from .debian import PRIVATE, ROOT, debian, need_programs
+
+# Sees to the mounts of a Debian in a folder, then becomes the program: $1 the folder, $2 how many folders of this
+# machine it shall see in their own places, then those, then the program with its arguments.
+ENTER = """
+set -e
+root=$1 count=$2
+shift 2
+mount --rbind /dev "$root/dev"
+mount --rbind /proc "$root/proc"
+while [ "$count" -gt 0 ]; do
+    mkdir -p "$root$1"
+    mount --bind "$1" "$root$1"
+    shift
+    count=$((count - 1))
+done
+exec chroot "$root" "$@"
+"""
+# The tools that a window needs -> the package of Debian that brings each.
+TOOLS = {"Xvfb": "xvfb", "xdotool": "xdotool", "import": "imagemagick"}
+# What of this machine's environment goes into a Debian in a folder.
+HANDED_ON = ("IRPSO_", "LP_", "GALLIUM_", "MESA_", "OCIO")
+
+
+@dataclass(frozen=True)
+class Blender:
+    """One Blender and the tools beside it.
+
+    name: of the folder its pictures go to, such as ``trixie``.  executable: its path, or name on PATH.
+    root: the Debian that it lives in; None for this machine.  visible: folders that it must see.
+    """
+
+    name: str
+    executable: str
+    root: Path | None = None
+    visible: tuple[Path, ...] = ()
+
+    def start(self, program: str, *arguments: str, variables: dict[str, str] | None = None, **how) -> subprocess.Popen:
+        """Start a program where this Blender lives; it ends when this process does.
+
+        variables: added to its environment.  how: for subprocess.Popen.
+        """
+        command = ["setpriv", "--pdeathsig", "KILL", *self._enter(variables or {}), program, *arguments]
+        return subprocess.Popen(command, env=self._environment(variables or {}), stdin=subprocess.DEVNULL, **how)
+
+    def run(self, program: str, *arguments: str, variables=None, timeout: float = 120) -> subprocess.CompletedProcess:
+        """Run a program where this Blender lives, to its end; return its exit code and what it said, both as text."""
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        with self.start(program, *arguments, variables=variables, **pipes) as process:
+            try:
+                said, _ = process.communicate(timeout=timeout)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
+        return subprocess.CompletedProcess([program, *arguments], process.returncode, said, "")
+
+    def _enter(self, variables: dict[str, str]) -> list[str]:
+        if self.root is None:
+            return []
+        folders = [str(folder) for folder in self.visible]
+        kept = [f"{name}={value}" for name, value in os.environ.items() if name.startswith(HANDED_ON)]
+        own = [f"{name}={value}" for name, value in variables.items()]
+        home = ["HOME=/root", "LANG=C.UTF-8", "PATH=/usr/local/bin:/usr/bin:/bin"]
+        inside = ["env", "--ignore-environment", *home, *kept, *own]
+        return [*PRIVATE, "sh", "-c", ENTER, "sh", str(self.root), str(len(folders)), *folders, *inside]
+
+    def _environment(self, variables: dict[str, str]) -> dict[str, str]:
+        if self.root is not None:
+            return dict(os.environ)
+        # What belongs to the Python that runs this would mislead Blender's own.
+        mine = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+        return {name: value for name, value in os.environ.items() if name not in mine} | variables
+
+
+def find_blender() -> Blender:
+    """Return the Blender that ``BLENDER`` names, else that of ``BLENDER_SUITE`` (default ``trixie``), built if need be.
+
+    Raises SystemExit, with the remedy, where there is none or a tool beside it is missing.
+    """
+    own = os.environ.get("BLENDER", "")
+    if own:
+        found = shutil.which(own)
+        if not found:
+            raise SystemExit(f"BLENDER={own} is no program that can be run; name Blender's executable")
+        need_programs(TOOLS)
+        return Blender("own", str(Path(found).resolve()))
+    suite = os.environ.get("BLENDER_SUITE") or "trixie"
+    return Blender(suite, "blender", debian(suite), _visible())
+
+
+def _visible() -> tuple[Path, ...]:
+    """Return the folders that a Blender in a folder must see: temporary files, the repository, the data beside it."""
+    shared = Path(os.environ.get("IRPSO_DATA", ROOT.parent / "shared"))
+    wanted = [Path(tempfile.gettempdir()), Path("/tmp"), ROOT, shared]
+    return tuple(dict.fromkeys(folder.resolve() for folder in wanted if folder.is_dir()))

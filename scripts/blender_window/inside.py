@@ -1,0 +1,136 @@
+"""What pieces of Python may call inside Blender: contexts, regions of the screen, and the buttons in them."""
+
+from contextlib import suppress
+
+import bpy
+
+
+def main_window():
+    """Return Blender's first window."""
+    return bpy.context.window_manager.windows[0]
+
+
+def largest(area_type):
+    """Return the largest area of a type in the first window. Raises LookupError where there is none."""
+    areas = [area for area in main_window().screen.areas if area.type == area_type]
+    if not areas:
+        raise LookupError(f"the window shows no area of type {area_type}")
+    return max(areas, key=lambda area: area.width * area.height)
+
+
+def region_of(area, region_type):
+    """Return an area's region of a type."""
+    return next(region for region in area.regions if region.type == region_type)
+
+
+def override(area_type, region_type="WINDOW"):
+    """Return the context that an operator has when the mouse is over the largest area of a type."""
+    area = largest(area_type)
+    return bpy.context.temp_override(window=main_window(), area=area, region=region_of(area, region_type))
+
+
+def region_box(area_type, region_type="WINDOW"):
+    """Return x, y, width and height of a region on the screen, from its upper left corner."""
+    region = region_of(largest(area_type), region_type)
+    return region.x, main_window().height - region.y - region.height, region.width, region.height
+
+
+def redrawn(ticks=3):
+    """Have everything drawn again and let a few ticks pass."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            area.tag_redraw()
+    for _ in range(ticks):
+        yield
+
+
+def settled(ticks=3):
+    """Let a few ticks pass, for events to be handled."""
+    for _ in range(ticks):
+        yield
+
+
+def open_sidebar(tab, area_type):
+    """Show a tab of the sidebar. Raises LookupError where the sidebar has no such tab."""
+    area = largest(area_type)
+    area.spaces.active.show_region_ui = True
+    region = region_of(area, "UI")
+    for _ in range(100):  # a tab can be chosen once the sidebar has been drawn
+        area.tag_redraw()
+        yield
+        if region.width > 1:
+            with suppress(TypeError, AttributeError):
+                region.active_panel_category = tab
+            if region.active_panel_category == tab:
+                yield from redrawn()
+                return
+    raise LookupError(f"the sidebar of {area_type} has no tab {tab!r}; it shows {region.active_panel_category!r}")
+
+
+def reports():
+    """Return what operators have reported to the user, of any kind, oldest first.
+
+    Where an operator cancels, its reports are not in the log; only an Info editor can copy them, so the smallest area
+    becomes one for a moment. The editor lists what was called in Python too, which is left out.
+    """
+    window = main_window()
+    area = min((a for a in window.screen.areas if a.type != "VIEW_3D"), key=lambda area: area.width * area.height)
+    before, area.ui_type = area.ui_type, "INFO"
+    window_manager = bpy.context.window_manager
+    window_manager.clipboard = ""
+    with bpy.context.temp_override(window=window, area=area, region=region_of(area, "WINDOW")):
+        bpy.ops.info.select_all(action="SELECT")
+        bpy.ops.info.report_copy()
+    area.ui_type = before
+    return [line for line in window_manager.clipboard.splitlines() if not line.startswith("bpy.")]
+
+
+def button_under_mouse(area_type, region_type):
+    """Return what the button under the mouse does, as Blender's own commands to copy it say: an operator's call in
+    Python, or a property's data path; "" where there is none."""
+    wm, ui = bpy.context.window_manager, bpy.ops.ui
+    wm.clipboard = ""
+    with override(area_type, region_type), suppress(RuntimeError):
+        if ui.copy_python_command_button.poll():
+            ui.copy_python_command_button()
+        elif ui.copy_data_path_button.poll():
+            ui.copy_data_path_button(full_path=True)
+    return wm.clipboard
+
+
+def walk_buttons(area_type, region_type, step):
+    """Lead the mouse down a region in columns; yield (x, y from the screen's top, what the button there does)."""
+    left, top, width, height = region_box(area_type, region_type)
+    window = main_window()
+    for across in (0.4, 0.8, 0.15):
+        for y in range(top + step, top + height, step):
+            x = left + round(across * width)
+            window.cursor_warp(x, window.height - 1 - y)
+            yield None
+            yield None
+            yield x, y, button_under_mouse(area_type, region_type)
+
+
+def find_button(wanted, area_type, region_type="UI", step=12):
+    """Return x and y of a button on the screen. Raises LookupError, naming the buttons there are.
+
+    wanted: a part of the operator's call in Python, or of the property's data path.
+    """
+    seen = {}
+    for place in walk_buttons(area_type, region_type, step):
+        if place is not None and place[2]:
+            if wanted in place[2]:
+                return place[:2]
+            seen[place[2]] = None
+        yield
+    raise LookupError(f"no button of {wanted!r} in {region_type} of {area_type}; there are: {', '.join(seen)}")
+
+
+def buttons(area_type, region_type="UI", step=12):
+    """Return x, y and what it does of every button in sight of a region, one place for each."""
+    seen = {}
+    for place in walk_buttons(area_type, region_type, step):
+        if place is not None and place[2]:
+            seen.setdefault(place[2], place)
+        yield
+    return list(seen.values())

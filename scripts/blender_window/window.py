@@ -1,0 +1,186 @@
+"""A Blender window as a test sees it: code run inside it, mouse and keys, pictures."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+
+from .blenders import Blender
+from .layout import Box
+
+# What Blender and its add-ons say when something is wrong.
+COMPLAINT = re.compile(
+    r"Traceback \(most|^Error: |\bERROR\b|Exception in|^Writing: .*crash|memory leak|Not freed|GPUShader|Shader.*failed"
+)
+SHORTEST_WAIT = 0.02  # seconds between looks at the answer
+
+
+class FailedInside(Exception):
+    """A piece of Python failed inside Blender; the text is its traceback there."""
+
+
+class BlenderGone(Exception):
+    """Blender ended, or does not answer; the text has the end of what it said."""
+
+
+class Window:
+    """One running Blender; open_window() makes it.
+
+    blender: which.  display: X display that it is on.  process: Blender's.  folder: requests, answers and the log.
+    pictures: where screenshot() puts them.
+    """
+
+    def __init__(self, blender: Blender, display: str, process: subprocess.Popen, folder: Path, pictures: Path):
+        self.blender, self.display, self.process, self.folder, self.pictures = (
+            blender, display, process, folder, pictures,
+        )  # fmt: skip
+        self.expected: list[str] = []
+        self._asked = 0
+
+    def run(self, code: str, area: str = "VIEW_3D", timeout: float = 60):
+        """Run Python inside Blender, in its main thread; return the value of its last expression, as JSON has it.
+
+        code: finds ``bpy``, what earlier pieces left, and the functions of inside.py; where its last expression is a
+        generator, a step is taken every 20 ms while Blender lives on.  area: type of the area whose context it has; ""
+        for a timer's bare context, which suits whatever loads a file.  timeout: seconds.
+        Raises FailedInside with the traceback, BlenderGone where Blender has ended or does not answer.
+        """
+        number, self._asked = self._asked, self._asked + 1
+        request, answer = self.folder / f"{number}.json", self.folder / f"{number}.answer.json"
+        part = request.with_suffix(".part")
+        part.write_text(json.dumps({"code": code, "area": area}), encoding="utf-8")
+        part.rename(request)
+        until = time.monotonic() + timeout
+        while not answer.exists():
+            if self.process.poll() is not None:
+                raise BlenderGone(f"Blender ended with {self.process.returncode}\n{self._tail()}")
+            if time.monotonic() > until:
+                raise BlenderGone(f"Blender has not answered for {timeout:.0f} s\n{code}\n{self._tail()}")
+            time.sleep(SHORTEST_WAIT)
+        told = json.loads(answer.read_text(encoding="utf-8"))
+        if "error" in told:
+            raise FailedInside(told["error"])
+        return told["value"]
+
+    def wait(self, expression: str, timeout: float = 30, area: str = "VIEW_3D"):
+        """Return the value of a Python expression inside Blender once it is true. Raises TimeoutError."""
+        until = time.monotonic() + timeout
+        while not (value := self.run(expression, area)):
+            if time.monotonic() > until:
+                raise TimeoutError(f"after {timeout} s still {value!r}: {expression}\n{self._tail()}")
+            time.sleep(0.05)
+        return value
+
+    def settle(self) -> None:
+        """Wait until Blender has handled the events sent so far."""
+        self.run("settled()", area="")
+
+    def move(self, x: int, y: int) -> None:
+        """Put the mouse at a pixel of the screen, y from the top."""
+        self._events("mousemove", x, y)
+
+    def click(self, x: int, y: int, button: int = 1, times: int = 1) -> None:
+        """Click at a pixel: 1 left, 2 middle, 3 right, 4 and 5 the wheel up and down."""
+        self._events("mousemove", x, y, "sleep", 0.1, "click", "--repeat", times, "--delay", 60, button)
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
+        """Press at a pixel, move to another in steps, let go."""
+        steps = [
+            part
+            for k in range(1, 9)
+            for part in (
+                "mousemove",
+                *(round(a + (b - a) * k / 8) for a, b in zip(start, end, strict=True)),
+                "sleep",
+                0.02,
+            )
+        ]
+        self._events("mousemove", *start, "sleep", 0.1, "mousedown", button, *steps, "mouseup", button)
+
+    def key(self, *keys: str) -> None:
+        """Press keys one after the other over the area under the mouse, named as xdotool does: Escape, ctrl+z, n."""
+        self._events("key", "--delay", 60, *keys)
+
+    def type(self, text: str) -> None:
+        """Type text."""
+        self._events("type", "--delay", 30, text)
+
+    def region(self, area: str = "VIEW_3D", region: str = "WINDOW") -> Box:
+        """Return where a region of the largest area of a type is on the screen."""
+        return Box(*self.run(f"region_box({area!r}, {region!r})", area=""))
+
+    def open_sidebar(self, tab: str, area: str = "VIEW_3D") -> Box:
+        """Show a tab of an area's sidebar; return where the sidebar is. Raises FailedInside without such a tab."""
+        self.run(f"open_sidebar({tab!r}, {area!r})", area="")
+        return self.region(area, "UI")
+
+    def find_button(self, wanted: str, area: str = "VIEW_3D", region: str = "UI") -> tuple[int, int]:
+        """Return a pixel of a button in a region, found by leading the mouse over it (some seconds).
+
+        wanted: a part of the operator's call in Python (``irpso.recover``) or of the property's data path
+        (``irpso.resolution``). Raises FailedInside, naming the buttons in sight; greyed ones are found too.
+        """
+        x, y = self.run(f"find_button({wanted!r}, {area!r}, {region!r})", area="", timeout=180)
+        return x, y
+
+    def buttons(self, area: str = "VIEW_3D", region: str = "UI") -> dict[str, tuple[int, int]]:
+        """Return what every button in sight of a region does, and a pixel of it (ten seconds and more)."""
+        found = self.run(f"buttons({area!r}, {region!r})", area="", timeout=180)
+        return {does: (x, y) for x, y, does in found}
+
+    def screenshot(self, name: str, box: Box | None = None) -> Path:
+        """Take a picture of the screen, or of a part of it, into NAME.png; return its path."""
+        self.run("redrawn()", area="")
+        self.pictures.mkdir(parents=True, exist_ok=True)
+        path = self.pictures / f"{name}.png"
+        path.write_bytes(self._import("png:-", box))
+        return path
+
+    def pixels(self, box: Box | None = None) -> np.ndarray:
+        """Return what the screen shows, or a part of it: (H, W, 3) uint8, row 0 at the TOP."""
+        self.run("redrawn()", area="")
+        box = box or Box(0, 0, *self.run("main_window().width, main_window().height", area=""))
+        raw = self._import("rgb:-", box)
+        return np.frombuffer(raw, np.uint8).reshape(box.height, box.width, 3)
+
+    def log(self) -> str:
+        """Return all that Blender has said so far."""
+        return (self.folder / "log").read_text(encoding="utf-8", errors="replace")
+
+    def expect(self, pattern: str) -> None:
+        """Let lines of the log that match a regular expression pass as no complaint."""
+        self.expected.append(pattern)
+
+    def reports(self) -> list[str]:
+        """Return what operators have reported to the user, of any kind, oldest first; log() lacks refusals."""
+        return self.run("reports()", area="")
+
+    def complaints(self) -> list[str]:
+        """Return the lines of the log that say that something is wrong and were not expected."""
+        lines = [line for line in self.log().splitlines() if COMPLAINT.search(line)]
+        return [line for line in lines if not any(re.search(pattern, line) for pattern in self.expected)]
+
+    def _import(self, form: str, box: Box | None) -> bytes:
+        crop = [] if box is None else ["-crop", f"{box.width}x{box.height}+{box.x}+{box.y}", "+repage"]
+        arguments = ["-window", "root", *crop, "-depth", "8", form]
+        with self.blender.start(
+            "import", *arguments, variables={"DISPLAY": self.display}, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as process:
+            taken, said = process.communicate(timeout=60)
+        if process.returncode or not taken:
+            raise BlenderGone(f"no picture could be taken: {said.decode(errors='replace')}")
+        return taken
+
+    def _events(self, *arguments) -> None:
+        done = self.blender.run("xdotool", *map(str, arguments), variables={"DISPLAY": self.display})
+        if done.returncode:
+            raise BlenderGone(f"xdotool {arguments}: {done.stdout}{self._tail()}")
+        self.settle()
+
+    def _tail(self) -> str:
+        return "\n".join(self.log().splitlines()[-40:])
