@@ -1,0 +1,235 @@
+"""The schedule as settings of a scene, and presets: shipped ones as they are shipped, the user's own in files."""
+
+import dataclasses
+import struct
+import tomllib
+
+import bpy
+import pytest
+
+import irpso_addon
+from irpso_addon.errors import InputError
+from irpso_addon.paths import PRESETS
+
+pytestmark = pytest.mark.bpy_only
+
+SHIPPED = sorted(path.stem for path in PRESETS.glob("*.toml"))
+
+
+@pytest.fixture(autouse=True)
+def user_folder(tmp_path, monkeypatch):
+    """Register in an empty file, with a folder of presets of the test's own; return that folder."""
+    found = bpy.utils.user_resource
+    folder = tmp_path / "scripts" / "presets" / "irpso"
+
+    def user_resource(kind, path="", create=False):
+        if kind != "SCRIPTS":
+            return found(kind, path=path, create=create)
+        place = tmp_path / "scripts" / path
+        if create:
+            place.mkdir(parents=True, exist_ok=True)
+        return str(place)
+
+    monkeypatch.setattr(bpy.utils, "user_resource", user_resource)
+    monkeypatch.setattr(bpy.utils, "preset_paths", lambda name: [str(folder)] if folder.is_dir() else [])
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irpso_addon.register()
+    yield folder
+    irpso_addon.unregister()
+
+
+def settings():
+    return bpy.context.scene.irpso.schedule
+
+
+def schedule():
+    from irpso_addon.ui.schedule_settings import schedule_of
+
+    return schedule_of(settings())
+
+
+def refusal(call, *arguments, **values):
+    """Return the one line that an operator refuses with."""
+    with pytest.raises(RuntimeError) as caught:
+        call(*arguments, **values)
+    lines = str(caught.value).strip().splitlines()
+    assert len(lines) == 1 and "Traceback" not in lines[0]
+    return lines[0]
+
+
+def bits(value):
+    """Return numbers as the bits of their float64, so that equal means equal in every bit."""
+    if isinstance(value, dict):
+        return {key: bits(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [bits(item) for item in value]
+    return struct.pack("<d", value) if isinstance(value, float) else value
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_preset_left_alone_is_the_schedule_of_its_file_in_every_bit(name):
+    with open(PRESETS / f"{name}.toml", "rb") as file:
+        table = tomllib.load(file)
+    settings().preset = "swarm" if name != "swarm" else "paper"
+    settings().preset = name
+    found = dataclasses.asdict(schedule())
+    for part in ("swarm", "fitness", "survey", "polish", "prior"):
+        if part in table:
+            assert bits(found[part]) == bits(table[part])
+    assert bits(list(found["stages"])) == bits(table["stage"])
+    for key in ("cycles", "threshold"):
+        assert bits(found[key]) == bits(table[key])
+
+
+def test_a_fresh_scene_has_the_standard_schedule():
+    assert settings().preset == "standard"
+    assert schedule() == irpso_addon.load_schedule("standard")
+
+
+def test_every_setting_of_a_schedule_is_a_property_that_shows_the_value_in_effect():
+    with open(PRESETS / "paper.toml", "rb") as file:
+        table = tomllib.load(file)
+    settings().preset = "paper"
+    for name, value in {**table["swarm"], **table["fitness"], "cycles": table["cycles"]}.items():
+        expected = pytest.approx(value, rel=1e-7) if isinstance(value, float) else value  # 32 bits
+        assert getattr(settings(), name) == expected, name
+    assert settings().iterations == 1000
+
+
+@pytest.mark.parametrize("name", ["inertia", "delta", "polish_gain", "prior_likeness", "c3"])
+def test_a_number_that_is_typed_reaches_the_schedule_as_it_was_typed(name):
+    for typed in (0.07, 0.1, 0.3, 0.025, 1e-05, 0.123456):
+        setattr(settings(), name, typed)
+        part, _, field = name.rpartition("_") if name.startswith(("polish", "prior")) else ("", "", name)
+        groups = [getattr(schedule(), part)] if part else [schedule().swarm, schedule().fitness]
+        assert [getattr(group, field) for group in groups if hasattr(group, field)] == [typed]
+
+
+def test_a_setting_that_is_set_back_no_longer_differs():
+    from irpso_addon.ui.schedule_settings import differences
+
+    settings().delta, settings().particles, settings().loss = 0.5, 99, "l1"
+    assert differences(settings()) == {"delta": 0.5, "particles": 99, "loss": "l1"}
+    settings().delta, settings().particles, settings().loss = 0.03, 8, "robust"
+    assert differences(settings()) == {}
+
+
+def test_limits_are_those_that_a_schedule_is_checked_by():
+    settings().seeded = 7
+    settings().particles = -3
+    settings().percentile = 0
+    settings().levels = 40
+    settings().neighbourhood = 6
+    found = schedule()
+    assert (found.swarm.seeded, found.swarm.particles, found.levels, found.swarm.neighbourhood) == (1, 1, 5, 7)
+    assert 0 < found.fitness.percentile < 1e-5
+
+
+def test_settings_that_contradict_each_other_are_refused_with_what_to_do():
+    settings().update = "one"
+    with pytest.raises(InputError, match='linear = "solve" needs update = "all"'):
+        schedule()
+
+
+def test_an_own_preset_holds_its_schedules_name_and_what_differs_and_comes_back(user_folder):
+    settings().preset = "swarm"
+    settings().delta, settings().particles = 0.07, 24
+    before = schedule()
+    bpy.ops.irpso.preset_add(name="My Skin")
+    (path,) = user_folder.iterdir()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if line.startswith("schedule.")] == [
+        "schedule.preset = 'swarm'", "schedule.delta = 0.07", "schedule.particles = 24",
+    ]  # fmt: skip
+    bpy.ops.irpso.preset_choose(name="paper")
+    assert schedule() == irpso_addon.load_schedule("paper")
+    bpy.ops.irpso.preset_load(filepath=str(path))
+    assert schedule() == before == irpso_addon.load_schedule("swarm").replaced(delta=0.07, particles=24)
+
+
+def test_an_own_preset_can_be_run_by_blender_like_its_own(user_folder):
+    settings().delta = 0.07
+    bpy.ops.irpso.preset_add(name="mine")
+    settings().preset = "paper"
+    bpy.utils.execfile(str(user_folder / "mine.py"))
+    assert schedule() == irpso_addon.load_schedule("standard").replaced(delta=0.07)
+
+
+def test_the_menu_says_which_preset_is_set_and_whether_settings_differ_from_it(user_folder):
+    from irpso_addon.ui.presets import label_of
+
+    assert label_of(settings()) == "Standard"
+    settings().delta = 0.07
+    assert label_of(settings()) == "Standard *"
+    bpy.ops.irpso.preset_add(name="skin")
+    assert label_of(settings()) == "skin"
+    settings().delta = 0.08
+    assert label_of(settings()) == "skin *"
+    bpy.ops.irpso.preset_choose(name="paper")
+    assert label_of(settings()) == "The paper"
+
+
+def test_an_own_preset_can_be_removed_and_a_shipped_one_neither_removed_nor_replaced(user_folder):
+    settings().delta = 0.07
+    bpy.ops.irpso.preset_add(name="skin")
+    bpy.ops.irpso.preset_add(remove_active=True)
+    assert list(user_folder.iterdir()) == [] and settings().own == ""
+    assert settings().delta == pytest.approx(0.07)
+    for values in ({"remove_active": True}, {"name": "standard", "remove_name": True}):
+        assert "Shipped presets cannot be removed" in refusal(bpy.ops.irpso.preset_add, **values)
+    for name in ("Standard", "paper"):
+        assert "Shipped presets cannot be replaced" in refusal(bpy.ops.irpso.preset_add, name=name)
+    assert list(user_folder.iterdir()) == []
+    assert sorted(path.stem for path in PRESETS.glob("*.toml")) == SHIPPED
+
+
+HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD + "schedule.preset = 'nonsense'\n", "preset 'nonsense' is not shipped; choose one of"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.particels = 3\n", "there is no setting 'particels'"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.particles = -3\n", "particles must be a whole number from 1"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.seeded = 2.0\n", "seeded must be at most 1"),
+        (HEAD + "schedule.particles = 3\n", "names no schedule"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.particles = open('x')\n", "line 4 sets no plain value"),
+        (HEAD + "schedule.preset = 'paper'\nbpy.ops.wm.quit_blender()\n", "line 4 does not belong into a preset"),
+        ("schedule.preset = (\n", "is no preset"),
+        ("\0", "is no preset"),
+    ],
+)
+def test_a_preset_file_with_a_mistake_is_refused_in_one_line_and_changes_nothing(tmp_path, text, message):
+    path = tmp_path / "bad.py"
+    path.write_text(text, encoding="utf-8")
+    settings().delta = 0.07
+    before = schedule()
+    assert message in refusal(bpy.ops.irpso.preset_load, filepath=str(path))
+    assert str(path) in refusal(bpy.ops.irpso.preset_load, filepath=str(path))
+    assert schedule() == before and settings().preset == "standard"
+
+
+def test_an_own_preset_that_is_gone_is_refused_in_one_line(tmp_path):
+    assert "No such file" in refusal(bpy.ops.irpso.preset_load, filepath=str(tmp_path / "gone.py"))
+
+
+def test_a_schedule_of_the_users_own_is_a_preset_by_its_path(tmp_path):
+    text = (PRESETS / "swarm.toml").read_text(encoding="utf-8").replace("inertia = 0.6", "inertia = 0.55")
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    settings().preset = str(tmp_path / "own.toml")
+    assert schedule().swarm.inertia == 0.55
+    settings().preset = str(tmp_path / "gone.toml")
+    with pytest.raises(InputError, match="cannot be read"):
+        schedule()
+
+
+def test_what_a_scene_keeps_of_its_schedule_comes_back_with_the_file(tmp_path):
+    settings().preset = "paper"
+    settings().delta = 0.07
+    before = schedule()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert schedule() == irpso_addon.load_schedule("standard")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert schedule() == before
