@@ -47,11 +47,12 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
         layout, settings = self.layout, context.scene.irpso
         layout.row().prop(settings, "source", expand=True)
         if settings.source == "FILES":
-            row = layout.row(align=True)
-            row.prop(settings, "capture_path", text="")
-            row.operator("irpso.import_capture", text="", icon="FILEBROWSER")
+            row = layout.row()
+            row.scale_y = 1.0 if settings.capture_path else 1.5
+            row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             if not settings.capture_path:
                 return
+            layout.prop(settings, "capture_path", text="")
             column = layout.column()
             column.use_property_split, column.use_property_decorate = True, False
             column.prop(settings, "colour_space")
