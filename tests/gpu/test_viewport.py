@@ -204,10 +204,11 @@ def test_points_in_space_stand_where_the_matrix_puts_them_and_keep_their_size(dr
         np.testing.assert_allclose(found, covered, atol=5e-4)
 
 
-def test_a_line_that_passes_the_eye_is_cut_where_the_view_begins(drawing):
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_line_that_passes_the_eye_is_cut_where_the_view_begins(drawing, turn):
     ahead, behind = np.array([0.5, 0.25, 0.0]), np.array([0.5, 0.25, 20.0])
     with Window() as window:
-        drawing.draw_lines([ahead, behind], (1, 1, 1, 1), 3, PERSPECTIVE)
+        drawing.draw_lines([ahead, behind][::turn], (1, 1, 1, 1), 3, PERSPECTIVE)
         drawing.draw_lines([behind, behind + (1, 0, 0)], (1, 0, 0, 1), 9, PERSPECTIVE)
     cut = np.array([0.5, 0.25, 5 - NEAR])
     covered, _ = stroke(projected(PERSPECTIVE, ahead)[1], projected(PERSPECTIVE, cut)[1], 3)
@@ -272,6 +273,18 @@ def test_the_near_side_of_a_surface_hides_its_far_side(surface, order):
     with Window() as window:
         surface(layers, uvs).draw(textures.upload(picture), PERSPECTIVE, np.eye(4))
     np.testing.assert_array_equal(window.pixels()[18, 24], (0, 1, 0, 1))
+
+
+def test_a_hole_in_the_picture_shows_what_is_behind(surface):
+    layers, uvs = (
+        np.concatenate([square(1.0), square(0.0)]),
+        np.concatenate([np.full((2, 3, 2), u) for u in (0.2, 0.8)]),
+    )
+    picture = np.zeros((2, 2, 4), np.float32)
+    picture[1, 1] = (1, 0, 0, 1)
+    with Window() as window:
+        surface(layers, uvs).draw(textures.upload(picture), PERSPECTIVE, np.eye(4))
+    np.testing.assert_array_equal(window.pixels()[18, 24], (1, 0, 0, 1))
 
 
 @pytest.mark.parametrize("matrix", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
