@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..gpu import textures
 from ..gpu.passes import Kernel, Output, Pass
-from ..reflectance.model import ReflectanceModel
+from ..reflectance.model import Parameter, ReflectanceModel
 from . import kernels
 from .generations import RunningGenerations
 from .pyramid import Pyramid
@@ -202,12 +202,18 @@ class _SwarmProbe:
         self._target = self._held = None
 
 
+def component_names(parameter: Parameter) -> list[str]:
+    """Return what the components of a parameter are called among particles: "roughness", or "base_color.r"."""
+    parts = _COLORS if parameter.color_space == "sRGB" else _PARTS
+    several = parameter.components > 1
+    return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
+
+
 def _searched(phase: RunningStage | RunningGenerations, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:
     """Return the places and names of the components that a phase searches."""
     chosen: list[int] = []
     names: list[str] = []
     for p in phase.stage.parameters:
-        parts = _COLORS if p.color_space == "sRGB" else _PARTS
         chosen += range(model.offset(p.name), model.offset(p.name) + p.components)
-        names += [f"{p.name}.{parts[i]}" if p.components > 1 else p.name for i in range(p.components)]
+        names += component_names(p)
     return chosen, tuple(names)

@@ -20,6 +20,8 @@ MODULES = (
     "panels",
     "view_panels",
     "image_panels",
+    "overlay.handlers",
+    "overlay.probes",
 )
 
 

@@ -36,11 +36,12 @@ _loaded: tuple[tuple[Any, ...], Domain] | None = None  # the last domain that wa
 
 @dataclass
 class Probe:
-    """A texel that is watched. curve: (iteration, error) as often as it was looked at."""
+    """A texel that is watched. curve: (iteration, error) as often as it was looked at. slot: of its colour, 0…3."""
 
     row: int
     column: int
     curve: list[tuple[int, float]] = field(default_factory=list)
+    slot: int = 0
 
 
 class Session:
@@ -158,8 +159,9 @@ class Session:
 
     def add_probe(self, row: int, column: int) -> None:
         """Watch a texel; the oldest of more than four is dropped."""
-        self.probes.append(Probe(row, column))
-        del self.probes[:-MOST_PROBES]
+        del self.probes[: max(0, len(self.probes) - MOST_PROBES + 1)]
+        free = set(range(MOST_PROBES)) - {probe.slot for probe in self.probes}
+        self.probes.append(Probe(row, column, slot=min(free)))
         _tell()
 
     def remove_probe(self, index: int) -> None:

@@ -14,6 +14,7 @@ from bpy.props import (
 
 from ..errors import InputError
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
+from ..solver.texel_probe import component_names
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # a model of the user's own
@@ -92,6 +93,18 @@ def _parameter_items(self, context):
 _PARAMETER_ITEMS: list[tuple[str, str, str]] = []  # Blender keeps no reference to the texts of a dynamic enumeration
 
 
+_AXIS_TEXT = "The searched number along this axis of the swarm's box; empty takes a colour, or what is searched first"
+
+
+def _components(self, context, text: str) -> list[str]:
+    """Return the names of the model's components, as swarms have them."""
+    try:
+        parameters = model_of(self.id_data.irpso).parameters
+    except InputError:
+        return []
+    return [name for parameter in parameters for name in component_names(parameter)]
+
+
 def _is_mesh(self, obj) -> bool:
     return obj.type == "MESH"
 
@@ -154,6 +167,9 @@ class ViewSettings(bpy.types.PropertyGroup):
         name="Swarm", description="Draw the particles of the chosen probe in the space that they search", default=False
     )
     probe: IntProperty(name="Probe", description="The probe whose swarm is drawn, from 1", min=1, max=4, default=1)
+    swarm_x: StringProperty(name="X", description=_AXIS_TEXT, search=_components)
+    swarm_y: StringProperty(name="Y", description=_AXIS_TEXT, search=_components)
+    swarm_z: StringProperty(name="Z", description=_AXIS_TEXT, search=_components)
 
 
 class Settings(bpy.types.PropertyGroup):

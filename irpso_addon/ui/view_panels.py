@@ -90,8 +90,8 @@ def draw_probes(layout, context) -> None:
     for number, probe in enumerate(running.probes):
         row = column.row(align=True)
         error = f"   {drawing.percent(probe.curve[-1][1])}" if probe.curve else ""
-        row.label(text=f"{probe.column}, {probe.row}{error}", icon=_PROBE_ICONS[number], translate=False)
-        row.operator("irpso.remove_probe", text="", icon="X", emboss=False).index = number
+        row.label(text=f"{probe.column}, {probe.row}{error}", icon=_PROBE_ICONS[probe.slot], translate=False)
+        row.operator("irpso.probe_remove", text="", icon="X", emboss=False).index = number
     if not running.probes:
         return
     column = layout.column(heading="Show")

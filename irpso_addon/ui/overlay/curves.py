@@ -1,0 +1,103 @@
+"""Probed texels: their colours, their rings on the subject and their errors as curves, as Fig. 4 of Nagano et al."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...gpu.viewport import Drawing
+from ...maps.pictures import MARK_COLORS
+from ..session import Probe, Session
+from .layout import Rectangle
+from .legend import PERCENT
+from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
+from .place import Stand, circle, pixel_size, transformed
+from .plot import curve_plot
+
+_MEAN = (0.80, 0.80, 0.82, 1.0)
+_WIDTH, _HEIGHT = 408.0, 196.0  # pixels at scale 1
+_RING = 7.0  # radius of a ring on the subject, in pixels at scale 1
+
+
+def color_of(probe: Probe) -> tuple[float, float, float, float]:
+    """Return a probe's colour, display values: the same as in the pictures of a result."""
+    return (*MARK_COLORS[probe.slot], 1.0)
+
+
+def draw_rings(
+    drawing: Drawing, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float],
+    scale: float,
+) -> None:  # fmt: skip
+    """Draw a ring on the surface around every probed texel, of one size in pixels."""
+    bake = running.domain.bake
+    for probe in running.probes:
+        point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
+        normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
+        radius = _RING * scale * pixel_size(perspective, point, size)
+        if radius <= 0:
+            continue
+        around = circle(point, normal, radius)
+        drawing.draw_lines(around, HALO, 5 * scale, perspective, depth=True, strip=True)
+        drawing.draw_lines(around, color_of(probe), 2.4 * scale, perspective, depth=True, strip=True)
+        drawing.draw_points(point[None], color_of(probe), 3.5 * scale, perspective, depth=True)
+
+
+def draw_flat_rings(painter: Painter, area: Rectangle, running: Session) -> None:
+    """Draw the rings over a map that lies flat in an area."""
+    shape = running.domain.shape
+    for probe in running.probes:
+        at = flat_place(area, shape, probe.row, probe.column)[None]
+        painter.rings(at, HALO, _RING, 4.5)
+        painter.rings(at, color_of(probe), _RING, 2.2)
+        painter.dots(at, color_of(probe), 3)
+
+
+def flat_place(area: Rectangle, shape: tuple[int, int], row: int, column: int) -> np.ndarray:
+    """Return (2,) the pixel of a texel's centre in an area that holds the whole domain (H, W)."""
+    return np.array([
+        area.x + area.width * (column + 0.5) / shape[1], area.y + area.height * (row + 0.5) / shape[0]
+    ])  # fmt: skip
+
+
+def curves_size(scale: float) -> tuple[float, float]:
+    """Return width and height of the panel in pixels."""
+    return _WIDTH * scale, _HEIGHT * scale
+
+
+def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
+    """Draw the mean error and those of probed texels against the iterations, in an area of ``curves_size``."""
+    s = painter.scale
+    series = [("mean", _MEAN, running.history)]
+    series += [(f"{probe.column}, {probe.row}", color_of(probe), probe.curve) for probe in running.probes]
+    plot = curve_plot(
+        area.inset(46 * s, 32 * s, 104 * s, 34 * s),
+        [[(iteration, PERCENT * error) for iteration, error in curve] for _, _, curve in series],
+    )
+    painter.panel(area)
+    painter.text("Error, % of white", area.x + 12 * s, area.top - 20 * s)
+    _draw_axes(painter, plot, area)
+    for (_, color, _), points in reversed(list(zip(series, plot.curves, strict=True))):
+        painter.curve(points, color, 1.7)
+        painter.dots(points[-1:], color, 4.5)
+    x, y = area.right - 94 * s, plot.area.top - 5 * s
+    for name, color, curve in series:
+        painter.dots(np.array([[x, y + 3.5 * s]]), color, 7)
+        painter.text(name, x + 9 * s, y, TEXT, SMALL)
+        if curve:
+            painter.text(f"{PERCENT * curve[-1][1]:.3g}", area.right - 10 * s, y, DIM, SMALL, "right")
+        y -= 17 * s
+
+
+def _draw_axes(painter: Painter, plot, area: Rectangle) -> None:
+    s, inside = painter.scale, plot.area
+    levels = np.array([[(inside.x, y), (inside.right, y)] for y, _ in plot.y_ticks]).reshape(-1, 2, 2)
+    painter.lines(levels, GRID)
+    painter.lines(np.array([[(inside.x - 3 * s, y), (inside.x, y)] for y in plot.minor]).reshape(-1, 2, 2), AXIS)
+    painter.line((inside.x, inside.y), (inside.x, inside.top), AXIS)
+    painter.line((inside.x, inside.y), (inside.right, inside.y), AXIS)
+    for y, text in plot.y_ticks:
+        painter.line((inside.x - 5 * s, y), (inside.x, y), AXIS)
+        painter.text(text, inside.x - 8 * s, y - 3.5 * s, DIM, SMALL, "right")
+    for x, text in plot.x_ticks:
+        painter.line((x, inside.y - 4 * s), (x, inside.y), AXIS)
+        painter.text(text, x, inside.y - 16 * s, DIM, SMALL, "centre")
+    painter.text("iteration", area.right - 94 * s, inside.y - 16 * s, DIM, SMALL)

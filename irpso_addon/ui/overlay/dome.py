@@ -1,0 +1,127 @@
+"""The capture's lights, on a dome around the subject or at their place, and its cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...gpu.viewport import Drawing
+from .place import Stand, circle, transformed
+
+FITTED = 1.7  # radii of the subject from its centre to the dome
+_RAY = 0.10  # of the way to the subject: the stub of a ray that is drawn at every light
+_FAINTEST = 0.35  # display value of the weakest light's brightest channel
+_GUIDE = (0.75, 0.78, 0.85, 0.20)
+_CAMERA = (0.80, 0.82, 0.88, 0.75)
+_CURRENT = (1.0, 0.86, 0.45, 1.0)
+_FRUSTUM = 0.16  # of the distance to the subject: how deep a camera is drawn
+_GAMMA = 1 / 2.2
+
+
+@dataclass(frozen=True)
+class Dome:
+    """Lights to be drawn, in world space.
+
+    places: (K, 3). distant: (K,) bool. colors: (K, 3) display values. axis: (3,) the middle of the dome. half: whether
+    all distant lights are on one side. radius: of the dome, 0 where there are no distant lights. centre: (3,).
+    """
+
+    places: np.ndarray
+    distant: np.ndarray
+    colors: np.ndarray
+    axis: np.ndarray
+    half: bool
+    radius: float
+    centre: np.ndarray
+
+
+def dome_of(lights: np.ndarray, intensities: np.ndarray, stand: Stand, radius: float = 0.0) -> Dome:
+    """Return the dome of lights (K, 4), as a Domain has them. radius: in world units, 0 fits the subject."""
+    radius = radius or FITTED * stand.radius
+    distant = lights[:, 3] == 0
+    directions = stand.directions(np.asarray(lights[:, :3], np.float64))
+    places = np.where(
+        distant[:, None], stand.centre + radius * directions, transformed(stand.frame, lights[:, :3])
+    )  # fmt: skip
+    toward = directions[distant]
+    mean = toward.mean(axis=0) if len(toward) else np.zeros(3)
+    axis = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else np.array([0.0, 0.0, 1.0])
+    half = bool(len(toward)) and bool((toward @ axis > -0.05).all())
+    colors = light_colors(intensities)
+    return Dome(places, distant, colors, axis, half, radius if len(toward) else 0.0, stand.centre)
+
+
+def light_colors(intensities: np.ndarray) -> np.ndarray:
+    """Return (K, 3) display values: hue of each light's intensity (K, 3), and its strength among the others."""
+    intensities = np.maximum(np.asarray(intensities, np.float64), 0)
+    peak = intensities.max(axis=1)
+    level = _FAINTEST + (1 - _FAINTEST) * (peak / max(peak.max(), 1e-30)) ** _GAMMA
+    return level[:, None] * (intensities / np.maximum(peak, 1e-30)[:, None]) ** _GAMMA
+
+
+def guide_lines(dome: Dome) -> list[np.ndarray]:
+    """Return lines (N, 3) that let the dome be seen as one: its rim and two arcs over it."""
+    if not dome.radius:
+        return []
+    rim = circle(dome.centre, dome.axis, dome.radius)
+    first = rim[0] - dome.centre
+    second = np.cross(dome.axis, first)
+    part = (np.linspace(-0.5, 0.5, 41) if dome.half else np.linspace(-1, 1, 81)) * np.pi
+    arcs = [
+        dome.centre + np.outer(np.sin(part), side) + np.outer(np.cos(part), dome.radius * dome.axis)
+        for side in (first, second)
+    ]
+    return [rim, *arcs]
+
+
+def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
+    """Return lines (N, 2, 3) in world space of a camera's field of view, with a small roof on its upper side.
+
+    frame: (4, 4) from the capture's world to Blender's. depth: of the drawn part, in the capture's units.
+    """
+    x = (np.array([0, camera.width, camera.width, 0]) - camera.centre[0]) / camera.scale[0]
+    y = (np.array([0, 0, camera.height, camera.height]) - camera.centre[1]) / camera.scale[1]
+    reach = depth if camera.perspective else 1.0
+    corners = np.stack([x * reach, y * reach, np.full(4, -depth if camera.perspective else 0.0)], axis=-1)
+    width, height = corners[1, 0] - corners[0, 0], corners[2, 1] - corners[1, 1]
+    middle = (corners[2] + corners[3]) / 2 + [0, 0.06 * height, 0]
+    roof = np.array([middle - [0.2 * width, 0, 0], middle + [0.2 * width, 0, 0], middle + [0, 0.22 * height, 0]])
+    lines = [(corners[i], corners[(i + 1) % 4]) for i in range(4)] + [(roof[i], roof[(i + 1) % 3]) for i in range(3)]
+    if camera.perspective:
+        lines += [(np.zeros(3), corner) for corner in corners]
+    else:
+        lines.append((corners.mean(axis=0), corners.mean(axis=0) - [0, 0, depth]))
+    return transformed(frame, transformed(camera.matrix, np.array(lines)))
+
+
+def draw_lights(drawing: Drawing, dome: Dome, current: int, perspective: np.ndarray, scale: float) -> None:
+    """Draw the lights, a stub of each one's ray, and the whole ray of the current one (none where negative)."""
+    for line in guide_lines(dome):
+        drawing.draw_lines(line, _GUIDE, scale, perspective, depth=True, strip=True)
+    if 0 <= current < len(dome.places):  # under the lights, so that its disc has a rim
+        ray = np.stack([dome.places[current], dome.centre])
+        colors = np.array([_CURRENT, (*_CURRENT[:3], 0.25)])
+        drawing.draw_lines(ray, colors, 1.8 * scale, perspective, depth=True)
+        drawing.draw_points(ray[:1], _CURRENT, 15 * scale, perspective, depth=True)
+    colors = np.concatenate([dome.colors, np.ones((len(dome.colors), 1))], axis=1)
+    stubs = np.stack([dome.places, dome.places + _RAY * (dome.centre - dome.places)], axis=1).reshape(-1, 3)
+    faded = np.stack([colors, colors * [1, 1, 1, 0]], axis=1).reshape(-1, 4)
+    drawing.draw_lines(stubs, faded, scale, perspective, depth=True)
+    drawing.draw_points(dome.places, (0.05, 0.05, 0.06, 0.9), 9 * scale, perspective, depth=True)
+    drawing.draw_points(dome.places, colors, 6.5 * scale, perspective, depth=True)
+
+
+def draw_cameras(
+    drawing: Drawing, cameras: list[Camera], current: int, stand: Stand, perspective: np.ndarray, scale: float
+) -> None:
+    """Draw the cameras, whose matrices are in the domain's frame, and the current one brighter."""
+    for index, camera in enumerate(cameras):
+        place = transformed(stand.frame, camera.position[None])[0]
+        size = np.linalg.norm(stand.frame[:3, 0])
+        depth = _FRUSTUM * max(np.linalg.norm(place - stand.centre), stand.radius) / max(size, 1e-30)
+        lines = frustum(camera, stand.frame, depth).reshape(-1, 3)
+        bright = index == current
+        color, width = (_CURRENT, 1.8) if bright else (_CAMERA, 1.2)
+        drawing.draw_lines(lines, color, width * scale, perspective, depth=True)

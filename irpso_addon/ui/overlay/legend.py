@@ -1,0 +1,95 @@
+"""What is shown, in words, and what its colours mean."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...maps.false_color import COLORS
+from ...reflectance.model import ReflectanceModel
+from ...solver.display import Shown
+from .layout import Rectangle
+from .paint import CHIP, DIM, SMALL, Painter
+from .scales import label, linear_ticks
+
+_BAR, _WIDTH = 150.0, 104.0  # of the bar and of its panel, in pixels at scale 1
+PERCENT = 100.0  # errors are told in % of white, as the plots of a result are
+_OF_WHITE = "% of white"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a false-colour bar says. top: the number beside its red end, in ``unit``."""
+
+    title: str
+    unit: str
+    top: float
+
+
+def words(shown: Shown, model: ReflectanceModel, names: tuple[str, ...]) -> str:
+    """Return what a picture shows, for people. names: of the observations."""
+    if shown.kind == "parameter":
+        return bpy.path.display_name(shown.parameter)
+    if shown.kind == "error":
+        return "Error"
+    if shown.kind == "confidence":
+        return f"{bpy.path.display_name(shown.parameter)}, uncertainty"
+    kind = "Render" if shown.kind == "render" else "Photograph"
+    return f"{kind} {shown.observation}: {names[shown.observation]}"
+
+
+def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
+    """Return what the false colours of a picture mean, None where it has none."""
+    if shown.kind == "error":
+        return Scale("Error", _OF_WHITE, PERCENT * shown.limit)
+    if shown.kind != "confidence":
+        return None
+    title = bpy.path.display_name(shown.parameter)
+    if model.parameter(shown.parameter).is_normal:
+        return Scale(title, "± degrees", math.degrees(shown.limit))
+    return Scale(title, "± one sigma", shown.limit)
+
+
+def legend_size(scale: float) -> tuple[float, float]:
+    """Return width and height of the legend's panel in pixels."""
+    return _WIDTH * scale, (_BAR + 62) * scale
+
+
+def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
+    """Draw a bar from blue, low, to red, high, with its ticks, in an area of ``legend_size``."""
+    s = painter.scale
+    painter.panel(area)
+    painter.text(meaning.title, area.x + 12 * s, area.top - 19 * s)
+    painter.text(meaning.unit, area.x + 12 * s, area.top - 34 * s, DIM, SMALL)
+    bar = Rectangle(area.x + 12 * s, area.y + 13 * s, 14 * s, _BAR * s)
+    painter.drawing.draw_triangles2d(*ramp(bar))
+    for tick in linear_ticks(0, meaning.top, 6):
+        y = bar.y + bar.height * tick / meaning.top
+        painter.line((bar.right + 2 * s, y), (bar.right + 6 * s, y), DIM)
+        text = label(tick) + (" +" if math.isclose(tick, meaning.top) else "")
+        painter.text(text, bar.right + 10 * s, y - 3.5 * s, size=SMALL)
+
+
+def draw_caption(painter: Painter, free: Rectangle, text: str) -> None:
+    """Write what is shown at the lower right corner."""
+    painter.chip(text, free.right, free.y, "right")
+
+
+def caption_height(scale: float) -> float:
+    """Return the caption's height in pixels."""
+    return CHIP * scale
+
+
+def ramp(bar: Rectangle) -> tuple[np.ndarray, np.ndarray]:
+    """Return triangles (3·T, 2) and colours (3·T, 4) of the false colours from the bar's bottom to its top."""
+    levels = np.linspace(bar.y, bar.top, len(COLORS))
+    colors = np.pad(COLORS, ((0, 0), (0, 1)), constant_values=1.0)
+    points, shades = [], []
+    for i in range(len(levels) - 1):
+        for x, at in ((0, i), (1, i), (1, i + 1), (0, i), (1, i + 1), (0, i + 1)):
+            points.append((bar.x + x * bar.width, levels[at]))
+            shades.append(colors[at])
+    return np.array(points), np.array(shades)

@@ -1,0 +1,78 @@
+"""Curves of errors against iterations, as lines and ticks in pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .layout import Rectangle
+from .scales import label, linear_ticks, log_ticks, round_down, round_up
+
+_FEWEST_ITERATIONS = 10  # the axis' length while hardly any have been made
+_LEAST_SPAN = 10.0  # between the ends of the error's axis: a level curve should look level
+_DEEPEST = 1e-8  # of the largest error: what is below is rounding
+
+
+@dataclass(frozen=True)
+class Plot:
+    """What is to be drawn. x_ticks, y_ticks: (pixel, text). minor: pixels of y ticks without a text.
+
+    curves: one (N, 2) array of pixels for each curve, empty where it has no points.
+    """
+
+    area: Rectangle
+    x_ticks: tuple[tuple[float, str], ...]
+    y_ticks: tuple[tuple[float, str], ...]
+    minor: tuple[float, ...]
+    curves: tuple[np.ndarray, ...]
+
+
+def curve_plot(area: Rectangle, curves: Sequence[Sequence[tuple[float, float]]]) -> Plot:
+    """Return the plot of curves of (iteration, error): iterations linear from 0, errors logarithmic.
+
+    Errors that are not numbers are left out; those of 0 lie on the axis.
+    """
+    points = [_numbers(curve) for curve in curves]
+    everything = np.concatenate([np.empty((0, 2)), *points])
+    last = max(_FEWEST_ITERATIONS, everything[:, 0].max(initial=0))
+    low, high = _error_range(everything[:, 1])
+    major, minor = log_ticks(low, high)
+
+    def x_of(iteration):
+        return area.x + area.width * np.asarray(iteration) / last
+
+    def y_of(error):
+        place = np.log(np.clip(error, low, high) / low) / np.log(high / low)
+        return area.y + area.height * place
+
+    most = max(2, int(area.width / (9 * max(len(label(round(last))), 2))))
+    return Plot(
+        area,
+        tuple((float(x_of(tick)), label(tick)) for tick in linear_ticks(0, last, min(6, most)) if tick == int(tick)),
+        tuple((float(y_of(tick)), label(tick)) for tick in major),
+        tuple(float(y_of(tick)) for tick in minor),
+        tuple(_thinned(np.stack([x_of(p[:, 0]), y_of(p[:, 1])], axis=-1), int(area.width)) for p in points),
+    )
+
+
+def _numbers(curve: Sequence[tuple[float, float]]) -> np.ndarray:
+    points = np.asarray(curve, np.float64).reshape(-1, 2)
+    return points[np.isfinite(points).all(axis=1) & (points[:, 0] >= 0)]
+
+
+def _error_range(errors: np.ndarray) -> tuple[float, float]:
+    positive = errors[errors > 0]
+    if not len(positive):
+        return 0.01, 1.0
+    high = round_up(positive.max())
+    low = round_down(max(positive.min(), _DEEPEST * high))
+    return min(low, high / _LEAST_SPAN), high
+
+
+def _thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """Return at most about ``most`` points of a curve, its last among them."""
+    if len(points) <= most or most < 2:
+        return points
+    return points[np.unique(np.linspace(0, len(points) - 1, most).round().astype(int))]

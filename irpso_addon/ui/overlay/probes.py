@@ -1,0 +1,184 @@
+"""Probing: a click on the subject, in the viewport or flat in the Image editor, watches the texel under it."""
+
+import bpy
+import numpy as np
+from bpy.props import IntProperty
+
+from .. import session
+from . import flat, handlers
+from .picking import first_hit, nearest_texel, texel_at, view_ray
+from .surface import bounding_corners, stand, triangles_of
+
+_REACH = 3  # texels from the click in which the nearest that is solved is taken
+_HELP = "Click the subject to watch the error of a texel; Esc or the right mouse button ends"
+
+
+class IRPSO_OT_probe(bpy.types.Operator):
+    """Click texels of the subject, in the viewport or in the Image editor, to watch their errors: four at most, a fifth
+    takes the place of the oldest. Esc or the right mouse button ends"""
+
+    bl_idname = "irpso.probe"
+    bl_label = "Probe Texels"
+    bl_options = {"INTERNAL"}
+
+    row: IntProperty(name="Row", description="Of the texel, counted from the bottom", min=-1, default=-1)
+    column: IntProperty(name="Column", description="Of the texel, counted from the left", min=-1, default=-1)
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there are texels to probe."""
+        running = session.current()
+        if running is None or running.domain is None:
+            cls.poll_message_set("Nothing to probe: press Recover and wait until the images are read")
+            return False
+        return True
+
+    def execute(self, context):
+        """Watch the texel that the properties name."""
+        running = session.current()
+        height, width = running.domain.shape
+        if not (0 <= self.row < height and 0 <= self.column < width):
+            self.report({"ERROR"}, f"texel ({self.row}, {self.column}): there are {height} rows, {width} columns")
+            return {"CANCELLED"}
+        if not running.domain.solvable[self.row, self.column]:
+            self.report({"ERROR"}, f"texel ({self.row}, {self.column}) is seen by no photograph; choose another")
+            return {"CANCELLED"}
+        running.add_probe(self.row, self.column)
+        handlers.redraw()
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        """Wait for clicks."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        context.window.cursor_modal_set("CROSSHAIR")
+        context.workspace.status_text_set(_HELP)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Take clicks on the subject; whatever else happens goes on to Blender."""
+        running = session.current()
+        if running is None or running.domain is None:
+            return self._leave(context)
+        if event.value == "PRESS" and event.type in {"ESC", "RIGHTMOUSE"}:
+            return self._leave(context)
+        if event.type != "LEFTMOUSE" or event.value != "PRESS" or event.alt or event.ctrl or event.shift:
+            return {"PASS_THROUGH"}
+        texel = _clicked(context, running, event.mouse_x, event.mouse_y)
+        if texel is None:  # buttons, gizmos, other editors
+            return {"PASS_THROUGH"}
+        found = nearest_texel(running.domain.solvable, *texel, _REACH)
+        if found is None:
+            self.report({"INFO"}, "No photograph sees this texel; click another")
+            return {"RUNNING_MODAL"}
+        running.add_probe(*found)
+        handlers.redraw()
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context):
+        """Leave with the window, or with the file."""
+        if context.window is not None:
+            self._leave(context)
+
+    @staticmethod
+    def _leave(context):
+        context.window.cursor_modal_restore()
+        context.workspace.status_text_set(None)
+        return {"FINISHED"}
+
+
+class IRPSO_OT_probe_remove(bpy.types.Operator):
+    """Watch this texel no longer"""
+
+    bl_idname = "irpso.probe_remove"
+    bl_label = "Remove Probe"
+    bl_options = {"INTERNAL"}
+
+    index: IntProperty(name="Index", description="Of the probe, from 0, the oldest first", min=0)
+
+    @classmethod
+    def poll(cls, context):
+        """Whether a texel is watched."""
+        return _watched(cls)
+
+    def execute(self, context):
+        """Remove the probe."""
+        running = session.current()
+        if self.index >= len(running.probes):
+            self.report({"ERROR"}, f"there is no probe {self.index}: there are {len(running.probes)}, from 0")
+            return {"CANCELLED"}
+        running.remove_probe(self.index)
+        handlers.redraw()
+        return {"FINISHED"}
+
+
+class IRPSO_OT_probe_clear(bpy.types.Operator):
+    """Watch no texel any longer"""
+
+    bl_idname = "irpso.probe_clear"
+    bl_label = "Clear Probes"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context):
+        """Whether a texel is watched."""
+        return _watched(cls)
+
+    def execute(self, context):
+        """Remove all probes."""
+        running = session.current()
+        while running.probes:
+            running.remove_probe(0)
+        handlers.redraw()
+        return {"FINISHED"}
+
+
+def _watched(cls) -> bool:
+    running = session.current()
+    if running is None or not running.probes:
+        cls.poll_message_set("No texel is probed")
+        return False
+    return True
+
+
+def _clicked(context, running, x: int, y: int) -> tuple[int, int] | None:
+    """Return (row, column) of the texel at a place of the window, None where the subject is not under it."""
+    area = next((a for a in context.screen.areas if _contains(a, x, y)), None)
+    if area is None or area.type not in ("VIEW_3D", "IMAGE_EDITOR"):
+        return None
+    under = [region for region in area.regions if _contains(region, x, y)]
+    if not under or any(region.type != "WINDOW" for region in under):  # a sidebar may lie over the view
+        return None
+    region, space = under[0], area.spaces.active
+    place = (x - region.x + 0.5, y - region.y + 0.5)
+    if area.type == "IMAGE_EDITOR":
+        return _flat_texel(running, region, space, place)
+    if not handlers.is_seen_in(context, space):
+        return None
+    # Of a quad view every region has a view of its own.
+    return _surface_texel(running, region.data, place, (region.width, region.height))
+
+
+def _contains(item, x: int, y: int) -> bool:
+    return item.width > 1 and item.height > 1 and 0 <= x - item.x < item.width and 0 <= y - item.y < item.height
+
+
+def _flat_texel(running, region, space, place: tuple[float, float]) -> tuple[int, int] | None:
+    if not flat.is_free(space):
+        return None
+    area = flat.map_area(region, space, running.domain.shape)
+    return texel_at(np.array(flat.texture_place(area, *place)), running.domain.shape)
+
+
+def _surface_texel(running, view, place: tuple[float, float], size: tuple[float, float]) -> tuple[int, int] | None:
+    corners = bounding_corners(running)
+    inverse = np.linalg.inv(stand(running, running.subject(), corners).frame)
+    origin, direction = view_ray(np.array(view.perspective_matrix), place, size)
+    origin, direction = inverse[:3, :3] @ origin + inverse[:3, 3], inverse[:3, :3] @ direction
+    positions, uvs = triangles_of(running)
+    hit = first_hit(origin, direction, positions)
+    return None if hit is None else texel_at(hit[1] @ uvs[hit[0]], running.domain.shape)
+
+
+CLASSES = (IRPSO_OT_probe, IRPSO_OT_probe_remove, IRPSO_OT_probe_clear)

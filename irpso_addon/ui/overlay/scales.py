@@ -1,0 +1,73 @@
+"""Numbers on axes: round limits, where ticks stand, and what is written beside them."""
+
+from __future__ import annotations
+
+import math
+
+_ROUND = (1.0, 2.0, 5.0, 10.0)
+# How far the wanted limit may stray from the one that is shown before it changes: a legend that jumps is unreadable.
+_HOLD_BELOW, _HOLD_ABOVE = 0.35, 1.15
+
+
+def round_up(value: float) -> float:
+    """Return the least of 1, 2, 5 · 10ⁿ that is not below a positive value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in _ROUND if step * power >= value * (1 - 1e-9))
+
+
+def round_down(value: float) -> float:
+    """Return the greatest of 1, 2, 5 · 10ⁿ that is not above a positive value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in reversed(_ROUND) if step * power <= value * (1 + 1e-9))
+
+
+def steady_limit(wanted: float, former: float) -> float:
+    """Return a round limit for what is wanted, the former one as long as it will do. former: 0 where there is none."""
+    if not (math.isfinite(wanted) and wanted > 0):
+        return former or 1.0
+    if former > 0 and _HOLD_BELOW * former <= wanted <= _HOLD_ABOVE * former:
+        return former
+    return round_up(wanted)
+
+
+def linear_ticks(low: float, high: float, most: int) -> list[float]:
+    """Return at most ``most`` round values, evenly spaced, in low…high."""
+    if not high > low or most < 1:
+        return []
+    step = round_up((high - low) / most)
+    while math.floor(high / step + 1e-9) - math.ceil(low / step - 1e-9) + 1 > most:
+        step = round_up(step * 1.5)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [index * step for index in range(first, last + 1)]
+
+
+def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list[float]]:
+    """Return the values to be labelled and those with a small tick only, of a logarithmic axis low…high, both > 0.
+
+    Powers of ten are labelled, every second or third of them where they are many, and 1, 2, 5 where they are few.
+    """
+    first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+    decades = range(math.floor(math.log10(low)), last + 1)
+    within = [
+        m * 10.0**d for d in decades for m in range(1, 10) if low * (1 - 1e-9) <= m * 10.0**d <= high * (1 + 1e-9)
+    ]
+    if last - first < 1:
+        major = [value for value in within if _leading(value) in (1, 2, 5)]
+    else:
+        every = max(1, math.ceil((last - first + 1) / most))
+        major = [10.0**d for d in range(first, last + 1) if (d - last) % every == 0]
+    return major, [value for value in within if value not in major]
+
+
+def label(value: float) -> str:
+    """Return a number as it stands at a tick, short."""
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:.6f}".rstrip("0").rstrip(".") if abs(value) < 1 else f"{value:.6g}"
+    mantissa, exponent = f"{value:.0e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def _leading(value: float) -> int:
+    return round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))

@@ -1,0 +1,291 @@
+"""All that is drawn of one session: brought up to date where the recovery may be touched, drawn where it may not."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import numpy as np
+
+from ...capture.camera import Camera
+from ...gpu.home import Home
+from ...gpu.viewport import Drawing, Surface
+from ...solver.display import Shown
+from ...solver.texel_probe import TexelProbe
+from .. import preferences
+from ..session import Session
+from . import curves, dome, flat, legend, surface, swarm
+from .layout import Rectangle, free_rectangle, stacked
+from .paint import Painter
+from .place import Stand, to_pixels
+
+_MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
+_LEAST = (300.0, 230.0)  # of a region's free part, at scale 1, for panels to be drawn in it
+_PICTURE_SECONDS = 0.012  # of measuring errors between two redraws
+_SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
+
+
+class Stage:
+    """What is drawn of a session; ``close`` frees what lies on the GPU.
+
+    Frame buffers belong to the context in which they were made, and draw callbacks have another than operators:
+    ``update`` renders pictures and reads probes, and is called where the session works; the callbacks only draw them.
+    """
+
+    def __init__(self, running: Session, home_scene: int):
+        self.running, self.home_scene = running, home_scene
+        self.drawing = Drawing()
+        self._home: Home | None = None
+        self._of: object = None  # the recovery that surface, pictures and reader are of
+        self._surface: Surface | None = None
+        self._corners: np.ndarray | None = None
+        self._reader: TexelProbe | None = None
+        self._pictures: dict[int, tuple[tuple[Shown, ...], list]] = {}  # by the scene's session_uid
+        self._limits: dict[int, float] = {}
+        self._trails: dict[int, swarm.Trail] = {}
+        self._updated = 0.0
+        self._looked = -1
+
+    def is_due(self) -> bool:
+        """Return whether pictures are to be drawn anew, by the preferences' display rate."""
+        if self._of is not self.running.recovery:
+            return True
+        rate = preferences.current(bpy.context).display_rate
+        return self.is_home() and time.perf_counter() - self._updated >= 1 / rate
+
+    def is_home(self) -> bool:
+        """Return whether the recovery may be touched: the context is current in which it works."""
+        return self._home is not None and self._home.here()
+
+    def update(self) -> bool:
+        """Bring pictures, curves and trails up to date; return whether there is something new to draw."""
+        self._updated = time.perf_counter()
+        running = self.running
+        if running.recovery is None or running.display is None:
+            return False
+        if self._of is not running.recovery:
+            self._begin()
+        return self._look() | any([self._draw_pictures(scene) for scene in self._scenes()])
+
+    def wants_redraw(self) -> bool:
+        """Return whether something moves though nothing is found anew."""
+        return any(scene.irpso.view.show and scene.irpso.view.shown == "BLINK" for scene in self._scenes())
+
+    def draw_view(self, context) -> None:
+        """Draw in the space of a viewport: the map on its subject, lights, cameras, rings around probes."""
+        running, subject = self.running, self.running.subject()
+        if running.domain is None or not surface.is_seen(context, running, subject, self.home_scene):
+            return
+        view, region = context.scene.irpso.view, context.region
+        stand, perspective = self._stand(subject), np.array(context.region_data.perspective_matrix)
+        size, scale = (region.width, region.height), context.preferences.system.ui_scale
+        if view.show and not surface.shows_itself(context, running):
+            self._draw_surface(context, view, stand, perspective)
+            curves.draw_rings(self.drawing, running, stand, perspective, size, scale)
+        if view.show_lights:
+            lights = self._dome(view, stand)
+            dome.draw_lights(self.drawing, lights, self._observation(view), perspective, scale)
+        if view.show_cameras:
+            current = running.job.capture.observations[self._observation(view)].camera
+            dome.draw_cameras(self.drawing, self._cameras(), current, stand, perspective, scale)
+
+    def draw_pixels(self, context) -> None:
+        """Draw over a viewport: legend, curves, swarm, names."""
+        running, subject = self.running, self.running.subject()
+        if running.domain is None or not surface.is_seen(context, running, subject, self.home_scene):
+            return
+        view, region = context.scene.irpso.view, context.region
+        painter = Painter(self.drawing, context.preferences.system.ui_scale)
+        if view.show_lights:
+            self._name_light(painter, view, subject, context)
+        maps = view.show and not surface.shows_itself(context, running)
+        if maps:
+            self._draw_split_line(painter, context, Rectangle(0, 0, region.width, region.height))
+        # Of a quad view one has the panels: the user's own.
+        if context.region_data != context.space_data.region_3d:
+            return
+        free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
+        if free.width < _LEAST[0] * painter.scale or free.height < _LEAST[1] * painter.scale:
+            return
+        if maps:
+            self._draw_legend(painter, context.scene, free)
+        self._draw_panels(painter, view, free)
+
+    def draw_image(self, context) -> None:
+        """Draw over an Image editor: the map flat, rings, legend."""
+        running, space, region = self.running, context.space_data, context.region
+        view = context.scene.irpso.view
+        wanted = running.domain is not None and view.show and flat.is_free(space)
+        if not wanted or not surface.is_in_scene(context.scene, running, running.subject(), self.home_scene):
+            return
+        shown, pictures = self._pictures_of(context.scene)
+        if not pictures:
+            return
+        painter = Painter(self.drawing, context.preferences.system.ui_scale)
+        area = flat.map_area(region, space, running.domain.shape)
+        first, second = _pair(view, pictures)
+        self.drawing.draw_flat(first, (area.x, area.y), (area.width, area.height), second, view.split, view.opacity)
+        curves.draw_flat_rings(painter, area, running)
+        self._draw_split_line(painter, context, area)
+        free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
+        if free.width >= _LEAST[0] * painter.scale and free.height >= _LEAST[1] * painter.scale:
+            self._draw_legend(painter, context.scene, free)
+
+    def close(self) -> None:
+        """Free what lies on the GPU."""
+        self._forget()
+        self.drawing.close()
+
+    def _begin(self) -> None:
+        self._forget()
+        self._of, self._home = self.running.recovery, Home()
+        self._surface = surface.make_surface(self.running)
+        self._reader = TexelProbe(self.running.recovery)
+
+    def _forget(self) -> None:
+        for made in (self._surface, self._reader):
+            if made is not None:
+                made.close()
+        self._surface = self._reader = None
+        self._pictures.clear()
+        self._trails.clear()
+
+    def _scenes(self) -> list[bpy.types.Scene]:
+        """Return the scenes that windows show and that hold the subject."""
+        subject = self.running.subject()
+        shown = {window.scene.session_uid: window.scene for window in bpy.context.window_manager.windows}
+        return [s for s in shown.values() if surface.is_in_scene(s, self.running, subject, self.home_scene)]
+
+    def _draw_pictures(self, scene: bpy.types.Scene) -> bool:
+        view, uid, running = scene.irpso.view, scene.session_uid, self.running
+        if not view.show:
+            return False
+        shown = surface.wanted(view, running, self._limits.get(uid, 0.0))
+        if shown[0].kind == "error":
+            self._limits[uid] = shown[0].limit
+        former = self._pictures.get(uid, ((), []))[0]
+        if shown == former and not any(running.display.pending(item) for item in shown):
+            return False
+        self._pictures[uid] = shown, [running.display.picture(item, _PICTURE_SECONDS) for item in shown]
+        return True
+
+    def _look(self) -> bool:
+        """Read the probed texels, at most once for each iteration."""
+        progress = self.running.progress
+        watched = {scene.irpso.view.probe - 1 for scene in self._scenes() if scene.irpso.view.show_swarm}
+        new = progress.evaluations != self._looked or any(not probe.curve for probe in self.running.probes)
+        if not self.running.probes or not new:
+            return False
+        self._looked = progress.evaluations
+        for index, probe in enumerate(self.running.probes):
+            state = self._reader.read(probe.row, probe.column)
+            if state is None:
+                continue
+            made = progress.iteration_in_all
+            if np.isfinite(state.error) and (not probe.curve or probe.curve[-1][0] < made):
+                probe.curve.append((made, state.error))
+            if index in watched:
+                self._trails.setdefault(probe.slot, swarm.Trail()).follow(state.particles, (probe.row, probe.column))
+        return True
+
+    def _stand(self, subject) -> Stand:
+        if self._corners is None:
+            self._corners = surface.bounding_corners(self.running)
+        return surface.stand(self.running, subject, self._corners)
+
+    def _dome(self, view, stand: Stand) -> dome.Dome:
+        domain = self.running.domain
+        return dome.dome_of(domain.lights, domain.intensities, stand, view.dome_radius)
+
+    def _observation(self, view) -> int:
+        return min(view.observation, self.running.domain.observations - 1)
+
+    def _cameras(self) -> list[Camera]:
+        """Return the cameras in the domain's frame: that of a card is its only camera's own."""
+        cameras = self.running.job.capture.cameras
+        if self.running.mesh is not None:
+            return list(cameras)
+        return [Camera(c.width, c.height, c.scale, c.centre, np.eye(4), c.perspective) for c in cameras]
+
+    def _pictures_of(self, scene: bpy.types.Scene) -> tuple[tuple[Shown, ...], list]:
+        return self._pictures.get(scene.session_uid, ((), []))
+
+    def _draw_surface(self, context, view, stand: Stand, perspective: np.ndarray) -> None:
+        _, pictures = self._pictures_of(context.scene)
+        if not pictures or self._surface is None:
+            return
+        first, second = _pair(view, pictures)
+        size = (context.region.width, context.region.height)
+        self._surface.draw(first, perspective, stand.frame, second, view.split, size, view.opacity)
+
+    def _draw_split_line(self, painter: Painter, context, area: Rectangle) -> None:
+        view = context.scene.irpso.view
+        if view.shown != "SPLIT" or len(self._pictures_of(context.scene)[1]) != 2:
+            return
+        x = round(view.split * context.region.width) + 0.5
+        if not area.x <= x <= area.right:
+            return
+        painter.line((x, area.y), (x, area.top), _SPLIT_LINE, 1.2)
+        gap, y = 8 * painter.scale, max(area.y, 0) + 24 * painter.scale
+        painter.chip("Render", x - gap, y, "right")
+        painter.chip("Photograph", x + gap, y)
+
+    def _draw_legend(self, painter: Painter, scene: bpy.types.Scene, free: Rectangle) -> None:
+        shown, _ = self._pictures_of(scene)
+        if not shown:
+            return
+        model, names = self.running.job.model, tuple(o.name for o in self.running.job.capture.observations)
+        item = shown[surface.blink_index() if scene.irpso.view.shown == "BLINK" else 0]
+        meaning = legend.scale_of(item, model)
+        if meaning is not None:
+            width, height = legend.legend_size(painter.scale)
+            legend.draw_legend(painter, Rectangle(free.right - width, free.y, width, height), meaning)
+        elif len(shown) == 1 or scene.irpso.view.shown == "BLINK":
+            legend.draw_caption(painter, free, legend.words(item, model, names))
+
+    def _draw_panels(self, painter: Painter, view, free: Rectangle) -> None:
+        running = self.running
+        chosen = min(view.probe, len(running.probes)) - 1
+        with_curves = view.show_curves and bool(running.history or running.probes)
+        with_swarm = view.show_swarm and chosen >= 0
+        sizes = [curves.curves_size(painter.scale)] * with_curves + [swarm.swarm_size(painter.scale)] * with_swarm
+        places = stacked(free, sizes, _GAP * painter.scale)
+        if with_curves and places[0] is not None:
+            curves.draw_curves(painter, places[0], running)
+        if with_swarm and places[-1] is not None:
+            probe = running.probes[chosen]
+            trail = self._trails.get(probe.slot, swarm.Trail())
+            names = trail.particles.names if trail.particles is not None else ()
+            axes = swarm.choose_axes(names, (view.swarm_x, view.swarm_y, view.swarm_z), running.job.model)
+            title = f"Swarm of texel {probe.column}, {probe.row}"
+            swarm.draw_swarm(
+                painter, places[-1], title, curves.color_of(probe), trail, axes, running.seconds, None
+            )  # fmt: skip
+
+    def _name_light(self, painter: Painter, view, subject, context) -> None:
+        """Write the current observation's number and name beside its light."""
+        index, region = self._observation(view), context.region
+        stand = self._stand(subject)
+        perspective = np.array(context.region_data.perspective_matrix)
+        place = self._dome(view, stand).places[index][None]
+        (at,), (before,) = to_pixels(perspective, place, (region.width, region.height))
+        if before and 0 <= at[0] < region.width and 0 <= at[1] < region.height:
+            name = self.running.job.capture.observations[index].name
+            painter.chip(f"{index}  {name}", at[0] + 12 * painter.scale, at[1] - 10 * painter.scale)
+
+
+def _pair(view, pictures: list) -> tuple:
+    """Return what is drawn now: one picture, or two for a split."""
+    if view.shown == "BLINK" and len(pictures) == 2:
+        return pictures[surface.blink_index()], None
+    return pictures[0], pictures[1] if len(pictures) == 2 else None
+
+
+def _free(area, region) -> Rectangle:
+    """Return what the area's other regions leave free of a region, in its own pixels."""
+    window = Rectangle(region.x, region.y, region.width, region.height)
+    others = [r for r in area.regions if r.type != "WINDOW" and r.width > 1 and r.height > 1]
+    sides = [(r.alignment, Rectangle(r.x, r.y, r.width, r.height)) for r in others if r.type != "HUD"]
+    # The panel of the last operator floats over the lower left corner.
+    sides += [("BOTTOM", Rectangle(r.x, r.y, r.width, r.height)) for r in others if r.type == "HUD"]
+    return free_rectangle(window, sides)

@@ -1,0 +1,114 @@
+"""The converging map on its subject in the viewport: what is to be shown, and the quad or the mesh it is drawn on."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import bpy
+import numpy as np
+
+from ...gpu.viewport import Surface
+from ...reflectance.model import ReflectanceModel
+from ...solver.display import Shown
+from ..session import Session
+from .place import Stand, card_corners, card_frame, stand_of
+from .scales import steady_limit
+
+_BLINKS = 2.0  # pictures a second
+_MEAN_TO_RED = 4.0  # errors spread over about this many times their mean
+_RED_SHARE = 0.1  # of a parameter's range: a deviation that large says that nothing is known
+_RED_ANGLE = math.radians(10)
+_SECONDS_OF_PAIR = {"SPLIT", "BLINK"}
+_CARD_UVS = np.float32([(0, 0), (1, 0), (1, 1), (0, 1)])
+_TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
+    """Return the picture that a scene's ViewSettings ask for; two, render and photograph, to be shown together.
+
+    former_limit: the error that was red, 0 at first: one that is found by itself changes seldom.
+    """
+    model = running.job.model
+    names = [parameter.name for parameter in model.parameters]
+    parameter = view.parameter if view.parameter in names else names[0]
+    observation = min(view.observation, running.domain.observations - 1)
+    if view.shown == "PARAMETER":
+        return (Shown("parameter", parameter),)
+    if view.shown == "ERROR":
+        limit = view.limit or steady_limit(_MEAN_TO_RED * (running.error or 0.0), former_limit)
+        return (Shown("error", limit=limit),)
+    if view.shown == "CONFIDENCE":
+        return (Shown("confidence", parameter, limit=view.limit or _deviation_limit(model, parameter)),)
+    exposure = 2.0**view.exposure
+    render = Shown("render", observation=observation, exposure=exposure)
+    reference = Shown("reference", observation=observation, exposure=exposure)
+    if view.shown in _SECONDS_OF_PAIR:
+        return render, reference
+    return (render,) if view.shown == "RENDER" else (reference,)
+
+
+def blink_index() -> int:
+    """Return which of two pictures is shown now, 0 or 1."""
+    return int(time.perf_counter() * _BLINKS) % 2
+
+
+def make_surface(running: Session) -> Surface:
+    """Return the subject's triangles on the GPU, in the domain's frame."""
+    return Surface(*triangles_of(running))
+
+
+def triangles_of(running: Session) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (T, 3, 3) in the domain's frame and texture coordinates (T, 3, 2)."""
+    if running.mesh is not None:
+        return running.mesh.positions, running.mesh.uvs
+    corners = card_corners(running.domain.bake.position)
+    return corners[_TWO_TRIANGLES].astype(np.float32), _CARD_UVS[_TWO_TRIANGLES]
+
+
+def stand(running: Session, subject, corners: np.ndarray) -> Stand:
+    """Return where the subject stands now. subject: its object, None for a card that has none yet.
+
+    corners: (N, 3) points of the domain's frame that bound it.
+    """
+    world = np.eye(4) if subject is None else np.array(subject.matrix_world, np.float64)
+    frame = card_frame(running.domain.bake.position) if running.mesh is None else np.linalg.inv(running.mesh.matrix)
+    return stand_of(world @ frame, corners)
+
+
+def bounding_corners(running: Session) -> np.ndarray:
+    """Return (8, 3) the corners of the box around the subject, in the domain's frame."""
+    positions, _ = triangles_of(running)
+    low, high = positions.reshape(-1, 3).min(axis=0), positions.reshape(-1, 3).max(axis=0)
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+
+
+def is_seen(context, running: Session, subject, home_scene: int) -> bool:
+    """Return whether the viewport of a context shows the subject, with nothing of the user's in its place.
+
+    home_scene: the session_uid of the scene in which a card will stand that has no object yet.
+    """
+    space = context.space_data
+    if not space.overlay.show_overlays:
+        return False
+    if subject is None:
+        return running.mesh is None and context.scene.session_uid == home_scene
+    # What is being edited or painted is not to be covered by what it was before.
+    return subject.mode == "OBJECT" and subject.visible_get(view_layer=context.view_layer, viewport=space)
+
+
+def is_in_scene(scene: bpy.types.Scene, running: Session, subject, home_scene: int) -> bool:
+    """Return whether a scene holds the subject, or will hold the card."""
+    if subject is None:
+        return running.mesh is None and scene.session_uid == home_scene
+    return subject.name in scene.objects and scene.objects[subject.name] == subject
+
+
+def shows_itself(context, running: Session) -> bool:
+    """Return whether the viewport renders the material that was kept, which is what there is to see then."""
+    return running.kept and not running.active and context.space_data.shading.type in ("MATERIAL", "RENDERED")
+
+
+def _deviation_limit(model: ReflectanceModel, name: str) -> float:
+    parameter = model.parameter(name)
+    return _RED_ANGLE if parameter.is_normal else _RED_SHARE * (parameter.range[1] - parameter.range[0])

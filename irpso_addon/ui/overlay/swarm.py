@@ -1,0 +1,234 @@
+"""The swarm of one texel: its particles as points in the space that they search, as in Fig. 2 of Nagano et al."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...maps.encode import srgb_from_linear
+from ...reflectance.model import ReflectanceModel
+from ...solver.resolve import survey_model
+from ...solver.texel_probe import Particles
+from .layout import Rectangle
+from .paint import DIM, HALO, SMALL, Painter
+from .scales import label
+
+TRAIL = 12  # positions of each particle that are remembered
+_AXES = ((0.98, 0.32, 0.36, 1.0), (0.55, 0.85, 0.22, 1.0), (0.36, 0.62, 1.0, 1.0))  # as Blender colours x, y and z
+_BEST = (1.0, 0.84, 0.30, 1.0)
+_GOAL = (1.0, 1.0, 1.0, 1.0)
+_WIDTH, _HEIGHT = 264.0, 286.0  # pixels at scale 1
+_TURN = 40.0  # seconds of work in which the box turns round once
+_START = 0.62  # of the box's turn, in radians
+_ELEVATION = 0.38
+_FAR, _NEAR = (1.0, 1.0, 1.0, 0.13), (1.0, 1.0, 1.0, 0.28)
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_CORNERS[a] - _CORNERS[b]).sum() == 1]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One side of the box: a searched component, its place among the particles' numbers, and its range."""
+
+    name: str
+    index: int
+    low: float
+    high: float
+
+
+class Trail:
+    """Where the particles of a texel have been lately."""
+
+    def __init__(self) -> None:
+        self.particles: Particles | None = None
+        self.positions: deque[np.ndarray] = deque(maxlen=TRAIL)
+        self._of: object = None
+
+    def follow(self, particles: Particles | None, of: object) -> None:
+        """Take what was read last. of: what tells texels apart; another one, or other components, begin anew."""
+        changed = particles is None or self.particles is None or particles.names != self.particles.names
+        if changed or of != self._of or particles.positions.shape != self.positions[-1].shape:
+            self.positions.clear()
+        self.particles, self._of = particles, of
+        if particles is not None and not (self.positions and np.array_equal(self.positions[-1], particles.positions)):
+            self.positions.append(particles.positions)
+
+
+def choose_axes(names: Sequence[str], chosen: Sequence[str], model: ReflectanceModel) -> list[Axis]:
+    """Return one to three axes: those that are chosen and searched, then a whole colour, then the first searched."""
+    colors = [p.name for p in model.parameters if p.components == 3 and not p.is_normal]
+    whole = next((c for c in colors if all(f"{c}.{part}" in names for part in "rgb")), None)
+    usual = [f"{whole}.{part}" for part in "rgb"] if whole else []
+    order = dict.fromkeys([*(name for name in chosen if name in names), *usual, *names])
+    return [Axis(name, list(names).index(name), *_range(name, model)) for name in list(order)[:3]]
+
+
+def in_box(axes: Sequence[Axis], values: np.ndarray) -> np.ndarray:
+    """Return (…, 3) places in the unit box of values (…, n); 0 along an axis that is not there."""
+    places = np.zeros((*values.shape[:-1], 3))
+    for i, axis in enumerate(axes):
+        places[..., i] = (values[..., axis.index] - axis.low) / (axis.high - axis.low)
+    return np.clip(places, 0, 1)
+
+
+def view_of(azimuth: float, elevation: float) -> np.ndarray:
+    """Return (3, 3) rows right, up and toward the viewer, of a look at the box with z upright, from above."""
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0])
+    toward = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    return np.stack([right, np.cross(toward, right), toward])
+
+
+def box_pixels(places: np.ndarray, view: np.ndarray, area: Rectangle) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels (…, 2) of places in the unit box, and how near they are to the viewer, larger being nearer.
+
+    The box fits into the area however it is turned about its upright axis.
+    """
+    turned = (np.asarray(places) - 0.5) @ view.T
+    # Its corners are √½ from the upright axis, and reach so far up and down.
+    rise = 0.5 * view[1, 2] + np.sqrt(0.5) * np.sqrt(max(0.0, 1 - view[1, 2] ** 2))
+    size = min(area.width / np.sqrt(2), area.height / (2 * rise))
+    centre = np.array([area.x + area.width / 2, area.y + area.height / 2])
+    return centre + size * turned[..., :2], turned[..., 2]
+
+
+def swarm_size(scale: float) -> tuple[float, float]:
+    """Return width and height of the panel in pixels."""
+    return _WIDTH * scale, _HEIGHT * scale
+
+
+def draw_swarm(
+    painter: Painter,
+    area: Rectangle,
+    title: str,
+    color: Sequence[float],
+    trail: Trail,
+    axes: Sequence[Axis],
+    seconds: float,
+    goal: np.ndarray | None,
+) -> None:
+    """Draw the box, the particles with their trails and bests, the best of all, and the goal where it is known.
+
+    color: of the probe. seconds: of work so far, by which the box turns. goal: (3,) place in the box.
+    """
+    s, particles = painter.scale, trail.particles
+    painter.panel(area)
+    painter.dots(np.array([[area.x + 15 * s, area.top - 16 * s]]), color, 8)
+    painter.text(title, area.x + 24 * s, area.top - 20 * s)
+    _draw_key(painter, area, goal is not None)
+    inside = area.inset(26 * s, 46 * s, 26 * s, 38 * s)
+    view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION if len(axes) == 3 else np.pi / 2 - 1e-3)
+    _draw_box(painter, axes, view, inside)
+    if particles is None:
+        return
+    places = in_box(axes, np.stack(trail.positions))
+    own = particle_colors(axes, particles.positions, color)
+    path, depth = box_pixels(places, view, inside)
+    _draw_trails(painter, path, own)
+    bests, _ = box_pixels(in_box(axes, particles.bests[np.isfinite(particles.fitness)]), view, inside)
+    painter.rings(bests, (1.0, 1.0, 1.0, 0.55), 4.0, 1.0)
+    order = np.argsort(depth[-1])
+    painter.dots(path[-1][order], HALO, 8.5)
+    painter.dots(path[-1][order], own[order], 6.5)
+    best = in_box(axes, particles.global_best)
+    _draw_best(painter, best, view, inside)
+    if goal is not None:
+        _draw_goal(painter, box_pixels(goal, view, inside)[0])
+
+
+def particle_colors(axes: Sequence[Axis], positions: np.ndarray, color: Sequence[float]) -> np.ndarray:
+    """Return (m, 4): in the space of a colour a particle has the colour that it stands for, else its probe's."""
+    if len(axes) == 3 and [axis.name.rpartition(".")[2] for axis in axes] == list("rgb"):
+        linear = np.clip(positions[:, [axis.index for axis in axes]], 0, 1)
+        return np.pad(srgb_from_linear(linear), ((0, 0), (0, 1)), constant_values=1.0)
+    return np.tile(np.float64(color), (len(positions), 1))
+
+
+def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
+    """Return the range of a component; a survey searches parameters of a model of its own."""
+    parameter, _, part = name.partition(".")
+    for known in (*model.parameters, *survey_model().parameters):
+        if known.name == parameter:
+            return (0.0, 1.0) if known.is_normal and part == "z" else known.range  # it faces the viewer
+    return 0.0, 1.0
+
+
+def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, area: Rectangle) -> None:
+    used = np.array([i < len(axes) for i in range(3)])
+    pixels, depth = box_pixels(_CORNERS * used, view, area)
+    farthest = int(np.argmin(depth))
+    for behind in (True, False):
+        edges = [edge for edge in _EDGES if (farthest in edge) == behind and 0 not in edge]
+        painter.lines(pixels[np.array(edges)], _FAR if behind else _NEAR)
+    middle = pixels.mean(axis=0)
+    for i, axis in enumerate(axes):
+        end = pixels[[4, 2, 1][i]]
+        painter.line(pixels[0], end, _AXES[i], 1.4)
+        outward = (end - middle) / max(np.linalg.norm(end - middle), 1e-9)
+        x, y = end + outward * 9 * painter.scale
+        align = "left" if outward[0] > 0.35 else "right" if outward[0] < -0.35 else "centre"
+        painter.text(_short(axis), x, y - (10 if outward[1] < 0 else 0) * painter.scale, _AXES[i], SMALL, align)
+
+
+def _draw_trails(painter: Painter, path: np.ndarray, colors: np.ndarray) -> None:
+    """path: (times, m, 2) pixels, oldest first."""
+    times, count = path.shape[:2]
+    if times < 2:
+        return
+    fade = np.linspace(0.0, 0.75, times)
+    shades = np.broadcast_to(colors, (times, count, 4)) * np.pad(fade[:, None, None], ((0, 0), (0, 0), (3, 0)),
+                                                                 constant_values=1.0)  # fmt: skip
+    ends = np.stack([path[:-1], path[1:]], axis=2), np.stack([shades[:-1], shades[1:]], axis=2)
+    painter.lines(ends[0].reshape(-1, 2, 2), ends[1].reshape(-1, 4), 1.3)
+
+
+def _draw_best(painter: Painter, place: np.ndarray, view: np.ndarray, area: Rectangle) -> None:
+    """Draw a star, and a line down to the floor, which tells where in the box it is."""
+    ends, _ = box_pixels(np.stack([place, place * [1, 1, 0]]), view, area)
+    painter.line(ends[0], ends[1], (*_BEST[:3], 0.45))
+    painter.dots(ends[1:], (*_BEST[:3], 0.6), 3)
+    painter.drawing.draw_triangles2d(star(ends[0], 9.5 * painter.scale), HALO)
+    painter.drawing.draw_triangles2d(star(ends[0], 7 * painter.scale), _BEST)
+
+
+def _draw_goal(painter: Painter, at: np.ndarray) -> None:
+    painter.rings(at[None], HALO, 9, 3.5)
+    painter.rings(at[None], _GOAL, 9, 1.6)
+    reach = 13 * painter.scale
+    cross = at + reach * np.array([[[-1, 0], [-0.5, 0]], [[0.5, 0], [1, 0]], [[0, -1], [0, -0.5]], [[0, 0.5], [0, 1]]])
+    painter.lines(cross, _GOAL, 1.4)
+
+
+def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> None:
+    s = painter.scale
+    x, y = area.x + 15 * s, area.y + 14 * s
+    entries = ["particle", "its best", "best of all", *(["goal"] if with_goal else [])]
+    for i, text in enumerate(entries):
+        at = np.array([[x, y]])
+        if i == 0:
+            painter.dots(at, DIM, 6.5)
+        elif i == 1:
+            painter.rings(at, (1.0, 1.0, 1.0, 0.7), 4.0, 1.0)
+        elif i == 2:
+            painter.drawing.draw_triangles2d(star(at[0], 6 * s), _BEST)
+        else:
+            painter.rings(at, _GOAL, 4.5, 1.5)
+        painter.text(text, x + 9 * s, y - 3.5 * s, DIM, SMALL)
+        x += painter.width(text, SMALL) + 26 * s
+
+
+def star(at: np.ndarray, radius: float) -> np.ndarray:
+    """Return (3·T, 2) triangles of a five-pointed star around a point."""
+    angles = np.pi / 2 + np.arange(10) * np.pi / 5
+    radii = radius * np.where(np.arange(10) % 2 == 0, 1.0, 0.45)
+    outline = at + radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.stack([np.broadcast_to(at, outline.shape), outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
+
+
+def _short(axis: Axis) -> str:
+    parameter, _, part = axis.name.partition(".")
+    words = {"r": "Red", "g": "Green", "b": "Blue"}.get(part, f"{bpy.path.display_name(parameter)} {part}".strip())
+    return f"{words} {label(axis.low)}–{label(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words

@@ -1,0 +1,339 @@
+"""What is drawn over viewports, as numbers: axes, layouts, curves, rays, domes, frusta, swarms. No window is needed."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils.geometry import intersect_ray_tri
+
+from irpso_addon.capture.camera import Camera
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.texel_probe import Particles
+from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_colors
+from irpso_addon.ui.overlay.layout import Rectangle, free_rectangle, stacked
+from irpso_addon.ui.overlay.paint import rounded
+from irpso_addon.ui.overlay.picking import first_hit, nearest_texel, texel_at, view_ray
+from irpso_addon.ui.overlay.place import (
+    Stand,
+    card_corners,
+    card_frame,
+    circle,
+    pixel_size,
+    stand_of,
+    to_pixels,
+    transformed,
+)  # fmt: skip
+from irpso_addon.ui.overlay.plot import curve_plot
+from irpso_addon.ui.overlay.scales import label, linear_ticks, log_ticks, round_down, round_up, steady_limit
+from irpso_addon.ui.overlay.swarm import Trail, box_pixels, choose_axes, in_box, star, view_of
+
+pytestmark = pytest.mark.bpy_only
+
+
+def perspective_of(eye, target, lens=50.0, size=(800, 600)):
+    """Return a view-projection matrix (4, 4) by Blender's own camera, and the camera's place."""
+    camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    bpy.context.scene.collection.objects.link(camera)
+    camera.data.lens = lens
+    direction = np.subtract(target, eye)
+    camera.rotation_euler = __import__("mathutils").Vector(direction).to_track_quat("-Z", "Y").to_euler()
+    camera.location = eye
+    bpy.context.view_layer.update()
+    graph = bpy.context.evaluated_depsgraph_get()
+    window = camera.calc_matrix_camera(graph, x=size[0], y=size[1])
+    matrix = np.array(window @ camera.matrix_world.inverted())
+    bpy.data.objects.remove(camera)
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("value", "above", "below"),
+    [(1.0, 1, 1), (1.01, 2, 1), (0.03, 0.05, 0.02), (0.5, 0.5, 0.5), (7, 10, 5), (1e-5, 1e-5, 1e-5), (999, 1000, 500)],
+)
+def test_limits_are_one_two_or_five_times_a_power_of_ten(value, above, below):
+    assert round_up(value) == pytest.approx(above)
+    assert round_down(value) == pytest.approx(below)
+
+
+def test_a_limit_holds_while_the_error_falls_a_little_and_changes_seldom_over_a_run():
+    limit, shown = 0.0, []
+    rng = np.random.default_rng(1)
+    for error in np.geomspace(0.2, 0.002, 400):
+        limit = steady_limit(4 * error * rng.uniform(0.95, 1.05), limit)
+        shown.append(limit)
+    assert all(limit == pytest.approx(round_up(limit)) for limit in set(shown))
+    changes = np.count_nonzero(np.diff(shown))
+    assert 3 <= changes <= 8
+    assert np.count_nonzero(np.diff(shown) > 0) == 0
+    assert steady_limit(math.nan, 0.2) == 0.2
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "most"), [(0, 1, 6), (0, 5, 6), (0, 0.02, 6), (0, 130, 5), (0, 7000, 4), (-1, 1, 5)]
+)
+def test_linear_ticks_are_round_even_and_not_too_many(low, high, most):
+    ticks = linear_ticks(low, high, most)
+    assert 2 <= len(ticks) <= most
+    assert low <= ticks[0] and ticks[-1] <= high * (1 + 1e-9)
+    step = ticks[1] - ticks[0]
+    assert np.allclose(np.diff(ticks), step)
+    assert step == pytest.approx(round_up(step))
+    assert np.allclose(np.array(ticks) / step, np.rint(np.array(ticks) / step))
+
+
+def test_log_ticks_label_decades_and_mark_the_numbers_between():
+    major, minor = log_ticks(0.02, 20)
+    assert major == pytest.approx([0.1, 1, 10])
+    assert minor == pytest.approx([*np.arange(2, 10) * 0.01, *np.arange(2, 10) * 0.1, *np.arange(2, 10), 20])
+    assert log_ticks(0.2, 5)[0] == pytest.approx([0.2, 0.5, 1, 2, 5])
+    assert len(log_ticks(1e-8, 1)[0]) <= 6
+
+
+def test_numbers_at_ticks_are_short():
+    assert [label(v) for v in (0, 0.1 + 0.2, 10.0, 2500.0, 0.002, 1e-6, 3.0)] == [
+        "0", "0.3", "10", "2500", "0.002", "1e-6", "3",
+    ]  # fmt: skip
+
+
+def test_side_regions_that_lie_over_a_viewport_are_kept_free_and_others_do_not_matter():
+    window = Rectangle(100, 50, 800, 600)
+    sides = [
+        ("LEFT", Rectangle(100, 50, 60, 600)), ("RIGHT", Rectangle(700, 50, 200, 600)),
+        ("TOP", Rectangle(100, 620, 800, 30)), ("TOP", Rectangle(100, 650, 800, 26)),
+        ("RIGHT", Rectangle(950, 50, 100, 600)), ("FLOAT", Rectangle(120, 60, 200, 90)),
+    ]  # fmt: skip
+    assert free_rectangle(window, sides) == Rectangle(60, 0, 540, 570)
+    assert free_rectangle(window, []) == Rectangle(0, 0, 800, 600)
+
+
+def test_boxes_are_stacked_upward_then_in_columns_and_left_out_where_there_is_no_room():
+    free = Rectangle(10, 20, 500, 400)
+    assert stacked(free, [(200, 150), (180, 200)], 10) == [Rectangle(10, 20, 200, 150), Rectangle(10, 180, 180, 200)]
+    places = stacked(free, [(200, 150), (180, 300), (400, 100)], 10)
+    assert places == [Rectangle(10, 20, 200, 150), Rectangle(220, 20, 180, 300), None]
+
+
+def test_curves_lie_where_iteration_and_the_logarithm_of_the_error_say():
+    area = Rectangle(40, 30, 300, 120)
+    plot = curve_plot(area, [[(0, 10.0), (50, 1.0), (100, 0.1)], [(0, math.nan), (100, 5.0)], []])
+    assert plot.curves[0] == pytest.approx(np.array([(40, 150), (190, 90), (340, 30)]))
+    assert plot.curves[1] == pytest.approx(np.array([(340, 30 + 120 * (math.log10(50) / 2))]))
+    assert len(plot.curves[2]) == 0
+    assert {text: x for x, text in plot.x_ticks}["40"] == pytest.approx(160)
+    assert {text: y for y, text in plot.y_ticks} == pytest.approx({"0.1": 30, "1": 90, "10": 150})
+
+
+def test_a_curve_of_zeros_and_no_curve_at_all_can_be_plotted():
+    area = Rectangle(0, 0, 100, 100)
+    for curves in ([], [[]], [[(0, 0.0), (5, 0.0)]], [[(3, 0.2)]], [[(i, 1.0) for i in range(10000)]]):
+        plot = curve_plot(area, curves)
+        assert all(np.isfinite(points).all() for points in plot.curves)
+        assert all(len(points) <= 100 for points in plot.curves)
+        assert len(plot.y_ticks) >= 2
+
+
+def test_a_ray_through_a_pixel_meets_the_point_that_is_drawn_there():
+    matrix = perspective_of((3, -4, 2), (0.1, 0.2, 0.3))
+    size = (800, 600)
+    point = np.array([0.4, -0.2, 0.5])
+    (pixel,), (before,) = to_pixels(matrix, point[None], size)
+    origin, direction = view_ray(matrix, tuple(pixel), size)
+    assert before
+    assert np.linalg.norm(np.cross(point - origin, direction)) < 1e-4
+    assert np.linalg.norm(direction) == pytest.approx(1)
+    assert direction @ (point - origin) > 0
+    behind = np.array([[6, -8, 4.0]])
+    assert not to_pixels(matrix, behind, size)[1][0]
+
+
+def test_a_pixel_is_as_wide_as_two_projected_points_say():
+    matrix, size = perspective_of((0, -5, 0), (0, 0, 0)), (800, 600)
+    one = pixel_size(matrix, np.zeros(3), size)
+    pixels, _ = to_pixels(matrix, np.array([[0, 0, 0], [100 * one, 0, 0]]), size)
+    assert pixels[1, 0] - pixels[0, 0] == pytest.approx(100, rel=1e-4)
+
+
+def test_the_first_triangle_that_a_ray_meets_is_the_one_blender_finds():
+    rng = np.random.default_rng(3)
+    triangles = rng.uniform(-1, 1, (400, 1, 3)) + rng.uniform(-0.3, 0.3, (400, 3, 3))
+    for _ in range(20):
+        origin, direction = rng.uniform(-3, 3, 3), rng.normal(size=3)
+        direction = -origin / np.linalg.norm(origin) + 0.2 * direction
+        found = []
+        for i, corners in enumerate(triangles):
+            at = intersect_ray_tri(*corners.tolist(), direction.tolist(), origin.tolist(), True)
+            if at is not None and (np.array(at) - origin) @ direction > 0:
+                found.append((np.linalg.norm(np.array(at) - origin), i, np.array(at)))
+        hit = first_hit(origin, direction, triangles)
+        if not found:
+            assert hit is None
+            continue
+        _, number, at = min(found, key=lambda item: item[0])
+        assert hit[0] == number
+        assert hit[1] @ triangles[number] == pytest.approx(at, abs=1e-4)
+
+
+def test_texels_are_counted_from_the_lower_left_and_the_far_edge_belongs_to_the_last():
+    assert texel_at(np.array([0.0, 0.0]), (4, 8)) == (0, 0)
+    assert texel_at(np.array([0.9999, 0.26]), (4, 8)) == (1, 7)
+    assert texel_at(np.array([1.0, 1.0]), (4, 8)) == (3, 7)
+    assert texel_at(np.array([1.001, 0.5]), (4, 8)) is None
+
+
+def test_the_nearest_texel_that_is_solved_is_taken_within_reach():
+    solvable = np.zeros((10, 10), bool)
+    solvable[5, 5] = solvable[2, 2] = True
+    assert nearest_texel(solvable, 4, 4, 3) == (5, 5)
+    assert nearest_texel(solvable, 2, 3, 3) == (2, 2)
+    assert nearest_texel(solvable, 9, 9, 3) is None
+    assert nearest_texel(solvable, 0, 0, 2) == (2, 2)
+
+
+@pytest.mark.parametrize("shape", [(30, 40), (1, 5), (6, 1)])
+def test_a_card_is_one_wide_around_the_origin_as_its_object_will_be(shape):
+    camera = Camera(shape[1], shape[0], (50.0, 50.0), (3.0, 40.0))
+    position = camera.points(2.0)
+    corners = transformed(card_frame(position), card_corners(position))
+    y = 0.5 * shape[0] / shape[1]
+    assert corners == pytest.approx(np.array([(-0.5, -y, 0), (0.5, -y, 0), (0.5, y, 0), (-0.5, y, 0)]), abs=1e-9)
+
+
+def test_distant_lights_stand_on_the_dome_in_the_turned_direction_and_near_ones_at_their_place():
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = 2 * turn, (5, 6, 7)
+    stand = Stand(frame, np.array([1.0, 2.0, 3.0]), 1.5)
+    lights = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0.5, 0, 0, 1]])
+    dome = dome_of(lights, np.ones((3, 3)), stand, radius=4.0)
+    assert dome.places == pytest.approx(np.array([[1, 6, 3], [1, 2, 7], [5, 7, 7]]))
+    assert dome.half
+    assert dome_of(lights, np.ones((3, 3)), stand).radius == pytest.approx(1.7 * 1.5)
+    assert not dome_of(np.array([[1, 0, 0.1, 0], [-1, 0, -0.2, 0], [0, 0, 1, 0.0]]), np.ones((3, 3)), stand).half
+    for line in guide_lines(dome):
+        assert np.linalg.norm(line - dome.centre, axis=1) == pytest.approx(4.0)
+        assert ((line - dome.centre) @ dome.axis >= -1e-6).all()
+    assert guide_lines(dome_of(lights[2:], np.ones((1, 3)), stand)) == []
+
+
+def test_a_lights_colour_keeps_its_hue_and_tells_its_strength_among_the_others():
+    colors = light_colors(np.array([[1, 0.5, 0.25], [4, 2, 1], [0, 0, 0]]))
+    assert colors[1].max() == pytest.approx(1)
+    assert colors[0] / colors[0].max() == pytest.approx(colors[1] / colors[1].max())
+    assert 0.35 < colors[0].max() < 1
+    assert np.isfinite(colors).all()
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+def test_a_frustum_passes_through_the_corners_of_the_cameras_image(perspective):
+    matrix = np.eye(4)
+    matrix[:3, 3] = (1, 2, 3)
+    camera = Camera(400, 300, (500.0, 510.0), (190.0, 160.0), matrix, perspective)
+    lines = frustum(camera, np.eye(4), 0.7)
+    rim = lines[:4, 0]
+    if perspective:
+        pixels, depth = camera.project(rim)
+        assert depth == pytest.approx(np.full(4, 0.7))
+        assert lines[7:, 0] == pytest.approx(np.tile(matrix[:3, 3], (4, 1)))
+    else:
+        pixels, _ = camera.project(rim)
+    assert pixels == pytest.approx(np.array([[0, 0], [400, 0], [400, 300], [0, 300]]), abs=1e-9)
+
+
+def test_a_circle_is_flat_and_round():
+    normal = np.array([1, 2, 2]) / 3
+    points = circle(np.array([1.0, 1, 1]), normal, 0.5) - 1.0
+    assert np.linalg.norm(points, axis=1) == pytest.approx(0.5)
+    assert points @ normal == pytest.approx(0, abs=1e-12)
+
+
+def test_a_ball_around_the_subject_holds_its_corners_wherever_it_stands():
+    frame = np.diag([2.0, 3.0, 1.0, 1.0])
+    frame[:3, 3] = (1, 1, 1)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (0, 1) for z in (2, 5)], float)
+    stand = stand_of(frame, corners)
+    assert stand.centre == pytest.approx([1, 2.5, 4.5])
+    assert stand.radius == pytest.approx(np.linalg.norm([2, 1.5, 1.5]))
+
+
+def test_a_swarm_is_shown_in_a_whole_colour_first_then_in_what_is_searched_first():
+    model = load_model("principled")
+    names = ("roughness", "base_color.r", "base_color.g", "base_color.b", "normal.x")
+    assert [axis.name for axis in choose_axes(names, ("", "", ""), model)] == list(names[1:4])
+    axes = choose_axes(names, ("normal.x", "", "gone"), model)
+    assert [axis.name for axis in axes] == ["normal.x", "base_color.r", "base_color.g"]
+    assert (axes[0].low, axes[0].high, axes[0].index) == (-1, 1, 4)
+    assert [axis.name for axis in choose_axes(("roughness",), (), model)] == ["roughness"]
+    assert choose_axes((), ("roughness",), model) == []
+
+
+def test_places_in_the_box_are_fractions_of_each_axis_range():
+    axes = choose_axes(("normal.x", "normal.y", "roughness"), (), load_model("principled"))
+    low, high = axes[2].low, axes[2].high
+    values = np.array([[-1, 0, low], [1, 0.5, high]])
+    assert in_box(axes, values) == pytest.approx(np.array([[0, 0.5, 0], [1, 0.75, 1]]))
+    assert in_box(axes[:1], values)[:, 1:] == pytest.approx(0)
+
+
+def test_the_turning_box_stays_inside_its_area_and_keeps_z_upright():
+    area = Rectangle(50, 20, 200, 180)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    extremes = []
+    for azimuth in np.linspace(0, 2 * np.pi, 60):
+        view = view_of(azimuth, 0.38)
+        assert view @ view.T == pytest.approx(np.eye(3), abs=1e-9)
+        assert np.linalg.det(view) == pytest.approx(1)
+        pixels, _ = box_pixels(corners, view, area)
+        assert pixels.min(axis=0)[0] >= 50 - 1e-6 and pixels.max(axis=0)[0] <= 250 + 1e-6
+        assert pixels.min(axis=0)[1] >= 20 - 1e-6 and pixels.max(axis=0)[1] <= 200 + 1e-6
+        up = pixels[1] - pixels[0]
+        assert up[0] == pytest.approx(0, abs=1e-9) and up[1] > 0
+        extremes.append(np.ptp(pixels, axis=0))
+    reached = np.max(extremes, axis=0)
+    assert reached[0] == pytest.approx(200, rel=0.01) or reached[1] == pytest.approx(180, rel=0.01)
+
+
+def test_what_is_nearer_to_the_viewer_is_told_to_be():
+    view = view_of(0.0, 0.3)
+    _, depth = box_pixels(np.array([[0.5, 0.0, 0.5], [0.5, 1.0, 0.5]]), view, Rectangle(0, 0, 100, 100))
+    assert depth[0] > depth[1]
+
+
+def swarm_of(positions):
+    count, n = positions.shape
+    return Particles(("a", "b")[:n], positions, positions, np.zeros(count), positions[0])
+
+
+def test_a_trail_keeps_the_last_positions_and_begins_anew_with_another_texel():
+    trail = Trail()
+    for i in range(20):
+        trail.follow(swarm_of(np.full((4, 2), float(i))), (1, 2))
+    assert [positions[0, 0] for positions in trail.positions] == list(range(8, 20))
+    trail.follow(swarm_of(np.full((4, 2), 19.0)), (1, 2))
+    assert len(trail.positions) == 12
+    trail.follow(swarm_of(np.full((4, 2), 5.0)), (1, 3))
+    assert len(trail.positions) == 1
+    trail.follow(swarm_of(np.full((5, 2), 5.0)), (1, 3))
+    assert len(trail.positions) == 1
+    trail.follow(None, (1, 3))
+    assert len(trail.positions) == 0
+
+
+def areas(triangles):
+    a, b, c = np.reshape(triangles, (-1, 3, 2)).transpose(1, 0, 2)
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
+def test_a_panel_covers_its_rectangle_but_for_the_corners():
+    got = areas(rounded(Rectangle(5, 6, 100, 40), 8))
+    assert (got > 0).all()
+    # The corners are quarters of an inscribed polygon of 20 sides.
+    rounding = 8 * 8 * (4 - 20 / 2 * math.sin(2 * math.pi / 20))
+    assert got.sum() == pytest.approx(100 * 40 - rounding)
+
+
+def test_a_star_has_five_points():
+    points = star(np.zeros(2), 10.0).reshape(-1, 3, 2)[:, 1]
+    lengths = np.linalg.norm(points, axis=1)
+    assert np.count_nonzero(lengths > 9.9) == 5
+    assert points[0] == pytest.approx([0, 10])
