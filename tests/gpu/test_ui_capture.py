@@ -369,7 +369,7 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
     if not perspective:
         camera = Camera(16, 12, (9.0, 9.0), (7.0, 6.5), ANYWHERE, False)
     points, facing, albedo = camera.points(1.0), ANYWHERE[:3, 2], 0.8
-    near = tuple(points[3, 12] + 0.5 * facing + 0.2 * ANYWHERE[:3, 0])
+    near = tuple(points[3, 12] + 0.9 * facing + 0.2 * ANYWHERE[:3, 0])
     lights = [Light(tuple(ANYWHERE[:3, :3] @ (0.6, 0, 0.8)), (1.0, 0.5, 0.25)), Light(near, (0.1, 0.2, 0.3), False)]
     toward = [np.broadcast_to(lights[0].vector, points.shape), np.array(near) - points]
     far = [1.0, np.linalg.norm(toward[1], axis=-1)]
