@@ -6,27 +6,35 @@ import textwrap
 
 _CHARACTER = 6.6  # pixels of an average one at scale 1, in Blender's own font
 _MARGINS = 58  # pixels of a panel's width that text does not get: edges, tab, icon
+_GAPS = 45  # the same, without an icon
 _LEAST = 16  # characters a line
+_NAME = 0.4  # the part of a line that a fact's name takes
 
 
 def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
     """Draw a text over as many lines as the panel's width asks for, its icon before the first."""
-    scale = context.preferences.system.ui_scale
-    width = context.region.width if context.region is not None else 0
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for line in textwrap.wrap(text, max(_LEAST, int((width / scale - _MARGINS) / _CHARACTER))):
+    for line in textwrap.wrap(text, _characters(context)):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 
 
-def fact(layout, name: str, value: str) -> None:
-    """Draw a name and what is true of it."""
-    row = layout.split(factor=0.4)
-    left = row.row()
-    left.alignment = "RIGHT"
-    left.label(text=name)
-    row.label(text=value, translate=False)
+def fact(layout, context, name: str, value: str) -> None:
+    """Draw a name and what is true of it, over as many lines as that takes."""
+    for line in textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME))) or [""]:
+        row = layout.split(factor=_NAME)
+        left = row.row()
+        left.alignment = "RIGHT"
+        left.label(text=name)
+        row.label(text=line, translate=False)
+        name = ""
+
+
+def _characters(context, margins: int = _MARGINS) -> int:
+    """Return how many characters a line of the panel has."""
+    width = context.region.width if context.region is not None else 0
+    return max(_LEAST, int((width / context.preferences.system.ui_scale - margins) / _CHARACTER))
 
 
 def clock(seconds: float) -> str:

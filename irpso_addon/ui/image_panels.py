@@ -33,7 +33,7 @@ class IRPSO_PT_image_maps(_ImageSidebar, bpy.types.Panel):
     def draw(self, context) -> None:
         """Draw what is shown."""
         if context.scene.irpso.view.show:
-            draw_shown(self.layout, context.scene.irpso.view, session.current())
+            draw_shown(self.layout, context, session.current())
 
 
 class IRPSO_PT_image_recover(_ImageSidebar, bpy.types.Panel):

@@ -13,6 +13,7 @@ from .settings import CUSTOM
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
 _MOST_FINDINGS = 8
+_FIRST_FACTS = 3  # kind, images, and what they are enough for; the rest is in a panel of its own
 
 
 class Sidebar:
@@ -77,21 +78,33 @@ def _draw_light(layout, context) -> None:
     column.prop(obj.irpso, "camera")
 
 
+def _draw_fact(layout, context, line: str) -> None:
+    name, _, value = line.partition(": ")
+    drawing.fact(layout, context, name[:1].upper() + name[1:], value)
+
+
+def _summary(context) -> list[str]:
+    """Return what is known of the capture, a fact a line; nothing where it is another one by now."""
+    settings = context.scene.irpso
+    return settings.summary.splitlines() if _is_checked(settings) or checking(context.scene) else []
+
+
+def _is_checked(settings) -> bool:
+    return settings.source == "SCENE" or settings.checked_path == settings.capture_path
+
+
 def _draw_check(layout, context, settings) -> None:
     """Draw what the capture holds, what is wrong with it, and the button that looks it over."""
-    doing = checking(context.scene)
-    current = settings.source == "SCENE" or settings.checked_path == settings.capture_path
-    lines = settings.summary.splitlines() if doing or current else []
+    doing, lines = checking(context.scene), _summary(context)
     if lines:
         column = layout.column(align=True)
         column.scale_y = 0.8
-        for line in lines:
-            name, _, value = line.partition(": ")
-            drawing.fact(column, name[:1].upper() + name[1:], value)
+        for line in lines[:_FIRST_FACTS]:
+            _draw_fact(column, context, line)
     if doing:
         layout.label(text=doing, icon="SORTTIME", translate=False)
         return
-    found = sorted(settings.findings, key=lambda item: item.severity != "error") if current else []
+    found = sorted(settings.findings, key=lambda item: item.severity != "error") if _is_checked(settings) else []
     for item in found[:_MOST_FINDINGS]:
         row = layout.row()
         row.alert = item.severity == "error"
@@ -101,6 +114,26 @@ def _draw_check(layout, context, settings) -> None:
     if lines and not found:
         layout.label(text="Nothing Suspicious", icon="CHECKMARK")
     layout.operator("irpso.check_capture", text="Check Again" if lines else "Check", icon="VIEWZOOM")
+
+
+class IRPSO_PT_capture_facts(_BeforeRun, bpy.types.Panel):
+    """All that the check has found out about the capture."""
+
+    bl_label = "Details"
+    bl_parent_id = "IRPSO_PT_capture"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is more to say than the panel above says."""
+        return super().poll(context) and len(_summary(context)) > _FIRST_FACTS
+
+    def draw(self, context) -> None:
+        """Draw the other facts."""
+        column = self.layout.column(align=True)
+        column.scale_y = 0.8
+        for line in _summary(context)[_FIRST_FACTS:]:
+            _draw_fact(column, context, line)
 
 
 class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
@@ -194,18 +227,17 @@ def draw_progress(layout, context, running: session.Session) -> None:
     """Draw what is done, how far it is, how well, how fast, how long still; and the buttons."""
     layout.label(text=running.job.name, icon="TEXTURE", translate=False)
     progress = running.progress
-    text = f"{running.title}  {running.fraction:.0%}"
-    if running.state == "paused":
-        text = f"Paused  {running.fraction:.0%}"
+    title = "Paused" if running.state == "paused" else running.title[:1].upper() + running.title[1:]
+    text = f"{title}  {running.fraction:.0%}"
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     if progress is not None:
         column = layout.column(align=True)
         column.scale_y = 0.9
-        drawing.fact(column, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
-        drawing.fact(column, "Error", "–" if running.error is None else drawing.percent(running.error))
-        drawing.fact(column, "Evaluations", drawing.rate(running.rate))
+        drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
+        drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
+        drawing.fact(column, context, "Evaluations", drawing.rate(running.rate))
         left = running.seconds_left
-        drawing.fact(column, "Time Left", "–" if left is None else drawing.clock(left))
+        drawing.fact(column, context, "Time Left", "–" if left is None else drawing.clock(left))
     if running.state == "paused":
         draw_presets(layout, context.scene.irpso)
     row = layout.row()
@@ -226,8 +258,8 @@ def draw_result(layout, context, running: session.Session) -> None:
     column.label(text=f"{running.job.name}: Kept" if running.kept else f"{running.job.name}: Done", icon="CHECKMARK",
                  translate=False)  # fmt: skip
     if running.error is not None:
-        drawing.fact(column, "Error", drawing.percent(running.error))
-    drawing.fact(column, "Time", drawing.clock(running.seconds))
+        drawing.fact(column, context, "Error", drawing.percent(running.error))
+    drawing.fact(column, context, "Time", drawing.clock(running.seconds))
     row = layout.row()
     row.scale_y = 1.0 if running.kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if running.kept else "Keep", icon="MATERIAL")
@@ -302,6 +334,7 @@ def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]
 
 CLASSES = (
     IRPSO_PT_capture,
+    IRPSO_PT_capture_facts,
     IRPSO_PT_subject,
     IRPSO_PT_material,
     IRPSO_PT_recover,

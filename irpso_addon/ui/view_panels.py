@@ -14,9 +14,9 @@ _OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
 _IN_FALSE_COLORS = ("ERROR", "CONFIDENCE")
 
 
-def draw_shown(layout, view, running: session.Session) -> None:
+def draw_shown(layout, context, running: session.Session) -> None:
     """Draw which picture is shown, and the settings that matter for it."""
-    column = layout.column()
+    view, column = context.scene.irpso.view, layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(view, "shown")
     if view.shown in _OF_A_MAP:
@@ -27,7 +27,7 @@ def draw_shown(layout, view, running: session.Session) -> None:
         observations = running.job.capture.observations
         number = min(view.observation, len(observations) - 1)
         column.prop(view, "observation")
-        drawing.fact(column, f"of {len(observations)}", observations[number].name)
+        drawing.fact(column, context, f"of {len(observations)}", observations[number].name)
         column.prop(view, "exposure")
     if view.shown == "SPLIT":
         column.prop(view, "split", slider=True)
@@ -54,7 +54,7 @@ class IRPSO_PT_view(Sidebar, bpy.types.Panel):
         if not view.show:
             self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
             return
-        draw_shown(self.layout, view, session.current())
+        draw_shown(self.layout, context, session.current())
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(view, "opacity", slider=True)
