@@ -65,6 +65,7 @@ class Session:
         self.longest_stall_s = 0.0
         self.kept = False
         self.closed = False
+        self._paused_in = self.state
         self._read = 0
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
@@ -137,8 +138,8 @@ class Session:
 
     def pause(self) -> None:
         """Rest until ``resume``."""
-        if self.state == "running":
-            self.state = "paused"
+        if self.active:
+            self._paused_in, self.state = self.state, "paused"
             _tell()
 
     def resume(self, schedule: Schedule | None = None) -> None:
@@ -150,7 +151,7 @@ class Session:
             return
         if schedule is not None and schedule != self.job.schedule:
             self._change(schedule)
-        self.state = "running"
+        self.state = self._paused_in
         _tell()
 
     def maps(self) -> Maps:
@@ -257,11 +258,13 @@ class Session:
         return found[0]
 
     def _change(self, schedule: Schedule) -> None:
+        self.job = replace(self.job, schedule=schedule)
+        if self.recovery is None:  # it has not begun: it will begin with this one
+            return
         changed = self.recovery.changed(schedule)
         self.display.close()
         self.recovery.close()
         self.recovery, self.display = changed, Display(changed, self.job.known)
-        self.job = replace(self.job, schedule=schedule)
 
     def _look(self) -> None:
         """Note the mean error now and then. A domain in tiles does not tell it while it is solved."""
