@@ -175,9 +175,7 @@ class Session:
         global _current
         self.closed, self.state = True, "done"
         self._opening = None
-        if self._thread is not None:
-            self._thread.join()  # it holds the arrays that are about to go; it takes a second or two at most
-            self._thread = None
+        self._join()
         if self.display is not None:
             self.display.close()
         if self.recovery is not None:
@@ -186,6 +184,12 @@ class Session:
         if _current is self:
             _current = None
         _tell()
+
+    def _join(self) -> None:
+        """Wait for the thread that prepares: it reads arrays that are about to go. It takes a second or two at most."""
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
 
     def _work(self, deadline: float) -> None:
         if self._opening is not None:
@@ -259,7 +263,9 @@ class Session:
 
     def _change(self, schedule: Schedule) -> None:
         self.job = replace(self.job, schedule=schedule)
-        if self.recovery is None:  # it has not begun: it will begin with this one
+        if self.recovery is None:  # it has not begun: what was prepared was for the other one
+            self._join()
+            self._opening, self._paused_in, self._read = self._open(), "loading", 0
             return
         changed = self.recovery.changed(schedule)
         self.display.close()
