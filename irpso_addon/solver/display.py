@@ -218,7 +218,7 @@ class _Measure:
             self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
         targets = self._coming
-        seconds = BACKGROUND_BAND_SECONDS if budget is None else min(BAND_SECONDS, budget)
+        seconds = BACKGROUND_BAND_SECONDS if budget is None else min(BAND_SECONDS, 0.5 * budget)
         # The recovery may go on between bands: each reads what it has found by then.
         self._work = self._bands.run(
             "measure",

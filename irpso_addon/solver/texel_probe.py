@@ -145,7 +145,8 @@ def running_swarm(recovery: Recovery | Pyramid) -> tuple[RunningStage | RunningG
     if isinstance(phase, RunningSurvey):
         phase, model = phase._inner, survey_model()
     searches = isinstance(phase, RunningStage | RunningGenerations) and phase.codec.dimensions > 0
-    return (phase, model) if searches else None
+    # Between two stages the first one's textures are gone already.
+    return (phase, model) if searches and _remembered(phase) is not None else None
 
 
 class _SwarmProbe:
@@ -155,7 +156,7 @@ class _SwarmProbe:
         self, phase: RunningStage | RunningGenerations, model: ReflectanceModel, domain_defines: dict[str, int]
     ):
         self.phase, self._model = phase, model
-        self._held = phase.swarm if isinstance(phase, RunningStage) else phase.textures
+        self._held = _remembered(phase)
         codec = phase.codec
         defines = {
             **domain_defines,
@@ -207,6 +208,11 @@ def component_names(parameter: Parameter) -> list[str]:
     parts = _COLORS if parameter.color_space == "sRGB" else _PARTS
     several = parameter.components > 1
     return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
+
+
+def _remembered(phase: RunningStage | RunningGenerations) -> Any:
+    """Return the textures of a phase's swarms, None once it is closed."""
+    return phase.swarm if isinstance(phase, RunningStage) else phase.textures
 
 
 def _searched(phase: RunningStage | RunningGenerations, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:

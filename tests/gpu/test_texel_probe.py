@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.errors import InputError
+from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver import texel_probe
 from irpso_addon.solver.prepare import prepare
@@ -141,15 +142,18 @@ def test_every_phase_of_standard_is_read(recover, probe):
     while not recovery.progress.done:
         recovery.step(iterations=1)
         state, title = reader.read(3, 2), recovery.progress.title
-        maps = recovery.maps(confidence=False)
-        for name, value in state.values.items():
-            np.testing.assert_array_equal(value, maps.values[name][3, 2])
+        with recovery.view() as lent:
+            at = textures.download(lent["u_packed"])[3, 2].astype(int)
+            lies = [textures.download(lent[f"u_estimate_{i}"])[at[1], at[0]] for i in range(2)]
+        np.testing.assert_array_equal(np.concatenate(list(state.values.values())), np.concatenate(lies))
         names.setdefault(title, set()).add(state.particles and state.particles.names)
     searched = tuple(p.name for p in survey_model().parameters if p.kind == "search" and not p.is_normal)
     survey = next(iter(names["survey of the normals"] - {None}))
     assert set(searched) | {"normal.x", "normal.y", "normal.z"} == set(survey)
     assert names["polish"] == {None}
     swarms = [title for title in names if "base_color" in title]
+    for name, value in state.values.items():
+        np.testing.assert_array_equal(value, recovery.maps(confidence=False).values[name][3, 2])
     # The survey has found the normals, and the albedo is solved in closed form.
     assert names[swarms[0]] - {None} == {("roughness", "specular")}
 
