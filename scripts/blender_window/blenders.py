@@ -71,7 +71,7 @@ class Blender:
         folders = [str(folder) for folder in self.visible]
         kept = [f"{name}={value}" for name, value in os.environ.items() if name.startswith(HANDED_ON)]
         own = [f"{name}={value}" for name, value in variables.items()]
-        home = ["HOME=/root", "LANG=C.UTF-8", "PATH=/usr/local/bin:/usr/bin:/bin"]
+        home = ["HOME=/var/cache", "LANG=C.UTF-8", "PATH=/usr/local/bin:/usr/bin:/bin"]
         inside = ["env", "--ignore-environment", *home, *kept, *own]
         return [*PRIVATE, "sh", "-c", ENTER, "sh", str(self.root), str(len(folders)), *folders, *inside]
 
@@ -101,6 +101,7 @@ def find_blender() -> Blender:
 
 def _visible() -> tuple[Path, ...]:
     """Return the folders that a Blender in a folder must see: temporary files, the repository, the data beside it."""
+    sockets = Path("/", "tmp")  # where X servers and their clients meet, whatever TMPDIR says
     shared = Path(os.environ.get("IRPSO_DATA", ROOT.parent / "shared"))
-    wanted = [Path(tempfile.gettempdir()), Path("/tmp"), ROOT, shared]
+    wanted = [Path(tempfile.gettempdir()), sockets, ROOT, shared]
     return tuple(dict.fromkeys(folder.resolve() for folder in wanted if folder.is_dir()))
