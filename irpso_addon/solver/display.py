@@ -26,7 +26,9 @@ _KEPT = 4  # pictures: two areas, each with two beside one another
 _SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
 _UNMEASURED = -1.0
 _FRACTION, _COLOR, _NORMAL = range(3)  # u_encoding of shaders/view/show_parameter.glsl
+_PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT"}
 _OBSERVATION = {"u_observation": "INT", "u_exposure": "FLOAT"}
+_MEASURE = {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Display:
         self._begin()
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
-        """Return a texture of the domain's size (a coarse level's at that level), RGBA16F, valid until others are asked for.
+        """Return a texture of the domain's size (a coarse level's at that level), RGBA16F; others take its place.
 
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
         and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved
@@ -187,7 +189,8 @@ class _Measure:
             self._work = None
         if self._work is None and progress != self.measured and (deadline is None or self._due(now, progress)):
             self._start(lent, progress, time_budget_s)
-        self._inputs = lent
+        if self._work is not None:
+            self._inputs = lent
         while self._work is not None:
             if next(self._work, self) is self:
                 self._finish()
@@ -207,7 +210,7 @@ class _Measure:
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
-        self._whole, self._coming, self._work = [], [], None
+        self._whole, self._coming, self._work, self._inputs = [], [], None, {}
 
     def _due(self, now: float, progress: Progress) -> bool:
         return progress.done or self.measured is None or now - self._ended >= self._seconds * (1 / _SHARE - 1)
@@ -230,7 +233,7 @@ class _Measure:
 
     def _finish(self) -> None:
         self._whole, self._coming = self._coming, self._whole
-        self._work, self.measured = None, self._progress
+        self._work, self._inputs, self.measured = None, {}, self._progress
         self._version += 1
         self._ended = time.perf_counter()
 
@@ -249,24 +252,18 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
 
 def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, int]) -> Pass:
     """Compile the pass that draws a kind of picture."""
-    estimates = kernels.estimate_samplers(model)
-    count = {"error": 1, "confidence": len(estimates)}.get(kind, 0)
-    measures = {f"u_measure_{i}": kernels.FLOAT_2D for i in range(count)}
-    sources = {"error": "measure", "confidence": "measure"}
-    samplers, constants = {
-        "parameter": (
-            estimates,
-            {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT"},
-        ),
-        "render": ({**estimates, **kernels.OBSERVATIONS}, _OBSERVATION),
-        "reference": ({"u_stack": "FLOAT_2D_ARRAY"}, _OBSERVATION),
-    }.get(kind, ({**measures, "u_ramp": kernels.FLOAT_2D}, {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}))
-    defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": count}
-    source = f"view/show_{sources.get(kind, kind)}.glsl"
+    estimates, measures = kernels.estimate_samplers(model), 0
+    name, samplers, constants = f"show_{kind}", {**estimates, **kernels.OBSERVATIONS}, _OBSERVATION
+    if kind == "parameter":
+        samplers, constants = estimates, _PARAMETER
+    elif kind in ("error", "confidence"):
+        measures = 1 if kind == "error" else len(estimates)
+        name, constants = "show_measure", _MEASURE
+        samplers = {**{f"u_measure_{i}": kernels.FLOAT_2D for i in range(measures)}, "u_ramp": kernels.FLOAT_2D}
     samplers = {**samplers, **kernels.PACKING}
-    return Pass(
-        Kernel(source, (Output("o_picture", "RGBA16F"),), samplers, constants, defines, kernels.model_includes(model))
-    )
+    defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": measures}
+    output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
+    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, defines, given))
 
 
 def _error_pass(model: ReflectanceModel, domain_defines: dict[str, int], known: Collection[str]) -> Pass:
