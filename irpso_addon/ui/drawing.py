@@ -34,7 +34,8 @@ def fact(layout, context, name: str, value: str) -> None:
 def _characters(context, margins: int = _MARGINS) -> int:
     """Return how many characters a line of the panel has."""
     width = context.region.width if context.region is not None else 0
-    return max(_LEAST, int((width / context.preferences.system.ui_scale - margins) / _CHARACTER))
+    scale = context.preferences.system.ui_scale or 1.0  # without a window there is none
+    return max(_LEAST, int((width / scale - margins) / _CHARACTER))
 
 
 def clock(seconds: float) -> str:

@@ -14,6 +14,7 @@ from ..maps.report import versions
 from ..paths import BASE_PACKAGE
 from ..solver.machine import fact_lines, machine_facts
 from ..solver.memory import parse_memory
+from .features import RELATIVE_PATH
 
 DISPLAY_RATE = 10  # pictures a second
 _ENTRIES = (
@@ -83,6 +84,7 @@ class Preferences(bpy.types.AddonPreferences):
         name="Output Folder",
         description="Where the pictures of recovered maps are kept. Empty packs them into the .blend file",
         subtype="DIR_PATH",
+        **RELATIVE_PATH,
     )
 
     def draw(self, context) -> None:

@@ -15,6 +15,7 @@ from bpy.props import (
 from ..errors import InputError
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
 from ..solver.texel_probe import component_names
+from .features import RELATIVE_PATH
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # a model of the user's own
@@ -79,8 +80,14 @@ def _observation_changed(self, context) -> None:
     show_observation(self.id_data, self.observation)
 
 
+def _model_item(name: str) -> tuple[str, str, str]:
+    """Return the entry of a shipped model: the short part of its title, and as its tooltip the long one."""
+    short, _, long = load_model(name).title.partition(": ")
+    return name, short, (long or short)[:1].upper() + (long or short)[1:]
+
+
 _MODEL_ITEMS = [
-    *((name, load_model(name).title, f"The shipped model {name}") for name in shipped_models()),
+    *(_model_item(name) for name in shipped_models()),
     (CUSTOM, "Own Model…", "A .toml that declares the parameters, with its .glsl beside it"),
 ]
 
@@ -178,7 +185,7 @@ class Settings(bpy.types.PropertyGroup):
     source: EnumProperty(name="Capture From", items=_SOURCES, default="FILES")
     capture_path: StringProperty(
         name="Capture", description="Folder of photographs with their lights, an .lp list or a capture.toml",
-        subtype="FILE_PATH",
+        subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
     colour_space: EnumProperty(name="Color Space", description="Of the image files", items=_COLOUR_SPACES)
     checked_path: StringProperty(description="The capture that the findings are of")
@@ -198,7 +205,7 @@ class Settings(bpy.types.PropertyGroup):
     )
     model_path: StringProperty(
         name="Model File", description="A .toml that declares the parameters, with its .glsl beside it",
-        subtype="FILE_PATH", update=_model_changed,
+        subtype="FILE_PATH", update=_model_changed, **RELATIVE_PATH,
     )  # fmt: skip
     parameters: CollectionProperty(type=ParameterItem)
     schedule: PointerProperty(type=ScheduleSettings)
