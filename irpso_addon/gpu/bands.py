@@ -5,42 +5,72 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-_FIRST_BANDS = 8  # into how many bands a pass that has never been timed is cut
-_TIMED_BANDS = 3  # of each kind, before its rate is believed
+_FIRST_BANDS = 64  # into how many bands a pass that has never been timed is cut
+_GROWTH = 4  # times the rows of one band that the next may have: regions of a picture differ in what they cost
+_TIMED_BANDS = 3  # of each kind, before its rate is believed where nobody waits
 _TIME_AGAIN = 64  # runs of a pass between later timings
 
 
 class Bands:
-    """Rows per band of every pass, from its time measured with a fence. Never changes what a pass computes."""
+    """Rows per band of every pass, from its time measured with a fence. Never changes what a pass computes.
 
-    def __init__(self) -> None:
+    paced: whether every band is waited for, so that whoever looks at the clock between them sees what they cost.
+    """
+
+    def __init__(self, paced: bool = False) -> None:
+        self.paced = paced
         self._seconds_per_row: dict[str, float] = {}
+        self._rows: dict[str, int] = {}
         self._timed: dict[str, int] = {}
         self._runs: dict[str, int] = {}
 
     def run(
         self, name: str, height: int, seconds: float, draw: Callable[[tuple[int, int]], None], fence: Callable[[], None]
     ) -> Iterator[None]:
-        """Draw all rows in bands of about ``seconds`` each; yields after every band."""
+        """Draw all rows in bands of about ``seconds`` each; yields after every band.
+
+        The first band of all is one row, in which drivers compile; its time tells nothing.
+        """
         runs = self._runs[name] = self._runs.get(name, 0) + 1
         row = 0
+        if name not in self._timed:
+            self._timed[name] = 0
+            yield from self.once(lambda: draw((0, 1)), fence)
+            row = 1
+        if self.paced and row < height:
+            fence()  # what was ordered before is none of this pass
         while row < height:
-            rate = self._seconds_per_row.get(name)
-            rows = height // _FIRST_BANDS if rate is None else int(seconds / rate)
-            stop = min(height, row + max(1, rows))
-            if self._timed.get(name, 0) < _TIMED_BANDS or runs % _TIME_AGAIN == 0:
+            rows = self._next(name, height, seconds)
+            stop = min(height, row + rows)
+            timed = self._timed[name] < _TIMED_BANDS or runs % _TIME_AGAIN == 0
+            if timed and not self.paced:
                 fence()
-                start = time.perf_counter()
-                draw((row, stop))
+            start = time.perf_counter()
+            draw((row, stop))
+            if timed or self.paced:
                 fence()
-                self._learn(name, (time.perf_counter() - start) / (stop - row))
-            else:
-                draw((row, stop))
+                self._learn(name, rows, (time.perf_counter() - start) / (stop - row))
             row = stop
             yield
 
-    def _learn(self, name: str, seconds_per_row: float) -> None:
-        self._timed[name] = self._timed.get(name, 0) + 1
-        before = self._seconds_per_row.get(name, seconds_per_row)
+    def once(self, draw: Callable[[], None], fence: Callable[[], None]) -> Iterator[None]:
+        """Draw something short as a whole, then yield."""
+        draw()
+        if self.paced:
+            fence()
+        yield
+
+    def _next(self, name: str, height: int, seconds: float) -> int:
+        rate = self._seconds_per_row.get(name)
+        if rate is None:
+            return max(1, height // _FIRST_BANDS)
+        return max(1, min(int(seconds / rate), _GROWTH * self._rows[name]))
+
+    def _learn(self, name: str, rows: int, seconds_per_row: float) -> None:
+        self._timed[name] += 1
+        self._rows[name] = rows
         # 1e-7: a clock that did not advance must not make a band of endless rows.
-        self._seconds_per_row[name] = max(1e-7, 0.5 * (before + seconds_per_row))
+        found = max(1e-7, seconds_per_row)
+        before = self._seconds_per_row.get(name, found)
+        # Slower is believed at once, faster by halves: a band too many costs less than a stall.
+        self._seconds_per_row[name] = max(found, 0.5 * (before + found))

@@ -65,6 +65,13 @@ def max_texture_size() -> int:
     return gpu.capabilities.max_texture_size_get()
 
 
+def max_samplers() -> int:
+    """Return how many textures one shader can read."""
+    import gpu
+
+    return gpu.capabilities.max_textures_frag_get()
+
+
 def exit_process(code: int) -> None:
     """End the process now with ``code``, buffers flushed.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from ..errors import GpuUnavailableError
 from . import context
 from .compiler import compile_shader
 from .library import read_source
@@ -45,17 +47,33 @@ class Kernel:
 
 
 class Pass:
-    """A compiled kernel. Fragment and compute entries take the same arguments and write the same values."""
+    """A kernel, compiled where it is first run. Fragment and compute entries take the same arguments, write the same.
+
+    Compiling may take a second, on software renderers most of it in the first draw: who has a window to keep alive
+    runs a pass for the first time in a slice of its own.
+    """
 
     def __init__(self, kernel: Kernel, entry: Entry = "fragment"):
         if not 1 <= len(kernel.outputs) <= MAX_OUTPUTS:
             raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.outputs)}")
-        context.ensure()
         self.kernel, self.entry = kernel, entry
-        self._shader = self._compute() if entry == "compute" else self._fragment()
+        self._shader: Any = None
+        self._triangle: Any = None
         self._framebuffers: dict[tuple[int, ...], Any] = {}
-        self._active = {name for name in kernel.constants if _has_uniform(self._shader, name)}
-        self._samplers = {name for name in kernel.samplers if _has_uniform(self._shader, name)}
+        self._active: set[str] = set()
+        self._samplers: set[str] = set()
+
+    def compile(self) -> Pass:
+        """Compile now what would be at the first run; return the pass. Raises ShaderError, GpuUnavailableError."""
+        if self._shader is None:
+            context.ensure()
+            source = self._sources()
+            declared = _declared(self.kernel, source)
+            build = self._compute if self.entry == "compute" else self._fragment
+            self._shader = build(source, declared)
+            self._active = {name for name in self.kernel.constants if _has_uniform(self._shader, name)}
+            self._samplers = {name for name in declared if _has_uniform(self._shader, name)}
+        return self
 
     def run(
         self,
@@ -68,7 +86,7 @@ class Pass:
         import gpu
 
         first, last = rows or (0, targets[0].height)
-        shader = self._shader
+        shader = self.compile()._shader
         shader.bind()
         try:
             for name in self._samplers:
@@ -103,13 +121,13 @@ class Pass:
         self._framebuffers.clear()
         self._shader = self._triangle = None
 
-    def _info(self) -> Any:
+    def _info(self, declared: Mapping[str, str]) -> Any:
         import gpu
 
         info = gpu.types.GPUShaderCreateInfo()
         for name, value in self.kernel.defines.items():
             info.define(name, str(value))
-        for slot, (name, kind) in enumerate(self.kernel.samplers.items()):
+        for slot, (name, kind) in enumerate(declared.items()):
             info.sampler(slot, kind, name)
         for name, kind in self.kernel.constants.items():
             info.push_constant(kind, name)
@@ -118,32 +136,31 @@ class Pass:
     def _sources(self) -> str:
         return read_source(self.kernel.source, self.kernel.given)
 
-    def _fragment(self) -> Any:
+    def _fragment(self, source: str, declared: Mapping[str, str]) -> Any:
         from gpu_extras.batch import batch_for_shader
 
         sources = {
             "vertex": read_source("common/full_screen.glsl"),
-            "fragment": self._sources() + read_source("common/entry_fragment.glsl"),
+            "fragment": source + read_source("common/entry_fragment.glsl"),
         }
-        shader = compile_shader(self.kernel.source, self._fragment_info, sources)
+        shader = compile_shader(self.kernel.source, lambda: self._fragment_info(declared), sources)
         self._triangle = batch_for_shader(shader, "TRIS", {"position": [(-1, -1), (3, -1), (-1, 3)]})
         return shader
 
-    def _fragment_info(self) -> Any:
-        info = self._info()
+    def _fragment_info(self, declared: Mapping[str, str]) -> Any:
+        info = self._info(declared)
         for slot, output in enumerate(self.kernel.outputs):
             info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
         info.vertex_in(0, "VEC2", "position")
         return info
 
-    def _compute(self) -> Any:
-        source = read_source("common/outputs_compute.glsl") + self._sources()
+    def _compute(self, source: str, declared: Mapping[str, str]) -> Any:
+        source = read_source("common/outputs_compute.glsl") + source
         sources = {"compute": source + read_source("common/entry_compute.glsl")}
-        self._triangle = None
-        return compile_shader(self.kernel.source, self._compute_info, sources)
+        return compile_shader(self.kernel.source, lambda: self._compute_info(declared), sources)
 
-    def _compute_info(self) -> Any:
-        info = self._info()
+    def _compute_info(self, declared: Mapping[str, str]) -> Any:
+        info = self._info(declared)
         for slot, output in enumerate(self.kernel.outputs):
             info.image(slot, output.format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
             info.define(f"OUTPUT_{slot}", output.name)
@@ -177,6 +194,21 @@ class Pass:
         shader.uniform_int("u_columns", width)
         groups = (-(-width // _GROUP[0]), -(-(last - first) // _GROUP[1]))
         gpu.compute.dispatch(shader, *groups, 1)
+
+
+def _declared(kernel: Kernel, source: str) -> dict[str, str]:
+    """Return the samplers that the source speaks of. Raises GpuUnavailableError where the device has no room for them.
+
+    Kernels share their tables of samplers, and some devices have no more than 16 units.
+    """
+    named = set(re.findall(r"\bu_\w+", source))
+    declared = {name: kind for name, kind in kernel.samplers.items() if name in named}
+    if len(declared) > (most := context.max_samplers()):
+        raise GpuUnavailableError(
+            f"this GPU reads {most} textures in a shader, {kernel.source} needs {len(declared)}; choose a model or a"
+            " preset of fewer dimensions, or another device"
+        )
+    return declared
 
 
 def _has_uniform(shader: Any, name: str) -> bool:

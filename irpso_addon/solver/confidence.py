@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -42,20 +42,34 @@ class Confidence:
         A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
         seconds: about how long one draw may take.
         """
+        for _ in self.measuring(domain, estimates, resolved, bands, seconds):
+            self._pass.fence(self._targets)
+        return self.read()
+
+    def measuring(
+        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+    ) -> Iterator[None]:
+        """Find what ``read`` returns, in bands of rows; yields after each."""
         if not self._targets:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         targets = self._targets
         inputs = {**domain.textures, **estimates.bindings(resolved)}
         constants = {"u_observations": domain.domain.observations}
-        for _ in bands.run(
+        yield from bands.run(
             "confidence",
             targets[0].height,
             seconds,
             lambda rows: self._pass.run(targets, inputs, constants, rows),
             lambda: self._pass.fence(targets),
-        ):
-            self._pass.fence(targets)
-        packed = np.concatenate([textures.download(t) for t in targets], axis=-1)
+        )
+
+    def bindings(self) -> dict[str, Any]:
+        """Return u_deviation_0 …, packed as the estimates are: each parameter's components where its own begin."""
+        return {f"u_deviation_{i}": texture for i, texture in enumerate(self._targets)}
+
+    def read(self) -> dict[str, np.ndarray]:
+        """Return what was measured last, as ``deviations`` does."""
+        packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
         deviations = {}
         for p in self.model.parameters:
             at, size = self.model.offset(p.name), 1 if p.is_normal else p.components

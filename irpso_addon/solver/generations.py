@@ -15,14 +15,15 @@ from ..reflectance.model import ReflectanceModel
 from .codec import build_codec
 from .generation_kernels import MAX_PARTICLES, build_generation_passes
 from .linear import LinearWeights, linear_weights
+from .phase import Phase
 from .reader import Reader
 from .resolve import ResolvedStage
 from .schedule import Schedule
 from .stage import ALL_TOLD, particle_count, reach_at, swarm_constants
-from .state import SOLVED, UNFIT, DomainTextures, Estimates, plan_atlas, texel_states
+from .state import SOLVED, UNFIT, DomainTextures, Estimates, MadeInSteps, plan_atlas, texel_states
 
 
-class RunningGenerations:
+class RunningGenerations(Phase):
     """The swarms of a stage that move as a whole, a Phase. Iteration −1 places all particles.
 
     State is kept twice: a generation is judged from the old one and written into the new one, then they change places.
@@ -70,16 +71,27 @@ class RunningGenerations:
         """How many texels away the iteration that is next reads global bests."""
         return reach_at(self.schedule, self.iteration, self.iterations)
 
+    @property
+    def placed(self) -> bool:
+        """Whether the particles have been placed."""
+        return self.iteration >= 0
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        yield from self.textures.make()
         old, passes, constants = self.textures, self.passes, self.constants()
         placing = self.iteration < 0
         inputs = {**old.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
         judged = {**inputs, **old.found_bindings()}
+        find, commit, best = (
+            (passes.place, passes.place_commit, passes.place_best)
+            if placing
+            else (passes.move, passes.commit, passes.best)
+        )
         steps = [
-            ("place" if placing else "generation", passes.place if placing else passes.move, old.found, inputs),
-            ("commit", passes.place_commit if placing else passes.commit, old.spare_state, judged),
-            ("best", passes.place_best if placing else passes.best, old.spare_bests, judged),
+            ("place" if placing else "generation", find, old.found, inputs),
+            ("place commit" if placing else "commit", commit, old.spare_state, judged),
+            ("place best" if placing else "best", best, old.spare_bests, judged),
         ]
         if constants["u_c3"] != 0 and not placing:
             steps.insert(0, ("mean", passes.mean, old.mean, inputs))
@@ -101,14 +113,16 @@ class RunningGenerations:
             self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles, told
         )  # fmt: skip
 
-    def resolve(self) -> None:
-        """Put the global bests and their linear weights into the resolved estimates."""
-        inputs = {**self.textures.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
-        self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Put the global bests and their linear weights into the resolved estimates, at once: it is cheap."""
+        yield from self.textures.make()
+        targets = self._estimates.resolved
+        yield from bands.once(lambda: self.preview(targets), lambda: self.passes.resolve.fence(targets))
 
-    def fence(self) -> None:
-        """Wait until the last pass of an iteration is done."""
-        self.passes.best.fence(self.textures.bests)
+    def preview(self, targets: list[Any]) -> None:
+        """Put the global bests and their linear weights into other textures."""
+        inputs = {**self.textures.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        self.passes.resolve.run(targets, inputs, self.constants())
 
     def reached(self, threshold: float) -> bool:
         """Return whether every swarm of this tile has a fitness at or under the threshold h."""
@@ -117,15 +131,18 @@ class RunningGenerations:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
+        self.textures.ensure()
         packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def fitness(self) -> np.ndarray:
         """Return (h, w) float32, packed as the domain's textures: every swarm's best fitness."""
+        self.textures.ensure()
         return self.reader.read(self.textures.bests[-1])[..., 0]
 
     def take_halo(self, values: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+        self.textures.ensure()
         packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
         packed[..., : self.codec.dimensions] = self._domain.packing.pack(values)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
@@ -134,6 +151,7 @@ class RunningGenerations:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the swarms remember."""
+        self.textures.ensure()
         return {name: self.reader.read(texture) for name, texture in self.textures.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
@@ -145,10 +163,12 @@ class RunningGenerations:
         """Free shaders and textures."""
         self.passes.close()
         self.reader.close()
+        if self.textures is not None:
+            self.textures.stop()
         self.textures = None
 
 
-class GenerationTextures:
+class GenerationTextures(MadeInSteps):
     """All that the swarms of one stage remember, twice, and what a generation finds.
 
     state: position, velocity, best, fitness in atlases. bests: global best places, their linear weights, fitness.
@@ -156,18 +176,28 @@ class GenerationTextures:
     """
 
     def __init__(self, width: int, height: int, particles: int, blocks: int, linear: LinearWeights):
+        super().__init__()
         self.atlas = plan_atlas(width, height, particles * blocks, context.max_texture_size())
         self._blocks, self._linear, self._fours = blocks, linear.blocks, -(-particles // 4)
-        large = width * self.atlas.across, height * self.atlas.down
-        small = width, height
-        formats = ["RGBA32F", "RGBA32F", "RGBA32F", "R32F"]
-        self.state = [textures.empty(*large, kind, value=0.0) for kind in formats]
-        self.spare_state = [textures.empty(*large, kind) for kind in formats]
-        formats = ["RGBA32F"] * (blocks + linear.blocks) + ["R32F"]
-        self.bests = [textures.empty(*small, kind, value=UNFIT if kind == "R32F" else 0.5) for kind in formats]
-        self.spare_bests = [textures.empty(*small, kind, value=UNFIT if kind == "R32F" else 0.5) for kind in formats]
-        self.found = [textures.empty(*small) for _ in range(self._fours + linear.blocks)]
+        self._small = width, height
+
+    def _make(self) -> Iterator[None]:
+        small, blocks, linears = self._small, self._blocks, self._linear
+        large = small[0] * self.atlas.across, small[1] * self.atlas.down
+        self.state, self.spare_state, self.bests, self.spare_bests = [], [], [], []
+        for kind in ("RGBA32F", "RGBA32F", "RGBA32F", "R32F"):
+            self.state.append(textures.empty(*large, kind, value=0.0))
+            yield
+            self.spare_state.append(textures.empty(*large, kind))
+            yield
+        for kind in ["RGBA32F"] * (blocks + linears) + ["R32F"]:
+            for held in (self.bests, self.spare_bests):
+                held.append(textures.empty(*small, kind, value=UNFIT if kind == "R32F" else 0.5))
+            yield
+        self.found = [textures.empty(*small) for _ in range(self._fours + linears)]
+        yield
         self.mean = [textures.empty(*small, value=0.0) for _ in range(blocks)]
+        yield
 
     def swap(self) -> None:
         """Make the generation that was written the current one."""
@@ -185,6 +215,7 @@ class GenerationTextures:
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """Take the contents that ``remembered`` had, from arrays of the same names."""
+        self.ensure()
         self.state = [textures.upload(arrays[name]) for name in ("position", "velocity", "best", "fitness")]
         self.bests = [textures.upload(arrays[f"global_best_{i}"]) for i in range(len(self.bests))]
 

@@ -120,6 +120,15 @@ def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pa
     return _model_pass(model, "swarm/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
 
 
+def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Return the same pass over the texels that u_sampled names, in places of its own."""
+    samplers = {**estimate_samplers(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
+    defines = {**domain_defines, **estimate_defines(model)}
+    outputs = (Output("o_residual"),)
+    includes = model_includes(model)
+    return Pass(Kernel("swarm/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
+
+
 def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
     """Compile the pass that renders the estimates under one observation's light."""
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)

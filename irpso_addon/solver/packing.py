@@ -24,10 +24,11 @@ class Packing:
         self.width = solved.shape[1] if solved.all() else max(1, math.isqrt(max(count - 1, 0)) + 1)
         self.height = max(1, -(-count // self.width))
         self._padding = self.width * self.height - count
+        self._whole = bool(solved.all())
 
     def pack(self, array: np.ndarray) -> np.ndarray:
-        """Return (h, w, …) of (H, W, …); places without a texel are 0."""
-        return self._grid(array[self._rows, self._columns])
+        """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself."""
+        return array if self._whole else self._grid(array[self._rows, self._columns])
 
     def pack_layers(self, array: np.ndarray) -> np.ndarray:
         """Return (K, h, w, C) of (K, H, W, C), a copy."""
@@ -38,6 +39,8 @@ class Packing:
 
     def unpack(self, array: np.ndarray, fill: Any = 0.0) -> np.ndarray:
         """Return (H, W, …) of (h, w, …), with ``fill`` where no texel is solved."""
+        if self._whole:
+            return array.copy()
         result = np.empty((*self.shape, *array.shape[2:]), array.dtype)
         result[:] = fill
         flat = array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])  # −1 fails for 0 channels
@@ -45,12 +48,16 @@ class Packing:
         return result
 
     def upload(self) -> dict[str, Any]:
-        """Return u_place (x, y of a packed texel) and u_packed (its inverse) of shaders/common/packing.glsl."""
+        """Return the textures of shaders/common/packing.glsl by sampler name."""
+        return {name: textures.upload(array) for name, array in self.arrays().items()}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return u_place (x, y of a packed texel) and u_packed (its inverse), (…, 2) float32."""
         places = self._grid(np.stack([self._columns, self._rows], axis=-1).astype(np.float32))
         index = np.arange(len(self._rows))
         inverse = np.full((*self.shape, 2), -1, np.float32)
         inverse[self._rows, self._columns] = np.stack([index % self.width, index // self.width], axis=-1)
-        return {"u_place": textures.upload(places), "u_packed": textures.upload(inverse)}
+        return {"u_place": places, "u_packed": inverse}
 
     def _grid(self, values: np.ndarray) -> np.ndarray:
         padded = np.concatenate([values, np.zeros((self._padding, *values.shape[1:]), values.dtype)])

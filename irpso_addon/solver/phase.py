@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..gpu.bands import Bands
+
+BAND_SECONDS = 0.02  # of one draw while a window waits
+BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
 
 
 class Phase(Protocol):
@@ -16,7 +19,10 @@ class Phase(Protocol):
     title: what is searched, for people. iteration: how many were made, negative while swarms are being placed.
     iterations: how many there will be. done: whether all were made. evaluations: renders of all observations that the
     iteration that is next makes at each texel. reach: how many texels away it reads what others have found (0: none),
-    which is the halo that tiles must have exchanged before it.
+    which is the halo that tiles must have exchanged before it. placed: whether it has found anything to look at; until
+    then the current estimates are what there is.
+
+    Its textures and shaders are made where they are first needed, in the slices of ``advance``.
     """
 
     title: str
@@ -32,14 +38,22 @@ class Phase(Protocol):
     @property
     def reach(self) -> int: ...  # noqa: D102
 
+    @property
+    def placed(self) -> bool: ...  # noqa: D102
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yield after each. Counts up when it is whole."""
 
-    def resolve(self) -> None:
-        """Put what has been found so far into the resolved estimates."""
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Put what has been found so far into the resolved estimates, in bands; yield after each. Changes no search."""
 
-    def fence(self) -> None:
-        """Wait until all that was drawn is there."""
+    def preview(self, targets: list[Any]) -> None:
+        """Put what has been found so far, if something is placed, into other textures: cheap, without the last word."""
+
+    def resolve(self) -> None:
+        """Put what has been found so far into the resolved estimates, at once."""
+        for _ in self.conclude(Bands(), BACKGROUND_BAND_SECONDS):
+            pass
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""

@@ -12,11 +12,12 @@ from ..gpu import textures
 from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Pass
 from ..reflectance.model import ReflectanceModel
+from .phase import Phase
 from .polish_kernels import build_polish_passes
 from .reader import Reader
 from .resolve import ResolvedPolish
 from .schedule import Polish, Schedule
-from .state import HALO, SOLVED, DomainTextures, Estimates, texel_states
+from .state import HALO, SOLVED, DomainTextures, Estimates, MadeInSteps, texel_states
 
 SPREAD = -2  # in place of a start: what the neighbours offer
 BEST = -1  # in place of a start: the best so far, its damping and all
@@ -40,14 +41,30 @@ def tracks_of(polish: Polish, starts: int) -> tuple[Track, ...]:
 class Judge(Protocol):
     """Has the last word on what is resolved."""
 
-    def decide(self) -> None:
-        """Put into the resolved estimates what is to be believed of them."""
+    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Put into the resolved estimates what is to be believed of them, in bands; the last one makes it so."""
 
     def close(self) -> None:
         """Free shaders and textures."""
 
 
-class RunningPolish:
+class PolishTextures(MadeInSteps):
+    """Three sets of a material and its status, of which two are in use, and a status to begin or to end with."""
+
+    def __init__(self, width: int, height: int, count: int):
+        super().__init__()
+        self._size, self._count = (width, height), count + 1
+        self.sets: list[list[Any]] = []
+
+    def _make(self) -> Iterator[None]:
+        for _ in range(3):
+            self.sets.append([textures.empty(*self._size) for _ in range(self._count)])
+            yield
+        self.kept = textures.empty(*self._size, value=0.0)
+        yield
+
+
+class RunningPolish(Phase):
     """The polish of a recovery, a Phase.
 
     Every texel has a best material so far, and one that is worked on; both with its fitness, its damping, and for how
@@ -72,13 +89,9 @@ class RunningPolish:
         self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry)
         self._tracks = tracks_of(resolved.polish, len(resolved.starts))
         self._reader = Reader(entry)
-        count = estimates.count + 1
-        self._sets = [[textures.empty(*estimates.size) for _ in range(count)] for _ in range(3)]
-        self._kept = textures.empty(*estimates.size)  # the status beside what has been resolved
-        status = textures.empty(*estimates.size, value=0.0)
-        self.best = self._sets[0]
-        self._run(self.passes.begin, self.best, {**estimates.bindings(), "u_status": status}, BEST)
-        self.work = self.best
+        self.textures = PolishTextures(*estimates.size, estimates.count)
+        self.best: list[Any] = []
+        self.work: list[Any] = []
 
     @property
     def done(self) -> bool:
@@ -97,8 +110,14 @@ class RunningPolish:
         track, made = self._track()
         return 1 if track.start == SPREAD and made == 0 and not self.done else 0
 
+    @property
+    def placed(self) -> bool:
+        """Whether a step has been made."""
+        return self.iteration > 0
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        yield from self._open(bands)
         track, made = self._track()
         if made == 0:
             yield from self._begin(track, bands, seconds)
@@ -107,39 +126,42 @@ class RunningPolish:
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
-            self._run(self.passes.keep, target, self._kept_from())
+            yield from self._once(bands, self.passes.keep, target, self._kept_from())
             self.best = self.work = target
         self.iteration += 1
 
-    def resolve(self) -> None:
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Put the better of the best so far and what is worked on into the resolved estimates, if it is believed."""
-        self._keep()
+        yield from self._open(bands)
+        targets = [*self._estimates.resolved, self.textures.kept]
+        yield from self._once(bands, self.passes.keep, targets, self._kept_from())
         if self._judge is not None:
-            self._judge.decide()
+            yield from self._judge.deciding(bands, seconds)
+
+    def preview(self, targets: list[Any]) -> None:
+        """Put the better of the best so far and what is worked on into other textures, before it is judged."""
+        self._run(self.passes.keep, [*targets, self.textures.kept], self._kept_from())
 
     def _keep(self) -> None:
-        self._run(self.passes.keep, [*self._estimates.resolved, self._kept], self._kept_from())
-
-    def fence(self) -> None:
-        """Wait until the last pass of an iteration is done."""
-        self.passes.step.fence(self.work)
+        self._ensure()
+        self.preview(self._estimates.resolved)
 
     def reached(self, threshold: float) -> bool:
         """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""
         self._keep()
         moved = texel_states(self._domain.domain) == SOLVED
-        fitness = self._domain.packing.unpack(textures.download(self._kept)[..., 0])
+        fitness = self._domain.packing.unpack(textures.download(self.textures.kept)[..., 0])
         return bool((fitness[moved] <= threshold).all())
 
     def fitness(self) -> np.ndarray:
         """Return (h, w) float32, packed as the domain's textures: the fitness of what has been found."""
         self._keep()
-        return textures.download(self._kept)[..., 0]
+        return textures.download(self.textures.kept)[..., 0]
 
     def spent(self) -> int:
         """Return how many renders of all observations were made, over all texels: one that is done costs nothing."""
         self._keep()
-        return int(textures.download(self._kept)[..., 3].sum(dtype=np.float64))
+        return int(textures.download(self.textures.kept)[..., 3].sum(dtype=np.float64))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every texel's best material; NaN where none is solved."""
@@ -149,6 +171,7 @@ class RunningPolish:
 
     def take_halo(self, values: np.ndarray) -> None:
         """Take (H, W, n) materials as the best ones of the texels that belong to neighbouring tiles."""
+        self._ensure()
         packing = self._domain.packing
         theirs = packing.pack(texel_states(self._domain.domain)) == HALO
         given = packing.pack(values)
@@ -159,14 +182,16 @@ class RunningPolish:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration."""
+        self._ensure()
         sets = {"best": self.best, "work": self.work}
         return {f"{name}_{i}": self._reader.read(t) for name, held in sets.items() for i, t in enumerate(held)}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
         """Go on from what ``state`` returned at an iteration."""
-        for held, name in zip(self._sets, ("best", "work"), strict=False):
+        self.textures.ensure()
+        for held, name in zip(self.textures.sets, ("best", "work"), strict=False):
             held[:] = [textures.upload(arrays[f"{name}_{i}"]) for i in range(len(held))]
-        self.best, self.work = self._sets[:2]
+        self.best, self.work = self.textures.sets[:2]
         self.iteration = iteration
 
     def close(self) -> None:
@@ -175,7 +200,22 @@ class RunningPolish:
             self._judge.close()
         self.passes.close()
         self._reader.close()
-        self._sets = self._kept = self.best = self.work = None
+        if self.textures is not None:
+            self.textures.stop()
+        self.textures = self.best = self.work = None
+
+    def _open(self, bands: Bands) -> Iterator[None]:
+        """Make what is not there yet, and begin at the current estimates where nothing else has been given."""
+        yield from self.textures.make()
+        if not self.best:
+            target, status = self.textures.sets[0], self.textures.kept
+            inputs = {**self._estimates.bindings(), "u_status": status}
+            yield from self._once(bands, self.passes.begin, target, inputs)
+            self.best = self.work = target
+
+    def _ensure(self) -> None:
+        for _ in self._open(Bands()):
+            pass
 
     def _track(self) -> tuple[Track, int]:
         """The track of the next iteration, and how many of its own have been made."""
@@ -194,12 +234,12 @@ class RunningPolish:
         if track.start == SPREAD:
             yield from self._banded("spread", self.passes.spread, target, self._bindings(self.best), bands, seconds)
         else:
-            self._run(self.passes.begin, target, self._bindings(self.best), track.start)
+            yield from self._once(bands, self.passes.begin, target, self._bindings(self.best), track.start)
         self.work = target
 
     def _spare(self) -> list[Any]:
         """A set of textures that holds nothing needed."""
-        return next(held for held in self._sets if held is not self.best and held is not self.work)
+        return next(held for held in self.textures.sets if held is not self.best and held is not self.work)
 
     def _bindings(self, held: list[Any]) -> dict[str, Any]:
         return {**{f"u_estimate_{i}": t for i, t in enumerate(held[:-1])}, "u_status": held[-1]}
@@ -218,6 +258,11 @@ class RunningPolish:
 
     def _run(self, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST) -> None:
         work.run(targets, {**inputs, **self._domain.textures}, self._constants(start))
+
+    def _once(
+        self, bands: Bands, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST
+    ) -> Iterator[None]:
+        return bands.once(lambda: self._run(work, targets, inputs, start), lambda: work.fence(targets))
 
     def _banded(
         self, name: str, work: Pass, targets: list[Any], inputs: dict[str, Any], bands: Bands, seconds: float

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..geometry.domain import Domain
 from ..reflectance.model import ReflectanceModel
+from .packing import Packing
 from .schedule import Fitness, Schedule
+from .state import domain_arrays
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
-_CHUNK = 1 << 20  # samples at a time: bounds the memory of the normal equations, about 200 bytes a sample
+_CHUNK = 1 << 15  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
+_THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
+
+Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
 
 
 @dataclass(frozen=True)
@@ -20,12 +26,17 @@ class Prepared:
     """What is found before the search. scale: (H, W) of each texel. guess: parameter name → (H, W, components).
 
     brightness: mean irradiance/π of the lights at the texels. A scale is radiance over irradiance, errors are
-    radiances: the unit and the distance of the lights must not matter.
+    radiances: the unit and the distance of the lights must not matter. packing, stack, arrays: what goes to the GPU as
+    it goes there, (K, h, w, 4) samples without shadow and what state.domain_arrays gives; None where a recovery is to
+    find it itself.
     """
 
     scale: np.ndarray
     guess: dict[str, np.ndarray]
     brightness: float
+    packing: Packing | None = None
+    stack: np.ndarray | None = None
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def part(self, rows: slice, columns: slice) -> Prepared:
         """Return it for a part of the domain: the very numbers of the whole, which a fit of the part may round off."""
@@ -35,9 +46,29 @@ class Prepared:
             self.brightness,
         )
 
+    def packed(self, domain: Domain, schedule: Schedule) -> Prepared:
+        """Return it with what goes to the GPU."""
+        if self.stack is not None:
+            return self
+        packing = Packing(domain.solvable)
+        stack = np.zeros((domain.observations, packing.height * packing.width, 4), np.float32)
 
-def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prepared:
-    """Return each texel's scale and its first guess: defaults, or a Lambertian fit where seeds ask for it."""
+        def work(start: int, texels: Texels) -> None:
+            part = stack[:, start : start + len(texels[0])]
+            part[:] = _samples(domain, texels, start)
+            _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
+
+        _each_chunk(domain, work)
+        stack = stack.reshape(-1, packing.height, packing.width, 4)
+        arrays = domain_arrays(domain, packing, packing.pack(self.scale))
+        return Prepared(self.scale, self.guess, self.brightness, packing, stack, arrays)
+
+
+def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True) -> Prepared:
+    """Return each texel's scale, its first guess (defaults, or a Lambertian fit where seeds ask for it), and the stack.
+
+    Nothing but numpy: it may run in a thread beside a window. pack: whether to find what goes to the GPU, too.
+    """
     guess = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
         for p in model.parameters
@@ -49,25 +80,30 @@ def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule) -> Prep
                 guess[p.name] = normal
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    return Prepared(texel_scale(domain, schedule.fitness.percentile), guess, brightness(domain))
+    prepared = Prepared(texel_scale(domain, schedule.fitness.percentile), guess, brightness(domain))
+    return prepared.packed(domain, schedule) if pack else prepared
 
 
 def brightness(domain: Domain) -> float:
-    """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if it has none."""
+    """Return the mean irradiance/π of the lights at the texels, over lights, texels and channels."""
     if not domain.lights[:, 3].any():
         return float(domain.intensities.mean())
-    sums = [(_irradiance(domain, texels).mean(axis=(0, 2)).sum(), len(texels[0])) for texels in _chunks(domain)]
+    sums = [(_irradiance(domain, texels).mean(axis=(0, 2)).sum(), len(texels[0])) for _, texels in _chunks(domain)]
     return float(sum(part for part, _ in sums) / max(1, sum(count for _, count in sums)))
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
     """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none."""
     scale = np.ones(domain.shape, np.float32)
-    for texels in _chunks(domain):
-        values = _grey(domain, texels)
+
+    def work(start: int, texels: Texels) -> None:
+        samples = _samples(domain, texels, start)
+        grey = _mean(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
-            found = _nan_percentile(values, percentile)
-        scale[texels] = np.where(found > 0, found, 1.0)
+            (found,) = _percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
+            scale[texels] = np.where(found > 0, found, 1.0)
+
+    _each_chunk(domain, work)
     return scale
 
 
@@ -87,7 +123,7 @@ def drop_shadow(
         return
     for layer, light, intensity in zip(stack, lights, intensities, strict=True):
         squared = ((light[:3] - position) ** 2).sum(axis=-1) if light[3] > 0 else 1.0
-        brightness = layer[..., :3].mean(axis=-1) * squared / intensity.mean()
+        brightness = _mean(layer) * squared / intensity.mean()
         layer[..., 3] *= brightness >= fitness.shadow * scale
 
 
@@ -100,12 +136,15 @@ def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
     normal = np.zeros((*domain.shape, 3), np.float32)
     normal[..., 2] = 1
     albedo = np.zeros((*domain.shape, 3), np.float32)
-    for texels in _chunks(domain):
-        normal[texels], albedo[texels] = _lambert_fit(domain, texels)
+
+    def work(start: int, texels: Texels) -> None:
+        normal[texels], albedo[texels] = _lambert_fit(domain, texels, start)
+
+    _each_chunk(domain, work)
     return normal, albedo
 
 
-def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarray]:
     """Return, for T texels, (K, T, 3) unit vectors to the light in each texel's own frame, and its irradiance/π.
 
     Where they are the same at every texel, on a card under distant lights, T is 1.
@@ -126,18 +165,25 @@ def light_vectors(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tupl
     return np.einsum("ktc,tcd->ktd", toward, frame), domain.intensities[:, None, :] / squared[..., None]
 
 
-def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _drop_shadow(stack: np.ndarray, domain: Domain, texels: Texels, scale: np.ndarray, fitness: Fitness) -> None:
+    """``drop_shadow`` of (K, T, 4) samples of T texels."""
+    position = domain.bake.position[texels]
+    drop_shadow(stack[:, None], domain.lights, domain.intensities, position[None], scale[None], fitness)
+
+
+def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray, np.ndarray]:
     vectors, irradiance = light_vectors(domain, texels)
-    samples = domain.stack[:, texels[0], texels[1]]
-    # What weighs nothing may be anything, and 0 · NaN is NaN.
-    radiance = np.where(samples[..., 3:] > 0, samples[..., :3], 0)
+    samples = _samples(domain, texels, start)
     lights = irradiance > 0  # a coloured light may have none of a channel
-    shades = np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=lights)
-    grey = shades.sum(axis=-1) / lights.sum(axis=-1)
+    shades = [_shade(samples, channel, irradiance[..., channel], lights[..., channel]) for channel in range(3)]
+    sums, channels = (shades[0] + shades[1]) + shades[2], lights.sum(axis=-1)
+    grey = sums / channels
     lit = grey > 0
-    values = np.where(lit, grey, np.nan)
+    # Single precision sorts faster, and in the same order where all lights have as many channels.
+    single = (channels == channels.flat[0]).all()
     with np.errstate(all="ignore"):
-        low, high = (_nan_percentile(values, q) for q in _LIT_PERCENTILES)
+        values = np.where(lit, sums if single else grey, np.nan)
+        low, high = _percentiles(values, _LIT_PERCENTILES, channels.flat[0] if single else 1)
         kept = lit & (grey >= low) & (grey <= high)
     kept = np.where(kept.sum(axis=0) >= 3, kept, lit).astype(np.float64)
     gram, right = _normal_equations(vectors, kept, grey)
@@ -149,9 +195,21 @@ def _lambert_fit(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> tuple
     usable = (kept.sum(axis=0) >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
     facing = vectors[:, 0] @ normal.T if vectors.shape[1] == 1 else np.einsum("kti,ti->kt", vectors, normal)
-    cosine = (np.maximum(facing, 0) * kept)[..., None] * lights
-    albedo = (cosine * shades).sum(axis=0) / np.maximum((cosine**2).sum(axis=0), 1e-8)
-    return normal.astype(np.float32), albedo.astype(np.float32)
+    cosine = np.maximum(facing, 0) * kept
+    albedo = np.empty(normal.shape, np.float32)
+    for channel, shade in enumerate(shades):
+        seen = cosine if lights[..., channel].all() else cosine * lights[..., channel]
+        albedo[:, channel] = (seen * shade).sum(axis=0) / np.maximum((seen**2).sum(axis=0), 1e-8)
+    return normal.astype(np.float32), albedo
+
+
+def _shade(samples: np.ndarray, channel: int, irradiance: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    """(K, T) one channel over the irradiance/π, 0 where a sample weighs nothing or its light lacks the channel."""
+    # What weighs nothing may be anything, and 0 · NaN is NaN.
+    radiance = np.where(samples[..., 3] > 0, samples[..., channel], 0)
+    if lights.all():
+        return radiance / irradiance
+    return np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=np.broadcast_to(lights, radiance.shape))
 
 
 def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +222,7 @@ def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarra
     return gram, np.einsum("kt,kti->ti", weight * values, vectors)
 
 
-def _irradiance(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _irradiance(domain: Domain, texels: Texels) -> np.ndarray:
     """(K, T, 3) irradiance/π of every light at T texels facing it; T is 1 where all lights are distant."""
     near = domain.lights[:, 3] > 0
     if not near.any():
@@ -174,28 +232,56 @@ def _irradiance(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.nda
     return domain.intensities[:, None] / np.where(near[:, None], squared, 1.0)[..., None]
 
 
-def _grey(domain: Domain, texels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(K, T) mean of RGB over the light's own, NaN where a sample weighs nothing."""
-    samples = domain.stack[:, texels[0], texels[1]]
-    grey = samples[..., :3].mean(axis=-1) / _irradiance(domain, texels).mean(axis=-1)
-    return np.where(samples[..., 3] > 0, grey, np.nan)
+def _mean(samples: np.ndarray) -> np.ndarray:
+    """Mean of RGB, as numpy's over an axis of three, which is ten times slower."""
+    return ((samples[..., 0] + samples[..., 1]) + samples[..., 2]) / samples.dtype.type(3)
 
 
 def _nan_percentile(values: np.ndarray, percentile: float) -> np.ndarray:
     """Percentile over axis 0 of what is not NaN, linear between ranks; NaN for empty columns (np's own loops)."""
-    ordered = np.sort(values, axis=0)  # NaN last
-    count = (~np.isnan(values)).sum(axis=0)
-    rank = np.maximum(count - 1, 0) * percentile / 100
-    low = np.floor(rank).astype(int)
-    high = np.minimum(low + 1, np.maximum(count - 1, 0))
-    columns = np.arange(values.shape[1])
-    a, b = ordered[low, columns], ordered[high, columns]
-    return a + (b - a) * (rank - low)
+    return _percentiles(values, [percentile])[0]
 
 
-def _chunks(domain: Domain) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield rows and columns of the solvable texels, row by row, as many at a time as hold _CHUNK samples."""
+def _percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float = 1) -> list[np.ndarray]:
+    """Percentiles over axis 0 of what is not NaN, of the values over a divisor; NaN for empty columns."""
+    ordered = np.ascontiguousarray(values.T)  # numbers that lie side by side sort faster
+    ordered.sort(axis=1)  # NaN last
+    last = np.maximum(values.shape[0] - np.isnan(values).sum(axis=0) - 1, 0)
+    rows, found = np.arange(values.shape[1]), []
+    for percentile in percentiles:
+        rank = last * percentile / 100
+        low = np.floor(rank).astype(int)
+        a, b = ordered[rows, low], ordered[rows, np.minimum(low + 1, last)]
+        if divisor != 1:
+            a, b = a.astype(np.float64) / divisor, b.astype(np.float64) / divisor
+        found.append(a + (b - a) * (rank - low))
+    return found
+
+
+def _samples(domain: Domain, texels: Texels, start: int) -> np.ndarray:
+    """(K, T, 4) samples of a chunk of ``_chunks``: a view where that is possible."""
+    stack = domain.stack
+    if stack.flags.c_contiguous and len(texels[0]):
+        flat = stack.reshape(len(stack), -1, 4)
+        count = domain.shape[0] * domain.shape[1]
+        if start == texels[0][0] * domain.shape[1] + texels[1][0] and domain.solvable.sum() == count:
+            return flat[:, start : start + len(texels[0])]
+    return stack[:, texels[0], texels[1]]
+
+
+def _each_chunk(domain: Domain, work: Callable[[int, Texels], None]) -> None:
+    """Do work(start, texels) for all chunks, some at a time."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for done in [pool.submit(work, *chunk) for chunk in _chunks(domain)]:
+            done.result()
+
+
+def _chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:
+    """Yield rows and columns of the solvable texels, row by row, as many at a time as hold _CHUNK samples.
+
+    Before them the number of the first one among the solvable.
+    """
     texels = np.flatnonzero(domain.solvable)
     size = max(1, _CHUNK // max(domain.observations, 1))
     for start in range(0, len(texels), size):
-        yield np.divmod(texels[start : start + size], domain.shape[1])
+        yield start, np.divmod(texels[start : start + size], domain.shape[1])

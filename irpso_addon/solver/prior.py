@@ -11,15 +11,16 @@ from ..gpu import textures
 from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Pass
 from ..reflectance.model import ReflectanceModel
+from .phase import Phase
 from .polish import Judge
 from .prior_kernels import DEVIATION, FIRST_ROUND, NOISE, build_prior_passes, evaluations_of, reach_of
 from .reader import Reader
 from .resolve import ResolvedPrior
 from .schedule import Schedule
-from .state import HALO, DomainTextures, Estimates, texel_states
+from .state import HALO, DomainTextures, Estimates, MadeInSteps, texel_states
 
 
-class PriorTextures:
+class PriorTextures(MadeInSteps):
     """What a prior remembers of every texel.
 
     noise: of the samples (shaders/swarm/prior_variance.glsl). belief: means, then deviations, of the numbers: what
@@ -28,15 +29,27 @@ class PriorTextures:
     """
 
     def __init__(self, width: int, height: int, count: int):
-        def several(number: int) -> list[Any]:
-            return [textures.empty(width, height, value=0.0) for _ in range(number)]
+        super().__init__()
+        self._size, self.count = (width, height), count
 
-        self.count = count
+    def _make(self) -> Iterator[None]:
+        def several(number: int) -> list[Any]:
+            return [textures.empty(*self._size, value=0.0) for _ in range(number)]
+
+        count = self.count
         self.noise, self.spare_noise = several(2)
-        self.belief, self.spare_belief = several(2 * count), several(2 * count)
+        yield
+        self.belief = several(2 * count)
+        yield
+        self.spare_belief = several(2 * count)
+        yield
         self.own = several(count)
-        self.work, self.spare_work = several(count + 1), several(count + 1)
-        self.penalty = textures.empty(width, height, "R32F", value=0.0)
+        yield
+        self.work = several(count + 1)
+        yield
+        self.spare_work = several(count + 1)
+        self.penalty = textures.empty(*self._size, "R32F", value=0.0)
+        yield
 
     @property
     def remembered(self) -> dict[str, Any]:
@@ -47,6 +60,7 @@ class PriorTextures:
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """Take the contents that ``remembered`` had, from arrays of the same names."""
+        self.ensure()
         self.noise, self.penalty = textures.upload(arrays["noise"]), textures.upload(arrays["penalty"])
         self.belief = [textures.upload(arrays[f"belief_{i}"]) for i in range(2 * self.count)]
         self.own = [textures.upload(arrays[f"own_{i}"]) for i in range(self.count)]
@@ -60,7 +74,7 @@ class PriorTextures:
         return {"u_noise": self.noise, "u_penalty": self.penalty, "u_work_status": self.work[-1], **several}
 
 
-class RunningPrior:
+class RunningPrior(Phase):
     """The prior of a recovery, a Phase: empirical Bayes over neighbours that are alike, then a fit to both.
 
     Iteration 0 asks what the fit leaves of the samples, iteration 1 how well they tell each number, the rounds what
@@ -103,8 +117,11 @@ class RunningPrior:
         """How many texels away the next iteration looks at neighbours."""
         return reach_of(self._resolved.prior) if NOISE < self.iteration < self._first_step else 0
 
+    placed = False  # what is most probable shows at the end, where it is held against the samples
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        yield from self.textures.make()
         held, passes, count = self.textures, self.passes, self._estimates.count
         if self.iteration == NOISE:
             yield from self._banded("noise", passes.noise, [held.noise, *held.belief[:count]], bands, seconds)
@@ -112,7 +129,7 @@ class RunningPrior:
             yield from self._banded("variance", passes.variance, [held.spare_noise], bands, seconds)
             held.noise, held.spare_noise = held.spare_noise, held.noise
             yield from self._banded("deviation", passes.deviation, held.own, bands, seconds)
-            self._copy(held.own, held.belief[count:])
+            yield from self._copies(bands, held.own, held.belief[count:])
         elif self.iteration < self._first_step:
             last = self.iteration == self._first_step - 1
             work = passes.pool_last if last else passes.pool
@@ -122,18 +139,14 @@ class RunningPrior:
             yield from self._step(bands, seconds)
         self.iteration += 1
 
-    def resolve(self) -> None:
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Put what is most probable into the resolved estimates once it is found; until then what was there."""
         if not self.done:
-            self._copy(self._estimates.current, self._estimates.resolved)
+            yield from self._copies(bands, self._estimates.current, self._estimates.resolved)
             return
-        self.passes.keep.run(self._estimates.resolved, self._inputs(), self._constants())
+        yield from self._banded("prior keep", self.passes.keep, self._estimates.resolved, bands, seconds)
         if self._judge is not None:
-            self._judge.decide()
-
-    def fence(self) -> None:
-        """Wait until all that was drawn is there."""
-        self.passes.step.fence(self.textures.work)
+            yield from self._judge.deciding(bands, seconds)
 
     def reached(self, threshold: float) -> bool:
         """Return False: a prior is not there to make the fitness better."""
@@ -141,11 +154,13 @@ class RunningPrior:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: the noise of every texel and what is believed of it."""
+        self.textures.ensure()
         packed = [self._reader.read(texture) for texture in (self.textures.noise, *self.textures.belief)]
         return self._domain.packing.unpack(np.concatenate(packed, axis=-1), np.nan)
 
     def take_halo(self, values: np.ndarray) -> None:
         """Take (H, W, n) for the texels that belong to neighbouring tiles; others are left alone."""
+        self.textures.ensure()
         packing, held = self._domain.packing, self.textures
         theirs = packing.pack(texel_states(self._domain.domain))[..., None] == HALO
         given = packing.pack(values)
@@ -157,6 +172,7 @@ class RunningPrior:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration."""
+        self.textures.ensure()
         return {name: self._reader.read(texture) for name, texture in self.textures.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
@@ -170,6 +186,8 @@ class RunningPrior:
             self._judge.close()
         self.passes.close()
         self._reader.close()
+        if self.textures is not None:
+            self.textures.stop()
         self.textures = None
 
     def _step(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -181,9 +199,13 @@ class RunningPrior:
         yield from self._banded("prior step", self.passes.step, held.spare_work, bands, seconds, given)
         held.work, held.spare_work = held.spare_work, held.work
 
-    def _copy(self, sources: list[Any], targets: list[Any]) -> None:
+    def _copies(self, bands: Bands, sources: list[Any], targets: list[Any]) -> Iterator[None]:
+        copy = self.passes.copy
         for source, target in zip(sources, targets, strict=True):
-            self.passes.copy.run([target], {"u_source": source})
+            yield from bands.once(
+                lambda source=source, target=target: copy.run([target], {"u_source": source}),
+                lambda target=target: copy.fence([target]),
+            )
 
     def _inputs(self) -> dict[str, Any]:
         return {**self._estimates.bindings(), **self.textures.bindings(), **self._domain.textures}

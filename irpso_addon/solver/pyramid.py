@@ -19,7 +19,6 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
-from .prepare import Prepared
 from .recovery import NOTE, Progress, Recovery, full_map, named
 from .resolve import resolve
 from .schedule import Schedule
@@ -107,6 +106,10 @@ class Pyramid:
             found = self._finer(found, level)
         return found
 
+    def mean_error(self) -> float:
+        """Return the mean error of the level that is being solved, as Recovery.mean_error."""
+        return self._live.mean_error()
+
     def view(self) -> AbstractContextManager[dict[str, Any]]:
         """Lend the live textures of the level that is being solved, as Recovery.view."""
         return self._live.view()
@@ -142,7 +145,7 @@ class Pyramid:
         domain, schedule = self._domains[self._level], self._schedules[self._level]
         prepared = prepare.prepare(domain, self.model, schedule)
         if guess is not None:
-            prepared = Prepared(prepared.scale, guess.values, prepared.brightness)
+            prepared = replace(prepared, guess=guess.values)
         known = self._known[self._level]
         return Recovery(domain, self.model, schedule, self.seed, known, self.entry, prepared, state)
 

@@ -20,11 +20,9 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
-from .confidence import Confidence
+from .findings import Findings
 from .generations import RunningGenerations
-from .kernels import residual_pass
-from .packing import Packing
-from .phase import Phase
+from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
 from .prior import RunningPrior
@@ -34,13 +32,12 @@ from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
 from .survey import Judge, RunningSurvey
 
-BAND_SECONDS = 0.02  # of one draw while a window waits
-BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
 _PHASE = "phase_"  # before those that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
+_SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
 
 
 @dataclass(frozen=True)
@@ -95,27 +92,26 @@ class Recovery:
         self.entry = probe.faster_entry() if entry == "auto" else entry
         known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         self._stages = resolve(schedule, model, set(known), domain.observations)
-        self._solvable = domain.solvable
-        self._packing = Packing(self._solvable)
-        prepared = prepared or prepare.prepare(domain, model, schedule)
+        prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
+        self._packing = prepared.packing
         scale = self._packing.pack(prepared.scale)
-        stack = self._packing.pack_layers(domain.stack)
-        position = self._packing.pack(domain.bake.position)
-        prepare.drop_shadow(stack, domain.lights, domain.intensities, position, scale, schedule.fitness)
-        self._textures = DomainTextures(domain, self._packing, stack, scale, prepared.brightness)
+        self._textures = DomainTextures(domain, self._packing, None, scale, prepared.brightness, prepared.arrays)
+        self._stack: np.ndarray | None = prepared.stack  # until it is on the GPU
         self._solved = int((texel_states(domain) == SOLVED).sum())
         guess = {**prepared.guess, **known}
         self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
         self._known = known
-        self._residual = residual_pass(model, self._textures.defines)
-        self._error = textures.empty(*self._estimates.size)
-        self._confidence: Confidence | None = None
+        self._findings = Findings(model, self._textures, self._estimates, known)
+        self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
+        self._trusted: tuple[int, int] | None = None  # and of which the deviations
+        self._shown: tuple[int, int] | None = None  # and of which a display's copy is
+        self._finding: Iterator[None] | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
+        self._counts = False  # whether the iteration that was made last is one of the stage's, not of its placing
         self._index = 0
         self._surveyed: np.ndarray | None = None  # the survey's fitness, packed, once there is one
         self._evaluations = 0
-        self._cost = 0  # evaluations of the iteration under way
         self._phase: Phase | None = None
         if state is None:
             self._phase = self._begin(0)
@@ -129,19 +125,16 @@ class Recovery:
         more. With a time budget it may stop inside an iteration, between bands of rows, and goes on there next time.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
-        seconds = BACKGROUND_BAND_SECONDS if deadline is None else min(BAND_SECONDS, time_budget_s)
+        self._bands.paced = deadline is not None
         left = iterations
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._cost = self._solved * self._phase.evaluations
-                self._work = self._phase.advance(self._bands, seconds)
+                self._work, self._finding = self._iteration(_band_seconds(time_budget_s)), None
             for _ in self._work:
-                if deadline is not None:
-                    self._phase.fence()
-                    if time.perf_counter() >= deadline:
-                        return self.progress
-            left = left - 1 if left is not None and self._phase.iteration > 0 else left
-            self._count_iteration()
+                if deadline is not None and time.perf_counter() >= deadline:
+                    return self.progress
+            self._work = None
+            left = left - 1 if left is not None and self._counts else left
         return self.progress
 
     @property
@@ -163,25 +156,56 @@ class Recovery:
 
         confidence: whether to tell the standard deviations too, which takes as long as three to five iterations.
         """
-        self._finish_iteration()
-        resolved = self._resolve()
-        values = {
-            name: self._packing.unpack(value, self.model.parameter(name).default)
-            for name, value in self._estimates.values(resolved).items()
-        }
-        inputs = {**self._textures.textures, **self._estimates.bindings(resolved)}
-        self._residual.run([self._error], inputs, {"u_observations": self.domain.observations})
-        error = self._packing.unpack(textures.download(self._error)[..., 0])
-        return Maps(self.model, values, self._solvable, error, self._deviations(resolved) if confidence else None)
+        at = self._at
+        if self._work is not None or self._found != at or (confidence and self._trusted != at):
+            for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
+                pass
+        return self._findings.maps(confidence)
+
+    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
+        """Find what ``maps`` tells, for about so long; return whether it is found: then maps() itself is quick.
+
+        An iteration under way is finished first. A step in between begins it anew.
+        """
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        if self._finding is None:
+            if self._work is None and self._found == self._trusted == self._at:
+                return True
+            self._finding = self._look(True, _band_seconds(time_budget_s), deadline is not None)
+        for _ in self._finding:
+            if deadline is not None and time.perf_counter() >= deadline:
+                return False
+        self._finding = None
+        return True
+
+    def mean_error(self) -> float:
+        """Return the mean absolute error of the render of what has been found so far, over a few thousand texels.
+
+        They are drawn at random, once; NaN where none is solved. It takes milliseconds, where maps() may take a second.
+        """
+        self._give_stack()
+        return self._findings.mean_error(self._show())
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
         """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
 
         u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
-        texel of the domain lies in them. No copy and no read-back is made.
+        texel of the domain lies in them. No copy is read back. What a stage has found is brought up to date when its
+        iteration is another; until it has found something they are what it began with, at first the seed. What the
+        survey thinks of a polish, and the prior, show once they are done.
         """
-        yield {**self._textures.textures, **self._estimates.bindings(self._resolve())}
+        self._give_stack()
+        yield {**self._textures.textures, **self._show()}
+
+    @contextmanager
+    def confidence_view(self) -> Iterator[dict[str, Any]]:
+        """Lend u_deviation_0 …, the standard deviations that were found last, as ``view`` lends the estimates.
+
+        A parameter's lie where its own components do; a normal has one. Empty before the first refresh_confidence() or
+        maps().
+        """
+        yield self._findings.deviations()
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n): what this tile's texels have found, which neighbouring tiles need; NaN elsewhere."""
@@ -230,7 +254,8 @@ class Recovery:
     def restore(self, saved: Checkpoint) -> None:
         """Go on from what ``state`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
-        self._work, self._index, self._evaluations = None, saved.stage, saved.evaluations
+        self._work = self._finding = self._found = self._trusted = self._shown = None
+        self._index, self._evaluations = saved.stage, saved.evaluations
         self._surveyed = saved.arrays.get("surveyed")
         if self._phase is not None:
             self._phase.close()
@@ -240,13 +265,12 @@ class Recovery:
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
+        self._work = self._finding = self._stack = None  # generators first: they hold what they work with
         if self._phase is not None:
             self._phase.close()
-        if self._residual is not None:
-            self._residual.close()
-        if self._confidence is not None:
-            self._confidence.close()
-        self._phase = self._textures = self._estimates = self._residual = self._error = self._confidence = None
+        if self._findings is not None:
+            self._findings.close()
+        self._phase = self._textures = self._estimates = self._findings = None
 
     def __enter__(self) -> Recovery:
         return self
@@ -273,41 +297,68 @@ class Recovery:
             return None
         return Judge(self.model, self.schedule, self._textures, self._estimates, self._surveyed)
 
-    def _finish_stage(self) -> None:
-        self._phase.resolve()
+    @property
+    def _at(self) -> tuple[int, int]:
+        return self._index, self._phase.iteration if self._phase is not None else 0
+
+    def _give_stack(self) -> None:
+        if self._stack is not None:
+            stack, self._stack = self._stack, None
+            self._textures.give_stack(stack)
+
+    def _iteration(self, seconds: float) -> Iterator[None]:
+        """Make the next iteration, and where it is the last one of its stage begin the next stage; yields often."""
+        if self._stack is not None:
+            self._give_stack()
+            yield
+        phase = self._phase
+        cost = self._solved * phase.evaluations
+        yield from phase.advance(self._bands, seconds)
+        self._evaluations += cost
+        self._counts = phase.iteration > 0
+        if phase.done or self._reached_threshold():
+            yield from self._end_stage(seconds)
+
+    def _end_stage(self, seconds: float) -> Iterator[None]:
+        phase = self._phase
+        yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(self._phase, RunningSurvey):
-            self._surveyed = self._phase.fitness()
-        self._phase.close()
+        if isinstance(phase, RunningSurvey):
+            self._surveyed = yield from phase.measuring(self._bands, seconds)
+        phase.close()
+        self._bands = Bands(self._bands.paced)  # another stage's passes cost something else
         self._index += 1
+        yield
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
         if self._work is not None:
             for _ in self._work:
                 pass
-            self._count_iteration()
+            self._work = None
 
-    def _count_iteration(self) -> None:
-        self._work = None
-        self._evaluations += self._cost
-        if self._phase.done or self._reached_threshold():
-            self._finish_stage()
+    def _look(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
+        """Find what maps() tells, an iteration under way first."""
+        self._give_stack()
+        if self._work is not None:
+            self._bands.paced = paced
+            for _ in self._work:
+                yield
+            self._work = None
+        at = self._at
+        self._found = self._trusted = None
+        yield from self._findings.finding(self._phase, confidence, seconds, paced)
+        self._found, self._trusted = at, at if confidence else None
 
-    def _resolve(self) -> bool:
-        """Resolve what the running stage has found; return whether the resolved textures are the ones to look at."""
-        if self._phase is None:
-            return False
-        self._phase.resolve()
-        return True
-
-    def _deviations(self, resolved: bool) -> dict[str, np.ndarray]:
-        if self._confidence is None:
-            self._confidence = Confidence(self.model, self._known, self._textures.defines)
-        found = self._confidence.deviations(
-            self._textures, self._estimates, resolved, self._bands, BACKGROUND_BAND_SECONDS
-        )
-        return {name: self._packing.unpack(deviation) for name, deviation in found.items()}
+    def _show(self) -> dict[str, Any]:
+        """Return the estimates to look at, by sampler name, brought up to date."""
+        phase = self._phase
+        if phase is None or not phase.placed:
+            return self._estimates.bindings()
+        if self._shown != self._at:
+            phase.preview(self._estimates.shown)
+            self._shown = self._at
+        return {f"u_estimate_{i}": texture for i, texture in enumerate(self._estimates.shown)}
 
     def _reached_threshold(self) -> bool:
         threshold, phase = self.schedule.threshold, self._phase
@@ -322,6 +373,10 @@ class Recovery:
 
     def _identity(self) -> dict[str, Any]:
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
+
+
+def _band_seconds(time_budget_s: float | None) -> float:
+    return BACKGROUND_BAND_SECONDS if time_budget_s is None else min(BAND_SECONDS, _SHARE * time_budget_s)
 
 
 def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

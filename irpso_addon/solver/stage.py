@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..gpu.passes import Entry
 from ..reflectance.model import ReflectanceModel
 from .codec import build_codec
 from .kernels import build_stage_passes
+from .phase import Phase
 from .reader import Reader
 from .resolve import ResolvedStage
 from .schedule import Schedule
@@ -21,7 +23,7 @@ from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_state
 ALL_TOLD = 255  # a seed that knows of all eight dimensions
 
 
-class RunningStage:
+class RunningStage(Phase):
     """The swarms of a stage, a Phase. ``iteration`` counts from −particles, while it places one particle of each."""
 
     evaluations = 1  # one particle of each swarm moves
@@ -60,8 +62,14 @@ class RunningStage:
         """How many texels away the iteration that is next reads global bests."""
         return reach_at(self.schedule, self.iteration, self.iterations)
 
+    @property
+    def placed(self) -> bool:
+        """Whether the first particle of every swarm has been placed."""
+        return self.iteration > -self.particles
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        yield from self.swarm.make()
         swarm = self.swarm
         constants = self.constants()
         placing = self.iteration < 0
@@ -88,14 +96,16 @@ class RunningStage:
         """Return the push constants of the iteration that is next."""
         return swarm_constants(self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles)
 
-    def resolve(self) -> None:
-        """Put the global bests into the resolved estimates."""
-        inputs = {**self.swarm.best_bindings(), **self._estimates.bindings(), **self._domain.textures}
-        self.passes.resolve.run(self._estimates.resolved, inputs, self.constants())
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Put the global bests into the resolved estimates, at once: it is cheap."""
+        yield from self.swarm.make()
+        targets = self._estimates.resolved
+        yield from bands.once(lambda: self.preview(targets), lambda: self.passes.resolve.fence(targets))
 
-    def fence(self) -> None:
-        """Wait until the last pass of an iteration is done."""
-        self.passes.commit_global.fence([*self.swarm.global_best, self.swarm.global_fitness])
+    def preview(self, targets: list[Any]) -> None:
+        """Put the global bests into other textures."""
+        inputs = {**self.swarm.best_bindings(), **self._estimates.bindings(), **self._domain.textures}
+        self.passes.resolve.run(targets, inputs, self.constants())
 
     def reached(self, threshold: float) -> bool:
         """Return whether every swarm of this tile has a fitness at or under the threshold h."""
@@ -104,15 +114,18 @@ class RunningStage:
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
+        self.swarm.ensure()
         packed = np.concatenate([self.reader.read(t) for t in self.swarm.global_best], axis=-1)
         return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
+        self.swarm.ensure()
         return self._domain.packing.unpack(self.reader.read(self.swarm.global_fitness)[..., 0], np.nan)
 
     def take_halo(self, bests: np.ndarray) -> None:
         """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+        self.swarm.ensure()
         packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
         packed[..., : self.codec.dimensions] = self._domain.packing.pack(bests)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
@@ -120,6 +133,7 @@ class RunningStage:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the swarms remember."""
+        self.swarm.ensure()
         return {name: self.reader.read(texture) for name, texture in self.swarm.remembered.items()}
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
@@ -131,6 +145,8 @@ class RunningStage:
         """Free shaders and textures."""
         self.passes.close()
         self.reader.close()
+        if self.swarm is not None:
+            self.swarm.stop()
         self.swarm = None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,36 +22,59 @@ OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
 class DomainTextures:
     """A domain on the GPU, its solved texels packed.
 
-    stack: (K, h, w, 4) the packed sample stack to use, weights and all. scale: (h, w) for a robust fitness.
-    brightness: as in prepare.Prepared, by default the lights' mean intensity.
+    stack: (K, h, w, 4) the packed sample stack to use, weights and all; None where ``give_stack`` brings it later: that
+    alone takes 0.1 s for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default
+    the lights' mean intensity. arrays: of ``domain_arrays``, where they have been found already.
     """
 
     def __init__(
-        self, domain: Domain, packing: Packing, stack: np.ndarray, scale: np.ndarray, brightness: float | None = None
+        self,
+        domain: Domain,
+        packing: Packing,
+        stack: np.ndarray | None,
+        scale: np.ndarray,
+        brightness: float | None = None,
+        arrays: dict[str, np.ndarray] | None = None,
     ):
         self.domain, self.packing = domain, packing
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = observation_defines(domain.lights, domain.views, domain.card)
-        position, normal, tangent = (
-            packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent)
-        )
-        self.textures = {
-            **upload_geometry(position, normal, tangent, packing.pack(texel_states(domain)), scale),
-            **packing.upload(),
-            "u_observation_table": upload_observations(domain.lights, domain.intensities, domain.views),
-            "u_stack": textures.upload_layers(stack),
-        }
+        arrays = arrays or domain_arrays(domain, packing, scale)
+        self.textures = {name: textures.upload(array) for name, array in arrays.items()}
+        self.textures["u_observation_table"] = upload_observations(domain.lights, domain.intensities, domain.views)
+        if stack is not None:
+            self.give_stack(stack)
+
+    def give_stack(self, stack: np.ndarray) -> None:
+        """Upload the packed sample stack (K, h, w, 4), for all who share these textures."""
+        self.textures["u_stack"] = textures.upload_layers(stack)
+
+
+def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
+    position, normal, tangent, state = (
+        packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent, texel_states(domain))
+    )
+    return {**geometry_arrays(position, normal, tangent, state, scale), **packing.arrays()}
+
+
+def geometry_arrays(
+    position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return what shaders/common/frame.glsl reads. state, scale: (H, W), carried in alpha."""
+    return {
+        "u_position": np.concatenate([position, state[..., None]], axis=-1, dtype=np.float32),
+        "u_normal": np.concatenate([normal, scale[..., None]], axis=-1, dtype=np.float32),
+        "u_tangent": tangent,
+    }
 
 
 def upload_geometry(
     position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
 ) -> dict[str, Any]:
-    """Return the textures of shaders/common/frame.glsl. state, scale: (H, W), carried in alpha."""
-    return {
-        "u_position": textures.upload(np.concatenate([position, state[..., None]], axis=-1)),
-        "u_normal": textures.upload(np.concatenate([normal, scale[..., None]], axis=-1)),
-        "u_tangent": textures.upload(tangent),
-    }
+    """Return the textures of ``geometry_arrays``."""
+    arrays = geometry_arrays(position, normal, tangent, state, scale)
+    return {name: textures.upload(array) for name, array in arrays.items()}
 
 
 def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Any:
@@ -90,6 +114,14 @@ class Estimates:
         self.size = packed.shape[1], packed.shape[0]
         self.current = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(self.count)]
         self.resolved = [textures.empty(*self.size) for _ in range(self.count)]
+        self._shown: list[Any] = []
+
+    @property
+    def shown(self) -> list[Any]:
+        """Textures for what a display shows of the estimates, apart from those that a run works with."""
+        if not self._shown:
+            self._shown = [textures.empty(*self.size) for _ in range(self.count)]
+        return self._shown
 
     def bindings(self, resolved: bool = False) -> dict[str, Any]:
         """Return the textures by sampler name: the estimates that the stage holds to, or with its bests put in."""
@@ -129,22 +161,56 @@ def plan_atlas(width: int, height: int, tiles: int, limit: int) -> Atlas:
     return min(fitting, key=lambda a: max(a.across * width, a.down * height))
 
 
-class SwarmTextures:
+class MadeInSteps:
+    """Textures that are made one after the other: a large one alone can take a software renderer 0.1 s."""
+
+    def __init__(self) -> None:
+        self._making = self._make()
+
+    def make(self) -> Iterator[None]:
+        """Make those that are not there yet; yields after each."""
+        for _ in self._making:  # not yield from: who leaves off here must not end the making
+            yield
+
+    def ensure(self) -> None:
+        """Make all that are not there yet."""
+        for _ in self._making:
+            pass
+
+    def stop(self) -> None:
+        """Make no more of them: a generator that waits keeps all alive that it was to fill."""
+        self._making.close()
+
+    def _make(self) -> Iterator[None]:
+        raise NotImplementedError
+
+
+class SwarmTextures(MadeInSteps):
     """All that the swarms of one stage remember: particles in atlases, candidates and global bests over W×H."""
 
     def __init__(self, width: int, height: int, particles: int, codec: Codec):
+        super().__init__()
         self.atlas = plan_atlas(width, height, particles * codec.blocks, context.max_texture_size())
         self.blocks = codec.blocks
-        large = width * self.atlas.across, height * self.atlas.down
-        small = width, height
+        self._small = width, height
+
+    def _make(self) -> Iterator[None]:
+        small = self._small
+        large = small[0] * self.atlas.across, small[1] * self.atlas.down
         self.position = textures.empty(*large, value=0.5)
+        yield
         self.velocity = textures.empty(*large, value=0.0)
+        yield
         self.best = textures.empty(*large, value=0.5)
+        yield
         self.fitness = textures.empty(*large, "R32F", value=UNFIT)
-        self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * codec.blocks)]
+        yield
+        self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * self.blocks)]
+        yield
         self.verdict = textures.empty(*small, value=-1.0)
-        self.global_best = [textures.empty(*small, value=0.5) for _ in range(codec.blocks)]
+        self.global_best = [textures.empty(*small, value=0.5) for _ in range(self.blocks)]
         self.global_fitness = textures.empty(*small, "R32F", value=UNFIT)
+        yield
 
     @property
     def remembered(self) -> dict[str, Any]:
@@ -161,6 +227,7 @@ class SwarmTextures:
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """Take the contents that ``remembered`` had, from arrays of the same names."""
+        self.ensure()
         for name in ("position", "velocity", "best", "fitness", "global_fitness"):
             setattr(self, name, textures.upload(arrays[name]))
         self.global_best = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..reflectance.model import ReflectanceModel
 from . import kernels
 from .generations import RunningGenerations
-from .phase import Phase
+from .phase import BACKGROUND_BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .resolve import ResolvedSurvey, survey_model
 from .schedule import Schedule
@@ -23,7 +23,7 @@ _TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as 
 _JUDGED = {"u_observations": "INT", "u_delta": "FLOAT"}
 
 
-class RunningSurvey:
+class RunningSurvey(Phase):
     """The survey under way, a Phase: swarms, then Levenberg–Marquardt, on grey samples with the survey's own model.
 
     What it resolves are the estimates of the recovery's model, with the survey's normals put in.
@@ -46,6 +46,7 @@ class RunningSurvey:
         self._model = survey_model()
         self._own = _begun(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
+        self._measure = _measure_pass(self._model, schedule, self._domain.defines)
         self._polishing = False
         if schedule.swarm.seed == "given":  # a first guess tells the normal, but nothing of the survey's own model
             schedule = schedule.replaced(seed="lambert")
@@ -74,38 +75,63 @@ class RunningSurvey:
         """How many texels away the next iteration reads what others have found."""
         return self._inner.reach
 
+    @property
+    def placed(self) -> bool:
+        """Whether the particles have been placed."""
+        return self._polishing or self._inner.placed
+
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
         yield from self._inner.advance(bands, seconds)
         if self._inner.done and not self._polishing:
-            self._inner.resolve()
+            yield from self._inner.conclude(bands, seconds)
             self._own.accept()
             self._begin_polish()
 
-    def resolve(self) -> None:
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Put the normals that have been found so far into the resolved estimates."""
-        self._inner.resolve()
-        survey = {f"u_survey_{i}": texture for i, texture in enumerate(self._own.resolved)}
-        inputs = {**self._estimates.bindings(), **self._domain.textures, **survey}
-        self._adopt.run(self._estimates.resolved, inputs)
+        yield from self._inner.conclude(bands, seconds)
+        own, targets = self._own.resolved, self._estimates.resolved
+        yield from bands.once(lambda: self._take_over(own, targets), lambda: self._adopt.fence(targets))
 
-    def fence(self) -> None:
-        """Wait until the last pass of an iteration is done."""
-        self._inner.fence()
+    def preview(self, targets: list[Any]) -> None:
+        """Put the normals that have been found so far into other textures."""
+        own = self._own.shown if self._inner.placed else self._own.current
+        if self._inner.placed:
+            self._inner.preview(own)
+        self._take_over(own, targets)
+
+    def _take_over(self, own: list[Any], targets: list[Any]) -> None:
+        survey = {f"u_survey_{i}": texture for i, texture in enumerate(own)}
+        self._adopt.run(targets, {**self._estimates.bindings(), **self._domain.textures, **survey})
 
     def reached(self, threshold: float) -> bool:
         """Return False: a survey's fitness says nothing of the recovery's threshold."""
         return False
 
-    def fitness(self) -> np.ndarray:
-        """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits, at the end."""
-        self._inner.resolve()
-        measure = _measure_pass(self._model, self._schedule, self._domain.defines)
-        target = textures.empty(*self._own.size, "R32F")
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, np.ndarray]:
+        """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits what is resolved.
+
+        In bands; yields after each.
+        """
+        targets = [textures.empty(*self._own.size, "R32F")]
         inputs = {**self._own.bindings(resolved=True), **self._domain.textures}
-        measure.run([target], inputs, _judge_constants(self._domain, self._schedule))
-        measure.close()
-        return textures.download(target)[..., 0]
+        constants, measure = _judge_constants(self._domain, self._schedule), self._measure
+        yield from bands.run(
+            "measure", targets[0].height, seconds, lambda rows: measure.run(targets, inputs, constants, rows),
+            lambda: measure.fence(targets),
+        )  # fmt: skip
+        return textures.download(targets[0])[..., 0]
+
+    def fitness(self) -> np.ndarray:
+        """Return what ``measuring`` does, of what has been found so far, at once."""
+        self._inner.resolve()
+        work = self.measuring(Bands(), BACKGROUND_BAND_SECONDS)
+        while True:
+            try:
+                next(work)
+            except StopIteration as stop:
+                return stop.value
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
@@ -132,6 +158,7 @@ class RunningSurvey:
         """Free shaders and textures."""
         self._inner.close()
         self._adopt.close()
+        self._measure.close()
         self._own = None
 
     def _begin_polish(self) -> None:
@@ -162,11 +189,15 @@ class Judge:
         self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         self._pass = _judge_pass(model, schedule, self._domain.defines)
 
-    def decide(self) -> None:
-        """Put into the resolved estimates what is to be believed of them."""
+    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Put into the resolved estimates what is to be believed of them, in bands; the last one makes it so."""
         work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
         inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_survey_fitness": self._fitness}
-        self._pass.run(self._decided, inputs, _judge_constants(self._domain, self._schedule))
+        constants, targets = _judge_constants(self._domain, self._schedule), self._decided
+        yield from bands.run(
+            "judge", targets[0].height, seconds, lambda rows: self._pass.run(targets, inputs, constants, rows),
+            lambda: self._pass.fence(targets),
+        )  # fmt: skip
         self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
 
     def close(self) -> None:

@@ -18,6 +18,7 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
+from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .recovery import NOTE, Progress, Recovery, full_map, named
 from .schedule import Schedule, refuse_levels
 
@@ -32,13 +33,16 @@ class _TileRecovery(Recovery):
 
     def finish_stage(self) -> None:
         """Go on to the next stage, as at the threshold, and place its swarms."""
-        self._finish_stage()
+        for _ in self._end_stage(BACKGROUND_BAND_SECONDS):
+            pass
         self.step(iterations=0)
 
-    def fence(self) -> None:
-        """Wait until all iterations ordered so far are done."""
-        if self._phase is not None:
-            self._phase.fence()
+    def making(self, iterations: int, time_budget_s: float | None) -> Iterator[None]:
+        """Make iterations as ``step`` does; yields in between whenever about ``time_budget_s`` has gone by."""
+        self.step(iterations, time_budget_s)
+        while self._work is not None:
+            yield
+            self.step(iterations, time_budget_s)
 
     def _reached_threshold(self) -> bool:
         self.reached = super()._reached_threshold()
@@ -81,7 +85,8 @@ class TiledRecovery:
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
     least the reach of every phase. on_device: how many tiles lie on the device at once, None for all; fewer take turns,
     each making as many iterations as need no neighbours, and what the others remember waits in memory, or in files in
-    the folder ``scratch``. Needs, and raises, what Recovery does.
+    the folder ``scratch``. Needs, and raises, what Recovery does. There is no view(): no textures hold the
+    whole, and some tiles may not be on the device; maps(confidence=False) tells how it goes.
     """
 
     def __init__(
@@ -105,7 +110,7 @@ class TiledRecovery:
         self._halo, self._scratch = halo, scratch
         self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         _check_boxes(boxes, domain)
-        prepared = prepare.prepare(domain, model, schedule)
+        prepared = prepare.prepare(domain, model, schedule, pack=False)
         self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[_part(box)].any()]
         self._meetings = _meetings(self._tiles)
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
@@ -229,26 +234,24 @@ class TiledRecovery:
         """Let all tiles make the same iterations: ``most``, or as many as need nothing more of neighbours.
 
         The first tile finds out how many: it stops before an iteration that reads neighbours, and where it has reached
-        the threshold. Yields after each iteration of a tile; paced: once it is done, not only ordered.
+        the threshold. Yields after each iteration of a tile; paced: every few milliseconds, each band waited for.
         """
         order = self._order()
         if self._recovery(order[0]).reach and not self._told:
             for number in order:
                 self._tell(number)
             self._all_told()
-        count = most
+        count, budget = most, BAND_SECONDS if paced else None
         for turn, number in enumerate(order):
             part, recovery = self._tiles[number], self._recovery(number)
             self._hear(number)
             if most == 0:
-                recovery.step(iterations=0)
+                yield from recovery.making(0, budget)
             made = 0
             while (count is None or made < count) and not recovery.progress.done:
                 recovery.reached = False
-                recovery.step(iterations=1)
+                yield from recovery.making(1, budget)
                 made, part.progress, part.reached = made + 1, recovery.progress, recovery.reached
-                if paced:
-                    recovery.fence()
                 yield
                 if turn == 0 and (recovery.reach or recovery.reached):
                     break

@@ -208,7 +208,7 @@ def test_a_missing_source_is_an_error_for_a_person():
 def test_a_compile_error_names_file_and_line(tmp_path, entry, files, where):
     path = write(tmp_path, **files)
     with pytest.raises(ShaderError) as caught:
-        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry)
+        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry).compile()
     first, *lines = str(caught.value).splitlines()
     assert first == f"shader '{path}' does not compile"
     assert lines[0].startswith(where + ":") and "rror" in lines[0]
@@ -221,14 +221,14 @@ def test_an_error_in_a_users_model_names_its_own_file_and_line(tmp_path):
     shader = "vec3 reflectance(Material s, vec3 l, vec3 v)\n{\n    return s.base_colour;\n}\n"
     (tmp_path / "mine.glsl").write_text(shader, encoding="utf-8")
     with pytest.raises(ShaderError) as caught:
-        render_pass(load_model(tmp_path / "mine.toml"), {"CARD": 1})
+        render_pass(load_model(tmp_path / "mine.toml"), {"CARD": 1}).compile()
     assert "\nmine.glsl:3:" in str(caught.value) and "base_colour" in str(caught.value)
 
 
 def test_a_shader_that_compiles_after_one_that_does_not_is_whole(tmp_path, entry):
     path = write(tmp_path, a=KERNEL)
     with pytest.raises(ShaderError):
-        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry)
+        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry).compile()
     np.testing.assert_array_equal(marks(entry, 9, 7)[0], expected(9, 7))
 
 

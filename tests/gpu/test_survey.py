@@ -8,6 +8,7 @@ import pytest
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.gpu import context, textures
+from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.reflectance.model import load_model
@@ -224,6 +225,7 @@ def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_
 def test_the_judge_compares_what_float64_compares(recover):
     domain, truth = card("principled", shape=(7, 9), noise=0.01, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
     recovery = recover(domain, PRINCIPLED, STANDARD)
+    recovery.step(iterations=0)
     scale = texel_scale(domain, STANDARD.fitness.percentile)
     off = {n: np.float32(truth[n]) for n in ("normal", "base_color", "roughness", "specular")}
     off["base_color"] = off["base_color"] * np.linspace(0.9, 1.1, 9, dtype=np.float32)[:, None]
@@ -235,7 +237,8 @@ def test_the_judge_compares_what_float64_compares(recover):
     for factor, taken in ((1.001, True), (0.999, False)):
         work = list(estimates.resolved)
         judge = Judge(PRINCIPLED, STANDARD, recovery._textures, estimates, pack.pack(np.float32(limit * factor)))
-        judge.decide()
+        for _ in judge.deciding(Bands(), 1.0):
+            pass
         result = pack.unpack(estimates.values()["base_color"])
         judge.close()
         estimates.resolved = work

@@ -271,4 +271,5 @@ def test_an_atlas_is_cut_into_tiles_that_hold_every_particle_once(bench):
     marks = np.arange(b.problem.particles * 15 * 8, dtype=np.float64).reshape(-1, 5, 3, 8)
     packed = numbers.to_atlas(marks, atlas.across, atlas.down)
     np.testing.assert_array_equal(numbers.from_atlas(packed, b.problem.particles, 5, 3, 8), marks)
+    b.stage.swarm.ensure()
     assert textures.download(b.stage.swarm.position).shape == packed.shape
