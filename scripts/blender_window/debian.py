@@ -14,11 +14,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CACHE = ROOT / ".cache"
-# Debian's Blender does without some packages that it should ask for: its extensions want cattrs in 5.2 (bl_pkg does
-# not register without), the program wants numpy.
+# Debian's Blender does not ask for all it needs: without cattrs and requests 5.2 has no extensions (bl_pkg does not
+# register), and extensions have no numpy.
 PACKAGES = (
-    "blender", "python3-numpy", "python3-cattr", "libgl1-mesa-dri", "libegl1", "mesa-vulkan-drivers",
-    "xvfb", "xauth", "xdotool", "imagemagick",
+    "blender", "python3-numpy", "python3-cattr", "python3-requests", "libgl1-mesa-dri", "libegl1",
+    "mesa-vulkan-drivers", "xvfb", "xauth", "xdotool", "imagemagick",
 )  # fmt: skip
 # sid's release file has expired where the mirror is a snapshot.
 APT = 'Acquire::Check-Valid-Until "false";\nAPT::Install-Recommends "false";\n'
@@ -42,7 +42,7 @@ def debian(suite: str) -> Path:
             return folder
         _need_root(suite)
         need_programs({"debootstrap": "debootstrap", "unshare": "util-linux", "chroot": "coreutils"})
-        print(f"building {folder.relative_to(ROOT)}: Debian {suite} with Blender, once (minutes, 2 GB)", flush=True)
+        print(f"building {folder.relative_to(ROOT)}, Debian {suite} with Blender, once (minutes, 2 GB)", flush=True)
         _build(suite, folder)
     return folder
 
@@ -106,12 +106,8 @@ def _apt(*command: str) -> str:
 
 
 def _build(suite: str, folder: Path) -> None:
-    """Build into a folder beside it and give it its name when it is whole."""
-    part = folder.with_name(f"{folder.name}.part")
+    """Build into a folder beside it, which gets its name when it is whole; in one that is whole, only add packages."""
     log = folder.with_name(f"{folder.name}.log")
-    for old in (part, folder):
-        if old.exists():
-            shutil.rmtree(old)
     environment = os.environ | _proxy() | {"DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
     with open(log, "w", encoding="utf-8") as sink:
 
@@ -120,11 +116,17 @@ def _build(suite: str, folder: Path) -> None:
                 tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-12:]
                 raise SystemExit("\n".join([*tail, f"Debian {suite} could not be built; all that was said: {log}"]))
 
-        step("debootstrap", "--variant=minbase", suite, part, *_mirror())
+        part = folder
+        if not (folder / STAMP).is_file():
+            part = folder.with_name(f"{folder.name}.part")
+            for old in (part, folder):
+                shutil.rmtree(old, ignore_errors=True)
+            step("debootstrap", "--variant=minbase", suite, part, *_mirror())
         (part / "etc/apt/apt.conf.d/90window").write_text(APT, encoding="utf-8")
         (part / "etc/dpkg/dpkg.cfg.d/90window").write_text(DPKG, encoding="utf-8")
         step("chroot", part, "apt-get", "update")
         step("chroot", part, "apt-get", "install", "--yes", "--quiet", *PACKAGES)
         step("chroot", part, "apt-get", "clean")
     (part / STAMP).write_text(_recipe(), encoding="utf-8")
-    part.rename(folder)
+    if part != folder:
+        part.rename(folder)
