@@ -124,21 +124,30 @@ def _keep(context, running: session.Session) -> str:
     folder = preferences.current(context).output_folder
     made = material.build_material(maps, name, folder or None)
     if running.mesh is None:
-        subject = material.card_object(name, *maps.covered.shape)
-        _show(context, subject)
+        former, subject = subject, material.card_object(name, *maps.covered.shape)
+        _show(context, subject, new=former is None)
     material.apply_material(subject, made)
     count = len(map_tables(maps.model))
     where = f"in {folder}" if folder else "packed into the file"
     return f"Material '{made.name}' on '{subject.name}', with {count} maps {where}"
 
 
-def _show(context, card) -> None:
-    """Bring a card into the scene, and into view: it may have been hidden, or deleted, since it was made."""
+def _show(context, card, new: bool) -> None:
+    """Bring a card into the scene and into view: it may have been hidden, or deleted, since it was made.
+
+    A new one becomes the active object, as whatever is added in Blender does.
+    """
     if card.name not in context.scene.objects:
         context.scene.collection.objects.link(card)
     card.hide_viewport = card.hide_render = False
-    if card.name in context.view_layer.objects:
-        card.hide_set(False)
+    context.view_layer.update()  # else it does not know of an object that was linked just now
+    if card.name not in context.view_layer.objects:  # its collection is left out of this view layer
+        return
+    card.hide_set(False)
+    if new and context.mode == "OBJECT":
+        for obj in context.view_layer.objects:
+            obj.select_set(obj == card)
+        context.view_layer.objects.active = card
 
 
 class IRPSO_OT_export_maps(bpy.types.Operator):

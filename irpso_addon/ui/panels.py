@@ -24,18 +24,13 @@ class Sidebar:
     bl_category = "IRPSO"
 
 
-def under_way() -> session.Session | None:
-    """Return the session that has not ended yet, None where there is none."""
-    running = session.current()
-    return running if running is not None and running.state != "done" else None
-
-
 class _BeforeRun(Sidebar):
-    """A panel of settings that a recovery under way does not heed: it makes room for what it does."""
+    """A panel of settings that a recovery does not heed once it has begun: it makes room for what there is to see."""
 
     @classmethod
     def poll(cls, context) -> bool:
-        return under_way() is None
+        """Whether there is no recovery."""
+        return session.current() is None
 
 
 class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
@@ -227,12 +222,13 @@ def draw_progress(layout, context, running: session.Session) -> None:
     """Draw what is done, how far it is, how well, how fast, how long still; and the buttons."""
     layout.label(text=running.job.name, icon="TEXTURE", translate=False)
     progress = running.progress
-    title = "Paused" if running.state == "paused" else running.title[:1].upper() + running.title[1:]
-    text = f"{title}  {running.fraction:.0%}"
+    title = running.title.replace("_", " ").replace(" + ", ", ")
+    text = f"Paused at {running.fraction:.0%}" if running.state == "paused" else f"{running.fraction:.0%}"
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
+    column = layout.column(align=True)
+    column.scale_y = 0.9
+    drawing.fact(column, context, "Now", title[:1].upper() + title[1:])
     if progress is not None:
-        column = layout.column(align=True)
-        column.scale_y = 0.9
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
         drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
         drawing.fact(column, context, "Evaluations", drawing.rate(running.rate))
@@ -282,9 +278,9 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether settings are heeded now: before a run, and while it is paused."""
-        running = under_way()
-        return running is None or running.state == "paused"
+        """Whether settings are heeded now: before and after a run, and while it is paused."""
+        running = session.current()
+        return running is None or running.state in ("paused", "done")
 
     def draw(self, context) -> None:
         """Draw the seed; the rest is in panels of its own."""

@@ -78,6 +78,7 @@ def test_keep_puts_the_maps_on_a_visible_card(recovered):
     assert bpy.ops.irpso.keep() == {"FINISHED"}
     (obj,) = bpy.context.scene.objects
     assert obj.visible_get() and not obj.hide_render
+    assert bpy.context.view_layer.objects.active == obj and obj.select_get()
     assert obj.data.materials[:] == [bpy.data.materials["IRPSO leaf"]]
     assert recovered.kept and recovered.subject() == obj
     assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is not None for name in MAPS)

@@ -214,14 +214,15 @@ def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, car
     running.resume()
     running.run()
     found = drawn()
-    assert "irpso.keep" in found.operators and "irpso.recover" in found.operators and "Capture" in labels()
+    assert "irpso.keep" in found.operators and "irpso.recover" in found.operators
+    assert "Search Settings" in labels() and "View" in labels() and "Capture" not in labels()
     bpy.context.scene.view_settings.view_transform = "Filmic"
     assert "irpso.standard_view" not in drawn().operators
     bpy.ops.irpso.keep()
     found = drawn()
     assert {"irpso.keep", "irpso.export_maps", "irpso.cancel", "irpso.standard_view"} <= set(found.operators)
     bpy.ops.irpso.cancel()
-    assert "View" not in labels() and "irpso.keep" not in drawn().operators
+    assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
 
 
 def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings, card):
