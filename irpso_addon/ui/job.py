@@ -23,6 +23,7 @@ from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_re
 from ..solver.prepare import Prepared
 from ..solver.schedule import Schedule
 from . import preferences
+from .card_place import free_place
 from .scene_capture import capture_of
 from .schedule_settings import schedule_of
 from .settings import model_of
@@ -33,8 +34,8 @@ class Job:
     """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
 
     name: of material and images. object_uid: the session's own number of the mesh object, None for a card. given:
-    parameter name → its map as the user gave it. source: what the sample stack depends on; equal sources have equal
-    domains. None where that cannot be told.
+    parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
+    the sample stack depends on; equal sources have equal domains. None where that cannot be told.
     """
 
     capture: Capture
@@ -49,6 +50,7 @@ class Job:
     entry: str
     memory: str | None
     scratch: Path
+    place: np.ndarray
     source: tuple[Any, ...] | None = None
     known: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -129,7 +131,8 @@ def make_job(context) -> Job:
     return Job(
         capture, name, None if obj is None else obj.session_uid, mesh, model, schedule, settings.seed,
         _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
-        scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"), _source(settings, mesh),
+        scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
+        free_place(context, size[0] / size[1]), _source(settings, mesh),
     )  # fmt: skip
 
 

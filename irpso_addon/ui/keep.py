@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, StringProperty
+from mathutils import Matrix
 
 from ..errors import InputError, IrpsoError
 from ..geometry.frames import to_blender, turned_normals
@@ -65,6 +66,11 @@ def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
         image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
         pictures["convergence"] = convergence(image, [(p.column, p.row) for p in watched], panels)
     return pictures
+
+
+def is_kept(running: session.Session) -> bool:
+    """Return whether what was found has been kept, and that has not been undone."""
+    return running.kept and any(made.get(material.TAG) == running.job.name for made in bpy.data.materials)
 
 
 def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:

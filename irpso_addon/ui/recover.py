@@ -7,6 +7,7 @@ import bpy
 from ..errors import IrpsoError
 from ..gpu import probe
 from . import preferences, session
+from .card_place import look_at_card
 from .job import make_job, missing
 from .schedule_settings import schedule_of
 
@@ -49,10 +50,13 @@ class IRPSO_OT_recover(bpy.types.Operator):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
-            session.begin(make_job(context))
+            begun = session.begin(make_job(context))
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}
+        if begun.mesh is None and begun.subject() is None:  # nobody can know where it is going to stand
+            height, width = begun.job.capture.masks[0].shape
+            look_at_card(context, begun.job.place, height / width)
         bpy.ops.irpso.run("INVOKE_DEFAULT")
         return {"FINISHED"}
 

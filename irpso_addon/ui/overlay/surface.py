@@ -71,7 +71,7 @@ def stand(running: Session, subject, corners: np.ndarray) -> Stand:
 
     corners: (N, 3) points of the domain's frame that bound it.
     """
-    world = np.eye(4) if subject is None else np.array(subject.matrix_world, np.float64)
+    world = running.job.place if subject is None else np.array(subject.matrix_world, np.float64)
     frame = card_frame(running.domain.bake.position) if running.mesh is None else np.linalg.inv(running.mesh.matrix)
     return stand_of(world @ frame, corners)
 
