@@ -7,6 +7,7 @@ import bpy
 from . import drawing, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object
+from .keep import is_kept, is_standard_view
 from .presets import label_of
 from .schedule_words import GROUPS
 from .settings import CUSTOM
@@ -250,19 +251,20 @@ def draw_progress(layout, context, running: session.Session) -> None:
 
 def draw_result(layout, context, running: session.Session) -> None:
     """Draw what has been found, and what can be done with it."""
+    kept = is_kept(running)
     column = layout.column(align=True)
-    column.label(text=f"{running.job.name}: Kept" if running.kept else f"{running.job.name}: Done", icon="CHECKMARK",
+    column.label(text=f"{running.job.name}: Kept" if kept else f"{running.job.name}: Done", icon="CHECKMARK",
                  translate=False)  # fmt: skip
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Time", drawing.clock(running.seconds))
     row = layout.row()
-    row.scale_y = 1.0 if running.kept else 2.0
-    row.operator("irpso.keep", text="Keep Again" if running.kept else "Keep", icon="MATERIAL")
+    row.scale_y = 1.0 if kept else 2.0
+    row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")
     row = layout.row(align=True)
     row.operator("irpso.export_maps", text="Export Maps…", icon="EXPORT")
-    row.operator("irpso.cancel", text="Close" if running.kept else "Discard", icon="X")
-    if running.kept and context.scene.view_settings.view_transform != "Standard":
+    row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
+    if kept and not is_standard_view(context.scene):
         drawing.wrapped(
             layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
         )

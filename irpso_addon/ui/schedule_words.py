@@ -65,7 +65,7 @@ _SEEDS = {
 }
 _NORMALS = {
     "hemisphere": ("Hemisphere", "A normal is two numbers on the hemisphere"),
-    "cartesian": ("Cartesian", "A normal is three numbers that are normalised, as in the paper"),
+    "cartesian": ("Cartesian", "A normal is three numbers that are normalized, as in the paper"),
 }
 _LOSSES = {
     "l1": ("Absolute", "Mean absolute difference, as in the paper"),
@@ -98,16 +98,16 @@ WORDS = {
     ),
     "c1": Words("Own Best", "c1 of Eq. 2: pull towards the particle's own best place", 3),
     "c2": Words("Swarm's Best", "c2 of Eq. 2: pull towards the best place of the swarm", 3),
-    "c3": Words("Neighbours", "c3 of Eq. 2: pull towards the mean of the neighbouring texels' bests", 0.5),
+    "c3": Words("Neighbors", "c3 of Eq. 2: pull towards the mean of the neighboring texels' bests", 0.5),
     "c3_until": Words(
-        "Neighbours Until",
-        "The part of the iterations over which the pull of the neighbours falls to 0; 0 keeps it",
+        "Fade Over",
+        "The part of the iterations over which the pull of the neighbors falls to 0; 0 keeps it",
         subtype="FACTOR",
     ),
-    "neighbourhood": Words("Neighbourhood", "Side of the window of neighbours, in texels; odd", 9, "PIXEL"),
+    "neighbourhood": Words("Window", "Side of the window of neighbors, in texels; odd", 9, "PIXEL"),
     "neighbour_every": Words(
-        "Try Neighbours Every",
-        "Iterations between those in which a particle tries the best of a neighbouring texel; 0 never",
+        "Try Every",
+        "Iterations between those in which a particle tries the best of a neighboring texel; 0 never",
         50,
     ),
     "v_max": Words("Speed Limit", "Largest step, as a part of a parameter's range", 1),
@@ -125,7 +125,7 @@ WORDS = {
     "survey_iterations": Words("Iterations", "Iterations of the swarms that find normals first; 0 for no survey", 100),
     "survey_polish_iterations": Words("Polish", "Levenberg–Marquardt steps after them", 30),
     "survey_shadow": Words("Shadow", "Samples under this part of a texel's scale count as shadow", 1),
-    "survey_observations": Words("Least Photographs", "With fewer observations the survey is left out", 100),
+    "survey_observations": Words("Least Images", "With fewer observations the survey is left out", 100),
     "survey_judge_delta": Words(
         "Judge Delta", "Delta with which the survey's normals and the model's are compared", 0.5, precision=4
     ),
@@ -144,11 +144,11 @@ WORDS = {
         "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no polish", 100
     ),
     "polish_starts": Words("Model's Starts", "Begin from the places that the model names as well"),
-    "polish_start_iterations": Words("Start Iterations", "Steps from each of these places", 30),
-    "polish_rounds": Words("Rounds", "How often every texel tries what its neighbours have found", 8),
-    "polish_round_iterations": Words("Round Iterations", "Steps after each round", 30),
+    "polish_start_iterations": Words("Start Steps", "Steps from each of these places", 30),
+    "polish_rounds": Words("Rounds", "How often every texel tries what its neighbors have found", 8),
+    "polish_round_iterations": Words("Round Steps", "Steps after each round", 30),
     "polish_daring": Words(
-        "Daring", "A neighbour's material is tried where its fitness is under so many times the texel's own", 10
+        "Daring", "A neighbor's material is tried where its fitness is under so many times the texel's own", 10
     ),
     "polish_damping": Words("Damping", "The first damping, as a part of the diagonal", 1, precision=4),
     "polish_gain": Words(
@@ -161,14 +161,14 @@ WORDS = {
         precision=6,
     ),
     "polish_central": Words("Central Differences", "Differences to both sides instead of one: slower, more exact"),
-    "prior_rounds": Words("Rounds", "How often alike neighbours are asked; 0 for no prior", 8),
+    "prior_rounds": Words("Rounds", "How often alike neighbors are asked; 0 for no prior", 8),
     "prior_scales": Words("Scales", "A round reaches 2 to this power texels"),
     "prior_iterations": Words("Iterations", "Levenberg–Marquardt steps after each round", 30),
-    "prior_likeness": Words("Likeness", "Neighbours are alike that differ by this part of a parameter's range", 1),
-    "prior_likeness_color": Words("Likeness of Color", "Neighbours are alike whose colours differ by this part", 1),
+    "prior_likeness": Words("Likeness", "Neighbors are alike that differ by this part of a parameter's range", 1),
+    "prior_likeness_color": Words("Color Likeness", "Neighbors are alike whose colors differ by this part", 1),
     "prior_spread": Words("Spread", "Alike texels are taken to differ by this part of the range, at least", 0.5),
     "prior_noise_freedom": Words(
-        "Noise Weight", "For how many samples of a texel's own the neighbours' noise counts", 100, precision=1
+        "Noise Weight", "For how many samples of a texel's own the neighbors' noise counts", 100, precision=1
     ),
     "prior_share": Words("Least Share", "A texel is left alone of which the prior would have less than this", 1),
     "prior_tolerance": Words(
