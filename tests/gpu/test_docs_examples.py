@@ -3,6 +3,8 @@
 import contextlib
 import io
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -96,3 +98,19 @@ def test_files_in_and_out_recovers_a_folder(tmp_path, monkeypatch):
     assert "% " in said.getvalue()
     normal = read_map(tmp_path / "out" / "normal.exr")
     assert angle(normal, truth["normal"]).mean() < 0.5
+
+
+def test_the_script_for_the_background_recovers_and_keeps(tmp_path):
+    example = next(code for code in blocks("scripting.md", "python") if "bpy.ops.irpso" in code)
+    truth = cli_maker.smooth_maps((16, 20), {"roughness": (0.3, 0.6), "specular": (0.4, 0.7)}, seed=4)
+    lights = cli_maker.dome_lights(24, widest=70)
+    cli_maker.write_card(tmp_path / "icon", cli_maker.render_oracle("principled", truth, lights), lights)
+    before = "import bpy, irpso_addon\nbpy.ops.wm.read_homefile(use_empty=True)\nirpso_addon.register()\n"
+    after = (
+        "\nimport os\nimage = next(i for i in bpy.data.images if 'normal' in i.name)\n"
+        "print('TOLD', len(bpy.data.materials), *image.size, bpy.data.filepath, flush=True)\nos._exit(0)\n"
+    )
+    code = before + example.replace("/captures", str(tmp_path)) + after
+    done = subprocess.run([sys.executable, "-c", code], cwd=DOCS.parent, capture_output=True, text=True, timeout=300)
+    assert f"TOLD 1 20 16 {tmp_path}/icon.blend" in done.stdout, done.stdout + done.stderr
+    assert (tmp_path / "icon.blend").is_file()

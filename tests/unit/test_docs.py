@@ -64,6 +64,14 @@ def test_the_table_of_settings_is_the_panels_own():
     assert page == docs_settings.page_with_tables(page), "run scripts/docs_settings.py"
 
 
+@pytest.mark.parametrize("name", ["first_recovery.md", "install.md"])
+def test_every_button_that_is_named_is_there(name):
+    labels = set(re.findall(r"\*\*(.+?)\*\*", (DOCS / name).read_text(encoding="utf-8")))
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "irpso_addon" / "ui").rglob("*.py"))
+    sources += (ROOT / "shaders" / "models" / "principled.toml").read_text(encoding="utf-8")
+    assert [label for label in labels if f'"{label}' not in sources] == []
+
+
 def test_every_shipped_preset_is_described():
     page = (DOCS / "presets.md").read_text(encoding="utf-8")
     titles = [load_schedule(name).title.partition(":")[0] for name in shipped_presets()]
