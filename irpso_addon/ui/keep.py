@@ -131,6 +131,8 @@ def _keep(context, running: session.Session) -> str:
     made = material.build_material(maps, name, folder or None)
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape)
+        if former is None:
+            subject.matrix_world = Matrix(running.job.place.tolist())
         _show(context, subject, new=former is None)
     material.apply_material(subject, made)
     count = len(map_tables(maps.model))
