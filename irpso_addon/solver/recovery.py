@@ -325,10 +325,10 @@ class Recovery:
         self._estimates.accept()
         if isinstance(phase, RunningSurvey):
             self._surveyed = yield from phase.measuring(self._bands, seconds)
+        yield  # nowhere below: view() must not come upon a phase that is closed
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes cost something else
         self._index += 1
-        yield
         self._phase = self._begin(self._index) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
