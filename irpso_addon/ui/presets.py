@@ -33,13 +33,14 @@ def title_of(schedule: Schedule) -> str:
 
 
 def label_of(settings: Any) -> str:
-    """Return what the preset menu says: the preset's name, with a star where settings differ from it."""
-    try:
-        changed = preset_text(settings) != settings.own_text if settings.own else bool(differences(settings))
-        title = title_of(base_schedule(settings)) if is_shipped(settings) else Path(settings.preset).stem
-    except InputError:
-        return settings.preset
-    return (settings.own or title) + (" *" if changed else "")
+    """Return what the preset menu says: the preset's name, with a star where settings differ from it.
+
+    Of a schedule by its path only the name: a panel that is drawn opens no file.
+    """
+    if not is_shipped(settings):
+        return settings.own or Path(settings.preset).stem
+    changed = preset_text(settings) != settings.own_text if settings.own else bool(differences(settings))
+    return (settings.own or title_of(base_schedule(settings))) + (" *" if changed else "")
 
 
 def preset_text(settings: Any) -> str:

@@ -119,7 +119,7 @@ def _property(name: str, limits: Limits, default: Any) -> Any:
 
 
 def _declare() -> None:
-    defaults = load_schedule(FIRST).settings()
+    defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # all are read now: panels open no file
     declared = {name: _property(name, limits, defaults[name]) for name, limits in SETTINGS.items()}
     ScheduleSettings.__annotations__ = {
         "preset": StringProperty(

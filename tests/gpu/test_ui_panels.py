@@ -1,5 +1,6 @@
 """What the panels show in every state, drawn into a layout that checks each property, operator and icon it is given."""
 
+import sys
 from types import SimpleNamespace
 
 import bpy
@@ -10,6 +11,17 @@ from tests import cli_maker
 
 LIGHTS = cli_maker.dome_lights(12, widest=70)
 ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
+
+
+OPENED: list[str] | None = None  # files, while they are watched
+
+
+def _watch(event, arguments):
+    if event == "open" and OPENED is not None:
+        OPENED.append(str(arguments[0]))
+
+
+sys.addaudithook(_watch)
 
 
 class Drawn:
@@ -253,6 +265,18 @@ def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings
     assert "4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
     view.show = False
     assert "shown" not in drawn().props
+
+
+@pytest.mark.bpy_only
+@pytest.mark.parametrize("preset", ["standard", "paper", "/somewhere/own.toml"])
+def test_drawing_the_panels_opens_no_file(settings, preset, monkeypatch):
+    settings.schedule.preset = preset
+    settings.capture_path = "/somewhere"
+    settings.schedule.delta = 0.07
+    drawn()  # Python reads modules and Blender its own files once
+    monkeypatch.setattr(sys.modules[__name__], "OPENED", [])
+    drawn()
+    assert OPENED == []
 
 
 @pytest.mark.bpy_only
