@@ -63,6 +63,7 @@ def test_a_limit_holds_while_the_error_falls_a_little_and_changes_seldom_over_a_
         limit = steady_limit(4 * error * rng.uniform(0.95, 1.05), limit)
         shown.append(limit)
     assert all(limit == pytest.approx(round_up(limit)) for limit in set(shown))
+    assert steady_limit(0.21, 0.0) == 0.2 and steady_limit(0.4, 0.0) == 0.5
     changes = np.count_nonzero(np.diff(shown))
     assert 3 <= changes <= 8
     assert np.count_nonzero(np.diff(shown) > 0) == 0
@@ -316,7 +317,9 @@ def test_a_trail_keeps_the_last_positions_and_begins_anew_with_another_texel():
     trail.follow(swarm_of(np.full((5, 2), 5.0)), (1, 3))
     assert len(trail.positions) == 1
     trail.follow(None, (1, 3))
-    assert len(trail.positions) == 0
+    assert (len(trail.positions), trail.live) == (1, False)
+    trail.follow(None, (9, 9))
+    assert (len(trail.positions), trail.particles) == (0, None)
 
 
 def areas(triangles):

@@ -14,7 +14,11 @@ from .place import Stand, circle, pixel_size, transformed
 from .plot import curve_plot
 
 _MEAN = (0.80, 0.80, 0.82, 1.0)
-_WIDTH, _HEIGHT = 408.0, 196.0  # pixels at scale 1
+_WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
+_LEAST = (290.0, 140.0)
+_SHARE = (0.42, 0.36)  # of a small region that the panel takes at most
+_LIST = 116.0  # wide: the names and last errors beside the curves
+_LIFT = 0.3  # of its radius, over the surface
 _RING = 7.0  # radius of a ring on the subject, in pixels at scale 1
 
 
@@ -29,16 +33,22 @@ def draw_rings(
 ) -> None:  # fmt: skip
     """Draw a ring on the surface around every probed texel, of one size in pixels."""
     bake = running.domain.bake
+    rims, points, colors = [], [], []
     for probe in running.probes:
         point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
         normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
         radius = _RING * scale * pixel_size(perspective, point, size)
-        if radius <= 0:
-            continue
-        around = circle(point, normal, radius)
-        drawing.draw_lines(around, HALO, 5 * scale, perspective, depth=True, strip=True)
-        drawing.draw_lines(around, color_of(probe), 2.4 * scale, perspective, depth=True, strip=True)
-        drawing.draw_points(point[None], color_of(probe), 3.5 * scale, perspective, depth=True)
+        if radius > 0:
+            # Raised a little: the surface bends toward it.
+            rim = circle(point + _LIFT * radius * normal, normal, radius)
+            rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
+            points.append(point)
+            colors.append(color_of(probe))
+    if rims:
+        lines, shades = np.concatenate(rims), np.repeat(colors, len(rims[0]), axis=0)
+        drawing.draw_lines(lines, HALO, 5 * scale, perspective, depth=True)
+        drawing.draw_lines(lines, shades, 2.4 * scale, perspective, depth=True)
+        drawing.draw_points(np.array(points), np.array(colors), 3.5 * scale, perspective, depth=True)
 
 
 def draw_flat_rings(painter: Painter, area: Rectangle, running: Session) -> None:
@@ -58,9 +68,11 @@ def flat_place(area: Rectangle, shape: tuple[int, int], row: int, column: int) -
     ])  # fmt: skip
 
 
-def curves_size(scale: float) -> tuple[float, float]:
-    """Return width and height of the panel in pixels."""
-    return _WIDTH * scale, _HEIGHT * scale
+def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
+    """Return width and height of the panel in pixels, less in a region that has little free."""
+    width = max(_LEAST[0], min(_WIDTH, _SHARE[0] * free.width / scale))
+    height = max(_LEAST[1], min(_HEIGHT, _SHARE[1] * free.height / scale))
+    return width * scale, height * scale
 
 
 def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
@@ -69,7 +81,7 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     series = [("mean", _MEAN, running.history)]
     series += [(f"{probe.column}, {probe.row}", color_of(probe), probe.curve) for probe in running.probes]
     plot = curve_plot(
-        area.inset(46 * s, 32 * s, 104 * s, 34 * s),
+        area.inset(46 * s, 32 * s, _LIST * s, 34 * s),
         [[(iteration, PERCENT * error) for iteration, error in curve] for _, _, curve in series],
     )
     painter.panel(area)
@@ -78,12 +90,12 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     for (_, color, _), points in reversed(list(zip(series, plot.curves, strict=True))):
         painter.curve(points, color, 1.7)
         painter.dots(points[-1:], color, 4.5)
-    x, y = area.right - 94 * s, plot.area.top - 5 * s
+    x, y = area.right - (_LIST - 12) * s, plot.area.top - 5 * s
     for name, color, curve in series:
         painter.dots(np.array([[x, y + 3.5 * s]]), color, 7)
         painter.text(name, x + 9 * s, y, TEXT, SMALL)
         if curve:
-            painter.text(f"{PERCENT * curve[-1][1]:.3g}", area.right - 10 * s, y, DIM, SMALL, "right")
+            painter.text(f"{PERCENT * curve[-1][1]:.2g}", area.right - 10 * s, y, DIM, SMALL, "right")
         y -= 17 * s
 
 
@@ -100,4 +112,4 @@ def _draw_axes(painter: Painter, plot, area: Rectangle) -> None:
     for x, text in plot.x_ticks:
         painter.line((x, inside.y - 4 * s), (x, inside.y), AXIS)
         painter.text(text, x, inside.y - 16 * s, DIM, SMALL, "centre")
-    painter.text("iteration", area.right - 94 * s, inside.y - 16 * s, DIM, SMALL)
+    painter.text("iteration", area.right - 10 * s, inside.y - 16 * s, DIM, SMALL, "right")

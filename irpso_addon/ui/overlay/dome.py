@@ -98,8 +98,9 @@ def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
 
 def draw_lights(drawing: Drawing, dome: Dome, current: int, perspective: np.ndarray, scale: float) -> None:
     """Draw the lights, a stub of each one's ray, and the whole ray of the current one (none where negative)."""
-    for line in guide_lines(dome):
-        drawing.draw_lines(line, _GUIDE, scale, perspective, depth=True, strip=True)
+    guides = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3) for line in guide_lines(dome)]
+    if guides:
+        drawing.draw_lines(np.concatenate(guides), _GUIDE, scale, perspective, depth=True)
     if 0 <= current < len(dome.places):  # under the lights, so that its disc has a rim
         ray = np.stack([dome.places[current], dome.centre])
         colors = np.array([_CURRENT, (*_CURRENT[:3], 0.25)])
@@ -116,12 +117,12 @@ def draw_lights(drawing: Drawing, dome: Dome, current: int, perspective: np.ndar
 def draw_cameras(
     drawing: Drawing, cameras: list[Camera], current: int, stand: Stand, perspective: np.ndarray, scale: float
 ) -> None:
-    """Draw the cameras, whose matrices are in the domain's frame, and the current one brighter."""
+    """Draw the cameras, whose matrices are in the domain's frame, and, of several, the current one brighter."""
     for index, camera in enumerate(cameras):
         place = transformed(stand.frame, camera.position[None])[0]
         size = np.linalg.norm(stand.frame[:3, 0])
         depth = _FRUSTUM * max(np.linalg.norm(place - stand.centre), stand.radius) / max(size, 1e-30)
         lines = frustum(camera, stand.frame, depth).reshape(-1, 3)
-        bright = index == current
+        bright = index == current and len(cameras) > 1
         color, width = (_CURRENT, 1.8) if bright else (_CAMERA, 1.2)
         drawing.draw_lines(lines, color, width * scale, perspective, depth=True)

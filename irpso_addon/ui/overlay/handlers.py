@@ -33,10 +33,10 @@ def handler_count() -> int:
     return len(_handles)
 
 
-def redraw() -> None:
-    """Have the 3-D viewports and Image editors of all windows drawn anew."""
+def redraw(only: int = 0) -> None:
+    """Have the 3-D viewports and Image editors drawn anew, of all windows or of the one at an address."""
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
+        for area in window.screen.areas if only in (0, window.as_pointer()) else ():
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
                 area.tag_redraw()
 
@@ -91,7 +91,7 @@ def _idle() -> float | None:
             if _guarded(_stage.update):
                 redraw()
         else:
-            redraw()  # drawing a window makes its context current; the session's is among them
+            redraw(_stage.home_window)  # drawing a window makes its context current, until another is drawn
         if _guarded(_stage.wants_redraw):
             redraw()
     return _IDLE_SECONDS

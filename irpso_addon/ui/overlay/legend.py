@@ -12,7 +12,7 @@ from ...maps.false_color import COLORS
 from ...reflectance.model import ReflectanceModel
 from ...solver.display import Shown
 from .layout import Rectangle
-from .paint import CHIP, DIM, SMALL, Painter
+from .paint import DIM, SMALL, Painter
 from .scales import label, linear_ticks
 
 _BAR, _WIDTH = 150.0, 104.0  # of the bar and of its panel, in pixels at scale 1
@@ -65,7 +65,7 @@ def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
     painter.text(meaning.title, area.x + 12 * s, area.top - 19 * s)
     painter.text(meaning.unit, area.x + 12 * s, area.top - 34 * s, DIM, SMALL)
     bar = Rectangle(area.x + 12 * s, area.y + 13 * s, 14 * s, _BAR * s)
-    painter.drawing.draw_triangles2d(*ramp(bar))
+    painter.triangles(*ramp(bar))
     for tick in linear_ticks(0, meaning.top, 6):
         y = bar.y + bar.height * tick / meaning.top
         painter.line((bar.right + 2 * s, y), (bar.right + 6 * s, y), DIM)
@@ -76,11 +76,6 @@ def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
 def draw_caption(painter: Painter, free: Rectangle, text: str) -> None:
     """Write what is shown at the lower right corner."""
     painter.chip(text, free.right, free.y, "right")
-
-
-def caption_height(scale: float) -> float:
-    """Return the caption's height in pixels."""
-    return CHIP * scale
 
 
 def ramp(bar: Rectangle) -> tuple[np.ndarray, np.ndarray]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import blf
 import numpy as np
@@ -23,61 +23,63 @@ _FONT = 0  # Blender's own
 _CORNER = 5.0  # radius of a panel's corners, in pixels at scale 1
 _CORNER_STEPS = 5
 
+Colors = Sequence[float] | np.ndarray  # (4,) or (N, 4)
+
 
 class Painter:
-    """Draws in pixels of the region. scale: the user's interface scale; lengths are given in pixels already."""
+    """Draws in pixels of the region, once it is ``flush``ed: shapes in their order, then text.
+
+    scale: the user's interface scale, by which widths, sizes and radii are multiplied; places are in pixels already.
+    """
 
     def __init__(self, drawing: Drawing, scale: float):
-        self.drawing, self.scale = drawing, scale
+        self._drawing, self.scale = drawing, scale
+        self._shapes: list[_Shapes] = []
+        self._texts: list[tuple[str, float, float, Sequence[float], float]] = []
 
     def panel(self, area: Rectangle) -> None:
         """Draw a translucent backing with round corners."""
-        self.drawing.draw_triangles2d(rounded(area, _CORNER * self.scale), BACKING)
+        self.triangles(rounded(area, _CORNER * self.scale), BACKING)
+
+    def triangles(self, points: np.ndarray, colors: Colors) -> None:
+        """Draw triangles (3·T, 2)."""
+        self._add("triangles", 0.0, points, colors)
 
     def line(self, begin: Sequence[float], end: Sequence[float], color: Sequence[float], width: float = 1.0) -> None:
-        """Draw a line; its width is scaled."""
+        """Draw one line."""
         self.lines(np.array([[begin, end]], np.float64), color, width)
 
-    def lines(self, points: np.ndarray, colors: Sequence[float] | np.ndarray, width: float = 1.0) -> None:
+    def lines(self, points: np.ndarray, colors: Colors, width: float = 1.0) -> None:
         """Draw lines (N, 2, 2); one colour, or one for each of the 2·N points."""
-        if len(points):
-            self.drawing.draw_lines(np.reshape(points, (-1, 2)), colors, width * self.scale)
+        self._add("lines", width, points, colors)
 
     def curve(self, points: np.ndarray, color: Sequence[float], width: float = 1.5) -> None:
-        """Draw one line through points (N, 2); of a single one, a dot."""
-        if len(points) > 1:
-            self.drawing.draw_lines(points, color, width * self.scale, strip=True)
-        elif len(points):
-            self.dots(points, color, 2 * width)
+        """Draw one line through points (N, 2)."""
+        self.lines(np.stack([points[:-1], points[1:]], axis=1), color, width)
 
-    def dots(self, points: np.ndarray, colors: Sequence[float] | np.ndarray, size: float) -> None:
-        """Draw discs; their size is scaled."""
-        if len(points):
-            self.drawing.draw_points(points, colors, size * self.scale)
+    def dots(self, points: np.ndarray, colors: Colors, size: float) -> None:
+        """Draw discs around points (N, 2)."""
+        self._add("dots", size, points, colors)
 
     def rings(self, points: np.ndarray, color: Sequence[float], radius: float, width: float = 1.5) -> None:
-        """Draw circles around points (N, 2); radius and width are scaled."""
-        if len(points):
-            angles = np.linspace(0, 2 * np.pi, 25)
-            around = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius * self.scale
-            strips = np.asarray(points)[:, None, None] + np.stack([around[:-1], around[1:]], axis=1)[None]
-            self.lines(strips.reshape(-1, 2, 2), color, width)
+        """Draw circles around points (N, 2)."""
+        angles = np.linspace(0, 2 * np.pi, 25)
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius * self.scale
+        strips = np.reshape(points, (-1, 1, 1, 2)) + np.stack([around[:-1], around[1:]], axis=1)[None]
+        self.lines(strips.reshape(-1, 2, 2), color, width)
 
     def text(
         self, text: str, x: float, y: float, color: Sequence[float] = TEXT, size: float = SIZE, align: str = "left"
     ) -> None:
         """Write a line with its base at y, x being its left end, its middle ("centre") or its right end."""
-        with _font(size * self.scale):
-            width = blf.dimensions(_FONT, text)[0]
-            x -= {"left": 0.0, "centre": width / 2, "right": width}[align]
-            blf.color(_FONT, *color)
-            blf.position(_FONT, round(x), round(y), 0)
-            blf.draw(_FONT, text)
+        if align != "left":
+            x -= self.width(text, size) * (0.5 if align == "centre" else 1.0)
+        self._texts.append((text, x, y, color, size))
 
     def width(self, text: str, size: float = SIZE) -> float:
         """Return how wide a line of text is, in pixels."""
-        with _font(size * self.scale):
-            return blf.dimensions(_FONT, text)[0]
+        blf.size(_FONT, size * self.scale)
+        return blf.dimensions(_FONT, text)[0]
 
     def chip(self, text: str, x: float, y: float, align: str = "left") -> None:
         """Write a line on a small backing of its own, y being the backing's lower edge."""
@@ -86,6 +88,44 @@ class Painter:
         x -= {"left": 0.0, "centre": width / 2, "right": width}[align]
         self.panel(Rectangle(x, y, width, CHIP * self.scale))
         self.text(text, x + pad, y + 6.5 * self.scale)
+
+    def flush(self) -> None:
+        """Draw what has been asked for."""
+        for shapes in self._shapes:
+            points, colors = np.concatenate(shapes.points), np.concatenate(shapes.colors)
+            if shapes.kind == "triangles":
+                self._drawing.draw_triangles2d(points, colors)
+            elif shapes.kind == "lines":
+                self._drawing.draw_lines(points, colors, shapes.width * self.scale)
+            else:
+                self._drawing.draw_points(points, colors, shapes.width * self.scale)
+        for text, x, y, color, size in self._texts:
+            blf.size(_FONT, size * self.scale)
+            blf.color(_FONT, *color)
+            blf.position(_FONT, round(x), round(y), 0)
+            blf.draw(_FONT, text)
+        self._shapes.clear()
+        self._texts.clear()
+
+    def _add(self, kind: str, width: float, points: np.ndarray, colors: Colors) -> None:
+        """Ask for shapes; with like ones before them they make one draw: some sixty of them cost 20 ms a redraw."""
+        points = np.reshape(points, (-1, 2))
+        if not len(points):
+            return
+        if not self._shapes or (self._shapes[-1].kind, self._shapes[-1].width) != (kind, width):
+            self._shapes.append(_Shapes(kind, width))
+        self._shapes[-1].points.append(points)
+        self._shapes[-1].colors.append(np.broadcast_to(np.asarray(colors, np.float64), (len(points), 4)))
+
+
+@dataclass
+class _Shapes:
+    """Shapes of one kind and width: (N, 2) points and (N, 4) colours, in parts."""
+
+    kind: str
+    width: float
+    points: list[np.ndarray] = field(default_factory=list)
+    colors: list[np.ndarray] = field(default_factory=list)
 
 
 CHIP = 21.0  # a chip's height, in pixels at scale 1
@@ -105,10 +145,3 @@ def rounded(area: Rectangle, radius: float) -> np.ndarray:
     ])  # fmt: skip
     centre = np.broadcast_to([(area.x + area.right) / 2, (area.y + area.top) / 2], outline.shape)
     return np.stack([centre, outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
-
-
-@contextmanager
-def _font(size: float) -> Iterator[None]:
-    """Set the size of Blender's font, which every drawing of text in Blender sets for itself."""
-    blf.size(_FONT, size)
-    yield

@@ -6,7 +6,7 @@ import math
 
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 # How far the wanted limit may stray from the one that is shown before it changes: a legend that jumps is unreadable.
-_HOLD_BELOW, _HOLD_ABOVE = 0.35, 1.15
+_HOLD_BELOW, _HOLD_ABOVE = 0.45, 1.8
 
 
 def round_up(value: float) -> float:
@@ -22,12 +22,13 @@ def round_down(value: float) -> float:
 
 
 def steady_limit(wanted: float, former: float) -> float:
-    """Return a round limit for what is wanted, the former one as long as it will do. former: 0 where there is none."""
+    """Return a round limit near what is wanted, the former one (0 for none) as long as it will do."""
     if not (math.isfinite(wanted) and wanted > 0):
         return former or 1.0
     if former > 0 and _HOLD_BELOW * former <= wanted <= _HOLD_ABOVE * former:
         return former
-    return round_up(wanted)
+    below, above = round_down(wanted), round_up(wanted)
+    return below if wanted / below <= above / wanted else above
 
 
 def linear_ticks(low: float, high: float, most: int) -> list[float]:

@@ -35,6 +35,7 @@ class Stage:
     def __init__(self, running: Session, home_scene: int):
         self.running, self.home_scene = running, home_scene
         self.drawing = Drawing()
+        self.home_window = 0  # the address of the window in whose context the session works
         self._home: Home | None = None
         self._of: object = None  # the recovery that surface, pictures and reader are of
         self._surface: Surface | None = None
@@ -101,15 +102,13 @@ class Stage:
         maps = view.show and not surface.shows_itself(context, running)
         if maps:
             self._draw_split_line(painter, context, Rectangle(0, 0, region.width, region.height))
-        # Of a quad view one has the panels: the user's own.
-        if context.region_data != context.space_data.region_3d:
-            return
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
-        if free.width < _LEAST[0] * painter.scale or free.height < _LEAST[1] * painter.scale:
-            return
-        if maps:
-            self._draw_legend(painter, context.scene, free)
-        self._draw_panels(painter, view, free)
+        # Of a quad view one has the panels: the user's own.
+        if context.region_data == context.space_data.region_3d and _has_room(free, painter.scale):
+            if maps:
+                self._draw_legend(painter, context.scene, free)
+            self._draw_panels(painter, view, free)
+        painter.flush()
 
     def draw_image(self, context) -> None:
         """Draw over an Image editor: the map flat, rings, legend."""
@@ -128,8 +127,9 @@ class Stage:
         curves.draw_flat_rings(painter, area, running)
         self._draw_split_line(painter, context, area)
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
-        if free.width >= _LEAST[0] * painter.scale and free.height >= _LEAST[1] * painter.scale:
+        if _has_room(free, painter.scale):
             self._draw_legend(painter, context.scene, free)
+        painter.flush()
 
     def close(self) -> None:
         """Free what lies on the GPU."""
@@ -139,6 +139,7 @@ class Stage:
     def _begin(self) -> None:
         self._forget()
         self._of, self._home = self.running.recovery, Home()
+        self.home_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
         self._surface = surface.make_surface(self.running)
         self._reader = TexelProbe(self.running.recovery)
 
@@ -248,7 +249,7 @@ class Stage:
         chosen = min(view.probe, len(running.probes)) - 1
         with_curves = view.show_curves and bool(running.history or running.probes)
         with_swarm = view.show_swarm and chosen >= 0
-        sizes = [curves.curves_size(painter.scale)] * with_curves + [swarm.swarm_size(painter.scale)] * with_swarm
+        sizes = [curves.curves_size(painter.scale, free)] * with_curves + [swarm.swarm_size(painter.scale)] * with_swarm
         places = stacked(free, sizes, _GAP * painter.scale)
         if with_curves and places[0] is not None:
             curves.draw_curves(painter, places[0], running)
@@ -269,7 +270,8 @@ class Stage:
         perspective = np.array(context.region_data.perspective_matrix)
         place = self._dome(view, stand).places[index][None]
         (at,), (before,) = to_pixels(perspective, place, (region.width, region.height))
-        if before and 0 <= at[0] < region.width and 0 <= at[1] < region.height:
+        free = _free(context.area, region)
+        if before and free.x <= at[0] < free.right and free.y <= at[1] < free.top:
             name = self.running.job.capture.observations[index].name
             painter.chip(f"{index}  {name}", at[0] + 12 * painter.scale, at[1] - 10 * painter.scale)
 
@@ -279,6 +281,10 @@ def _pair(view, pictures: list) -> tuple:
     if view.shown == "BLINK" and len(pictures) == 2:
         return pictures[surface.blink_index()], None
     return pictures[0], pictures[1] if len(pictures) == 2 else None
+
+
+def _has_room(free: Rectangle, scale: float) -> bool:
+    return free.width >= _LEAST[0] * scale and free.height >= _LEAST[1] * scale
 
 
 def _free(area, region) -> Rectangle:

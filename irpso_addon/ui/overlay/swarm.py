@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import bpy
 import numpy as np
 
-from ...maps.encode import srgb_from_linear
+from ...maps.encode import encode_normal, srgb_from_linear
 from ...reflectance.model import ReflectanceModel
 from ...solver.resolve import survey_model
 from ...solver.texel_probe import Particles
 from .layout import Rectangle
-from .paint import DIM, HALO, SMALL, Painter
+from .paint import DIM, HALO, SIZE, SMALL, Painter
 from .scales import label
 
 TRAIL = 12  # positions of each particle that are remembered
@@ -41,20 +42,31 @@ class Axis:
 
 
 class Trail:
-    """Where the particles of a texel have been lately."""
+    """Where the particles of a texel have been lately. live: whether they search now; else they are the last seen."""
 
     def __init__(self) -> None:
         self.particles: Particles | None = None
         self.positions: deque[np.ndarray] = deque(maxlen=TRAIL)
+        self.live = False
         self._of: object = None
 
     def follow(self, particles: Particles | None, of: object) -> None:
-        """Take what was read last. of: what tells texels apart; another one, or other components, begin anew."""
-        changed = particles is None or self.particles is None or particles.names != self.particles.names
-        if changed or of != self._of or particles.positions.shape != self.positions[-1].shape:
+        """Take what was read last, None where no swarm searches. of: what tells texels apart.
+
+        Of another texel, or with other components, the trail begins anew.
+        """
+        self.live = particles is not None
+        if of != self._of:
+            self.particles, self._of = None, of
             self.positions.clear()
-        self.particles, self._of = particles, of
-        if particles is not None and not (self.positions and np.array_equal(self.positions[-1], particles.positions)):
+        if particles is None:
+            return
+        if self.positions and particles.positions.shape != self.positions[-1].shape:
+            self.positions.clear()
+        if self.particles is not None and particles.names != self.particles.names:
+            self.positions.clear()
+        self.particles = particles
+        if not (self.positions and np.array_equal(self.positions[-1], particles.positions)):
             self.positions.append(particles.positions)
 
 
@@ -118,12 +130,15 @@ def draw_swarm(
     painter.panel(area)
     painter.dots(np.array([[area.x + 15 * s, area.top - 16 * s]]), color, 8)
     painter.text(title, area.x + 24 * s, area.top - 20 * s)
+    if particles is None:
+        painter.text("No swarm searches now", area.x + area.width / 2, area.y + area.height / 2, DIM, SIZE, "centre")
+        return
+    if not trail.live:
+        painter.text("the last that searched", area.right - 12 * s, area.top - 20 * s, DIM, SMALL, "right")
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 46 * s, 26 * s, 38 * s)
     view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION if len(axes) == 3 else np.pi / 2 - 1e-3)
-    _draw_box(painter, axes, view, inside)
-    if particles is None:
-        return
+    _draw_box(painter, axes, view, inside, area)
     places = in_box(axes, np.stack(trail.positions))
     own = particle_colors(axes, particles.positions, color)
     path, depth = box_pixels(places, view, inside)
@@ -140,37 +155,47 @@ def draw_swarm(
 
 
 def particle_colors(axes: Sequence[Axis], positions: np.ndarray, color: Sequence[float]) -> np.ndarray:
-    """Return (m, 4): in the space of a colour a particle has the colour that it stands for, else its probe's."""
-    if len(axes) == 3 and [axis.name.rpartition(".")[2] for axis in axes] == list("rgb"):
-        linear = np.clip(positions[:, [axis.index for axis in axes]], 0, 1)
-        return np.pad(srgb_from_linear(linear), ((0, 0), (0, 1)), constant_values=1.0)
+    """Return (m, 4): of colours and of normals a particle has the colour that its map would have, else its probe's."""
+    parts = [axis.name.rpartition(".")[2] for axis in axes]
+    values = positions[:, [axis.index for axis in axes]]
+    if parts == list("rgb"):
+        return np.pad(srgb_from_linear(np.clip(values, 0, 1)), ((0, 0), (0, 1)), constant_values=1.0)
+    if parts == list("xyz"):
+        return np.pad(encode_normal(values), ((0, 0), (0, 1)), constant_values=1.0)
     return np.tile(np.float64(color), (len(positions), 1))
+
+
+@cache
+def _survey() -> ReflectanceModel:
+    return survey_model()
 
 
 def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
     """Return the range of a component; a survey searches parameters of a model of its own."""
     parameter, _, part = name.partition(".")
-    for known in (*model.parameters, *survey_model().parameters):
+    for known in (*model.parameters, *_survey().parameters):
         if known.name == parameter:
             return (0.0, 1.0) if known.is_normal and part == "z" else known.range  # it faces the viewer
     return 0.0, 1.0
 
 
-def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, area: Rectangle) -> None:
+def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, inside: Rectangle, panel: Rectangle) -> None:
     used = np.array([i < len(axes) for i in range(3)])
-    pixels, depth = box_pixels(_CORNERS * used, view, area)
+    pixels, depth = box_pixels(_CORNERS * used, view, inside)
     farthest = int(np.argmin(depth))
     for behind in (True, False):
         edges = [edge for edge in _EDGES if (farthest in edge) == behind and 0 not in edge]
-        painter.lines(pixels[np.array(edges)], _FAR if behind else _NEAR)
+        painter.lines(pixels[np.array(edges, int).reshape(-1, 2)], _FAR if behind else _NEAR)
     middle = pixels.mean(axis=0)
     for i, axis in enumerate(axes):
         end = pixels[[4, 2, 1][i]]
         painter.line(pixels[0], end, _AXES[i], 1.4)
         outward = (end - middle) / max(np.linalg.norm(end - middle), 1e-9)
-        x, y = end + outward * 9 * painter.scale
-        align = "left" if outward[0] > 0.35 else "right" if outward[0] < -0.35 else "centre"
-        painter.text(_short(axis), x, y - (10 if outward[1] < 0 else 0) * painter.scale, _AXES[i], SMALL, align)
+        text, (x, y) = _short(axis), end + outward * 9 * painter.scale
+        width, rim = painter.width(text, SMALL), 8 * painter.scale
+        x -= 0 if outward[0] > 0.35 else width if outward[0] < -0.35 else width / 2
+        x = min(max(x, panel.x + rim), panel.right - rim - width)
+        painter.text(text, x, y - (10 if outward[1] < 0 else 0) * painter.scale, _AXES[i], SMALL)
 
 
 def _draw_trails(painter: Painter, path: np.ndarray, colors: np.ndarray) -> None:
@@ -190,8 +215,8 @@ def _draw_best(painter: Painter, place: np.ndarray, view: np.ndarray, area: Rect
     ends, _ = box_pixels(np.stack([place, place * [1, 1, 0]]), view, area)
     painter.line(ends[0], ends[1], (*_BEST[:3], 0.45))
     painter.dots(ends[1:], (*_BEST[:3], 0.6), 3)
-    painter.drawing.draw_triangles2d(star(ends[0], 9.5 * painter.scale), HALO)
-    painter.drawing.draw_triangles2d(star(ends[0], 7 * painter.scale), _BEST)
+    painter.triangles(star(ends[0], 9.5 * painter.scale), HALO)
+    painter.triangles(star(ends[0], 7 * painter.scale), _BEST)
 
 
 def _draw_goal(painter: Painter, at: np.ndarray) -> None:
@@ -213,7 +238,7 @@ def _draw_key(painter: Painter, area: Rectangle, with_goal: bool) -> None:
         elif i == 1:
             painter.rings(at, (1.0, 1.0, 1.0, 0.7), 4.0, 1.0)
         elif i == 2:
-            painter.drawing.draw_triangles2d(star(at[0], 6 * s), _BEST)
+            painter.triangles(star(at[0], 6 * s), _BEST)
         else:
             painter.rings(at, _GOAL, 4.5, 1.5)
         painter.text(text, x + 9 * s, y - 3.5 * s, DIM, SMALL)
@@ -231,4 +256,4 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
 def _short(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
     words = {"r": "Red", "g": "Green", "b": "Blue"}.get(part, f"{bpy.path.display_name(parameter)} {part}".strip())
-    return f"{words} {label(axis.low)}–{label(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
+    return f"{words} {label(axis.low)} to {label(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
