@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
@@ -19,8 +20,12 @@ from ..maps.blender_images import decode
 from .scene_capture import capture_of, capture_path
 from .settings import model_of
 
-_SLICE = 0.02  # seconds of checking at a time, between which Blender answers
+# Seconds of checking at a time, between which Blender answers: as long as Blender took for itself, within these. Its
+# loader has all views drawn anew after each image; where that takes a second (a software renderer on a busy machine),
+# slices of the shortest would leave nearly all of the time to it.
+_SHORTEST, _LONGEST = 0.02, 0.5
 _PAUSE = 0.005  # seconds until the next slice
+_SHOWN = 0.25  # seconds between drawings of what the check does
 _EXTENSIONS = ".lp;.toml;.txt"
 _TABLES = (".lp", ".toml")  # of what lies in a capture, what may be one by itself
 _CAMERA = "camera.toml"  # that is part of a folder's capture
@@ -29,12 +34,17 @@ _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
 
 @dataclass
 class _Check:
-    """A capture that is being looked over. scene: its number in this session; path: as the settings have it."""
+    """A capture that is being looked over. scene: its number in this session; path: as the settings have it.
+
+    paused, shown: when it did so last, by ``time.perf_counter``.
+    """
 
     scene: int
     path: str
     steps: Generator[str, None, Report]
     doing: str = ""
+    paused: float = 0.0
+    shown: float = 0.0
 
 
 _running: list[_Check] = []  # at most one
@@ -80,8 +90,7 @@ def begin_check(scene) -> None:
     steps = inspect_steps(capture_path(settings), decode, settings.colour_space, asked_of(settings))
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
     if bpy.app.background:
-        while _slice(_running[0]):
-            pass
+        _slice(_running[0], math.inf)
     elif not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=_PAUSE)
 
@@ -90,18 +99,22 @@ def _tick() -> float | None:
     """Go on for a slice; called by Blender's timer, which ends with None."""
     if not _running:
         return None
-    more = _slice(_running[0])
-    _redraw()
+    check, now = _running[0], time.perf_counter()
+    more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
+    check.paused = time.perf_counter()
+    if not more or check.paused - check.shown > _SHOWN:
+        check.shown = check.paused
+        _redraw()
     return _PAUSE if more else None
 
 
-def _slice(check: _Check) -> bool:
+def _slice(check: _Check, seconds: float) -> bool:
     """Go on with a check for a slice of time and return whether there is more to do."""
     scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
     if scene is None or scene.irpso.capture_path != check.path:
         _running.clear()
         return False
-    end = time.perf_counter() + _SLICE
+    end = time.perf_counter() + seconds
     while time.perf_counter() < end:
         try:
             check.doing = next(check.steps)
@@ -126,10 +139,12 @@ def _store_findings(settings, findings: Iterable[Finding]) -> None:
 
 
 def _redraw() -> None:
+    """Have the sidebars drawn, which is quick, and not the views that they lie on."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in _AREAS:
-                area.tag_redraw()
+            for region in area.regions if area.type in _AREAS else ():
+                if region.type == "UI":
+                    region.tag_redraw()
 
 
 class ImportCapture(bpy.types.Operator):

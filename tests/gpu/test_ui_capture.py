@@ -194,22 +194,20 @@ def test_a_check_pauses_at_every_image(tmp_path):
         assert [words.format(k) for k in range(1, 6)] == [line for line in told if line.startswith(words[:8])][:5]
 
 
-def test_a_slice_of_a_check_is_short_and_another_capture_ends_it(scene, tmp_path, monkeypatch):
+def test_a_slice_of_a_check_is_short_and_another_capture_ends_it(scene, tmp_path):
     normals, mask = sphere(24)
     write_diligent(tmp_path / "a", shade(normals), mask=mask)
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "a"))
     scene.irpso.summary = ""
-    monkeypatch.setattr(capture_import, "_SLICE", 0.0)  # one step a slice would be none at all: time is up before it
     steps = inspect_steps(tmp_path / "a", decode)
     check = capture_import._Check(scene.session_uid, scene.irpso.capture_path, steps)
     capture_import._running[:] = [check]
-    assert capture_import._slice(check) and check.doing == "" and scene.irpso.summary == ""
-    monkeypatch.setattr(capture_import, "_SLICE", 60.0)
-    assert not capture_import._slice(check) and "5 distant" in scene.irpso.summary
+    assert capture_import._slice(check, 1e-5) and check.doing.startswith("Looking") and scene.irpso.summary == ""
+    assert not capture_import._slice(check, 60.0) and "5 distant" in scene.irpso.summary
     assert capture_import._running == []
     capture_import._running[:] = [check]
     scene.irpso.capture_path = str(tmp_path)
-    assert not capture_import._slice(check) and capture_import._running == []
+    assert not capture_import._slice(check, 60.0) and capture_import._running == []
 
 
 def test_files_can_be_dropped_where_maps_are_seen():
