@@ -149,7 +149,7 @@ def _given(settings, model: ReflectanceModel, size: tuple[int, int]) -> dict[str
 def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     low, high = parameter.range
     if item.image is not None:
-        return _image_map(item.image, parameter, size)
+        return image_map(item.image, parameter, size)
     if parameter.is_normal:
         return np.float32((0, 0, 1))
     values = item.color if parameter.components == 3 else [item.value] * parameter.components
@@ -159,7 +159,7 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     return values
 
 
-def _image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+def image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     """Return (H, W, components) of a Blender image, in the parameter's own units."""
     height, width = size
     if not image.has_data and not image.size[0]:

@@ -177,6 +177,11 @@ class ViewSettings(bpy.types.PropertyGroup):
     swarm_x: StringProperty(name="X", description=_AXIS_TEXT, search=_components)
     swarm_y: StringProperty(name="Y", description=_AXIS_TEXT, search=_components)
     swarm_z: StringProperty(name="Z", description=_AXIS_TEXT, search=_components)
+    goal: PointerProperty(
+        name="True Map", type=bpy.types.Image,
+        description="Where the truth is known, as in a test: the map that should be found, of the first axis' parameter."
+        " The swarm's goal is drawn from it",
+    )  # fmt: skip
 
 
 class Settings(bpy.types.PropertyGroup):

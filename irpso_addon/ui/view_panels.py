@@ -100,6 +100,11 @@ def draw_probes(layout, context) -> None:
     column.prop(view, "show_swarm")
     if view.show_swarm and len(running.probes) > 1:
         column.prop(view, "probe", text="Swarm of Probe")
+    if view.show_swarm:
+        axes = column.column(align=True)
+        for axis in ("swarm_x", "swarm_y", "swarm_z"):
+            axes.prop(view, axis)
+        column.prop(view, "goal")
 
 
 class IRPSO_PT_probes(Sidebar, bpy.types.Panel):

@@ -26,7 +26,7 @@ from irpso_addon.ui.overlay.place import (
 )  # fmt: skip
 from irpso_addon.ui.overlay.plot import curve_plot
 from irpso_addon.ui.overlay.scales import label, linear_ticks, log_ticks, round_down, round_up, steady_limit
-from irpso_addon.ui.overlay.swarm import Trail, box_pixels, choose_axes, in_box, star, view_of
+from irpso_addon.ui.overlay.swarm import Trail, box_pixels, choose_axes, goal_place, in_box, star, view_of
 
 pytestmark = pytest.mark.bpy_only
 
@@ -340,3 +340,13 @@ def test_a_star_has_five_points():
     lengths = np.linalg.norm(points, axis=1)
     assert np.count_nonzero(lengths > 9.9) == 5
     assert points[0] == pytest.approx([0, 10])
+
+
+def test_the_goal_lies_where_a_particle_with_the_true_value_would():
+    model = load_model("principled")
+    names = ("roughness", "base_color.r", "base_color.g", "base_color.b")
+    axes = choose_axes(names, (), model)
+    truth = np.array([0.2, 0.5, 0.7])
+    particle = np.array([0.4, *truth])
+    assert goal_place(axes, model.parameter("base_color"), truth) == pytest.approx(in_box(axes, particle))
+    assert goal_place(axes, model.parameter("roughness"), np.array([0.4])) is None

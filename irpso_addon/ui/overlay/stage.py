@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import time
 
 import bpy
 import numpy as np
 
 from ...capture.camera import Camera
+from ...errors import InputError
 from ...gpu.home import Home
 from ...gpu.viewport import Drawing, Surface
 from ...solver.display import Shown
 from ...solver.texel_probe import TexelProbe
 from .. import preferences
-from ..session import Session
+from ..job import image_map
+from ..session import Probe, Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, free_rectangle, stacked
 from .paint import Painter
 from .place import Stand, to_pixels
+
+_log = logging.getLogger(__name__)
 
 _MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
 _LEAST = (300.0, 230.0)  # of a region's free part, at scale 1, for panels to be drawn in it
@@ -43,7 +48,8 @@ class Stage:
         self._reader: TexelProbe | None = None
         self._pictures: dict[int, tuple[tuple[Shown, ...], list]] = {}  # by the scene's session_uid
         self._limits: dict[int, float] = {}
-        self._trails: dict[int, swarm.Trail] = {}
+        self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
+        self._truths: dict[tuple[int, str], np.ndarray | None] = {}  # by image and parameter
         self._updated = 0.0
         self._looked = -1
 
@@ -246,22 +252,41 @@ class Stage:
 
     def _draw_panels(self, painter: Painter, view, free: Rectangle) -> None:
         running = self.running
-        chosen = min(view.probe, len(running.probes)) - 1
         with_curves = view.show_curves and bool(running.history or running.probes)
-        with_swarm = view.show_swarm and chosen >= 0
-        sizes = [curves.curves_size(painter.scale, free)] * with_curves + [swarm.swarm_size(painter.scale)] * with_swarm
+        with_swarm = view.show_swarm and bool(running.probes)
+        chosen = running.probes[min(view.probe, len(running.probes)) - 1] if with_swarm else None
+        trail = self._trails.get(chosen.slot if chosen else -1, swarm.Trail())
+        sizes = [curves.curves_size(painter.scale, free)] if with_curves else []
+        sizes += [swarm.swarm_size(painter.scale, trail)] if chosen else []
         places = stacked(free, sizes, _GAP * painter.scale)
         if with_curves and places[0] is not None:
             curves.draw_curves(painter, places[0], running)
-        if with_swarm and places[-1] is not None:
-            probe = running.probes[chosen]
-            trail = self._trails.get(probe.slot, swarm.Trail())
-            names = trail.particles.names if trail.particles is not None else ()
-            axes = swarm.choose_axes(names, (view.swarm_x, view.swarm_y, view.swarm_z), running.job.model)
-            title = f"Swarm of texel {probe.column}, {probe.row}"
-            swarm.draw_swarm(
-                painter, places[-1], title, curves.color_of(probe), trail, axes, running.seconds, None
-            )  # fmt: skip
+        if chosen is not None and places[-1] is not None:
+            axes = self._axes(view, trail)
+            goal = self._goal(view, axes, chosen)
+            title = f"Swarm of texel {chosen.column}, {chosen.row}"
+            color = curves.color_of(chosen)
+            swarm.draw_swarm(painter, places[-1], title, color, trail, axes, running.seconds, goal)
+
+    def _axes(self, view, trail: swarm.Trail) -> list[swarm.Axis]:
+        names = trail.particles.names if trail.particles is not None else ()
+        return swarm.choose_axes(names, (view.swarm_x, view.swarm_y, view.swarm_z), self.running.job.model)
+
+    def _goal(self, view, axes: list[swarm.Axis], probe: Probe) -> np.ndarray | None:
+        """Return the place in the box of the probed texel's true value, where an image tells it."""
+        known = {parameter.name: parameter for parameter in self.running.job.model.parameters}
+        parameter = known.get(axes[0].name.partition(".")[0]) if axes else None
+        if view.goal is None or parameter is None:
+            return None
+        key = view.goal.session_uid, parameter.name
+        if key not in self._truths:
+            try:
+                self._truths[key] = image_map(view.goal, parameter, self.running.domain.shape)
+            except InputError as error:
+                _log.warning("no goal is drawn: %s", error)
+                self._truths[key] = None
+        truth = self._truths[key]
+        return None if truth is None else swarm.goal_place(axes, parameter, truth[probe.row, probe.column])
 
     def _name_light(self, painter: Painter, view, subject, context) -> None:
         """Write the current observation's number and name beside its light."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import bpy
 import numpy as np
 
 from ...maps.encode import encode_normal, srgb_from_linear
-from ...reflectance.model import ReflectanceModel
+from ...reflectance.model import Parameter, ReflectanceModel
 from ...solver.resolve import survey_model
-from ...solver.texel_probe import Particles
+from ...solver.texel_probe import Particles, component_names
 from .layout import Rectangle
-from .paint import DIM, HALO, SIZE, SMALL, Painter
+from .paint import DIM, HALO, SMALL, Painter
 from .scales import label
 
 TRAIL = 12  # positions of each particle that are remembered
@@ -23,6 +23,7 @@ _AXES = ((0.98, 0.32, 0.36, 1.0), (0.55, 0.85, 0.22, 1.0), (0.36, 0.62, 1.0, 1.0
 _BEST = (1.0, 0.84, 0.30, 1.0)
 _GOAL = (1.0, 1.0, 1.0, 1.0)
 _WIDTH, _HEIGHT = 264.0, 286.0  # pixels at scale 1
+_EMPTY = 56.0  # high, without a swarm
 _TURN = 40.0  # seconds of work in which the box turns round once
 _START = 0.62  # of the box's turn, in radians
 _ELEVATION = 0.38
@@ -107,9 +108,17 @@ def box_pixels(places: np.ndarray, view: np.ndarray, area: Rectangle) -> tuple[n
     return centre + size * turned[..., :2], turned[..., 2]
 
 
-def swarm_size(scale: float) -> tuple[float, float]:
-    """Return width and height of the panel in pixels."""
-    return _WIDTH * scale, _HEIGHT * scale
+def swarm_size(scale: float, trail: Trail) -> tuple[float, float]:
+    """Return width and height of the panel in pixels: little where there is no swarm to be drawn."""
+    return _WIDTH * scale, (_HEIGHT if trail.particles is not None else _EMPTY) * scale
+
+
+def goal_place(axes: Sequence[Axis], parameter: Parameter, value: np.ndarray) -> np.ndarray | None:
+    """Return (3,) the place in the box of a parameter's true value (components,), None where axes are of others."""
+    names = component_names(parameter)
+    if not axes or not all(axis.name in names for axis in axes):
+        return None
+    return in_box([replace(axis, index=names.index(axis.name)) for axis in axes], value)
 
 
 def draw_swarm(
@@ -131,7 +140,7 @@ def draw_swarm(
     painter.dots(np.array([[area.x + 15 * s, area.top - 16 * s]]), color, 8)
     painter.text(title, area.x + 24 * s, area.top - 20 * s)
     if particles is None:
-        painter.text("No swarm searches now", area.x + area.width / 2, area.y + area.height / 2, DIM, SIZE, "centre")
+        painter.text("No swarm searches it now", area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
         return
     if not trail.live:
         painter.text("the last that searched", area.right - 12 * s, area.top - 20 * s, DIM, SMALL, "right")
