@@ -17,8 +17,9 @@ from ..gpu.passes import Kernel, Output, Pass
 from ..maps.false_color import COLORS, UNCOVERED
 from ..reflectance.model import Parameter, ReflectanceModel
 from . import kernels
+from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .pyramid import Pyramid
-from .recovery import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Progress, Recovery
+from .recovery import Progress, Recovery
 from .state import observation_defines
 from .unknowns import build_unknowns
 
@@ -191,11 +192,10 @@ class _Measure:
             self._start(lent, progress, time_budget_s)
         if self._work is not None:
             self._inputs = lent
+            self._bands.paced = deadline is not None
         while self._work is not None:
             if next(self._work, self) is self:
                 self._finish()
-            elif deadline is not None:
-                self._pass.fence(self._coming)
             if self.measured is None:
                 self._version += 1  # shown as far as it has come
             if deadline is not None and time.perf_counter() >= deadline:
@@ -220,13 +220,16 @@ class _Measure:
             size = lent["u_position"].width, lent["u_position"].height
             self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
-        targets = self._coming
-        seconds = BACKGROUND_BAND_SECONDS if budget is None else min(BAND_SECONDS, 0.5 * budget)
-        # The recovery may go on between bands: each reads what it has found by then.
-        self._work = self._bands.run(
+        self._work = self._measuring(self._coming, budget)
+
+    def _measuring(self, targets: list[Any], budget: float | None) -> Iterator[None]:
+        """Measure into ``targets``. The recovery may go on between bands: each reads what it has found by then."""
+        self._pass.compile()
+        yield  # the first band has a compiler of its own to wait for
+        yield from self._bands.run(
             "measure",
             targets[0].height,
-            seconds,
+            BACKGROUND_BAND_SECONDS if budget is None else min(BAND_SECONDS, 0.5 * budget),
             lambda rows: self._pass.run(targets, self._inputs, self._constants, rows),
             lambda: self._pass.fence(targets),
         )
