@@ -179,7 +179,7 @@ class ViewSettings(bpy.types.PropertyGroup):
     swarm_z: StringProperty(name="Z", description=_AXIS_TEXT, search=_components)
     goal: PointerProperty(
         name="True Map", type=bpy.types.Image,
-        description="Where the truth is known, as in a test: the map that should be found, of the first axis' parameter."
+        description="Where the truth is known, as in a test: the map that should be found, of the first axis' own."
         " The swarm's goal is drawn from it",
     )  # fmt: skip
 
