@@ -26,9 +26,8 @@ def test_enabling_and_disabling_ten_times_leaves_nothing_behind(counted):
 def test_disabled_nothing_in_blender_bears_the_name_of_the_extension(counted):
     told = switch(counted, "disable")
     switch(counted, "enable")
-    names = [*told["types"], *told["properties"], *told["timers"], *told["drawn into Blender's menus"]]
-    assert [name for name in names if "irpso" in name.lower()] == []
-    assert told["draw handlers"] == 0
+    assert [name for name in (*told["types"], *told["properties"]) if "irpso" in name.lower()] == []
+    assert (told["timers"], told["drawn into Blender's menus"], told["draw handlers"]) == ([], [], 0)
 
 
 def test_another_file_can_be_loaded_and_the_extension_is_there_in_it(counted, tmp_path):
