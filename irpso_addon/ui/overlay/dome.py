@@ -13,7 +13,7 @@ from .place import Stand, circle, transformed
 FITTED = 1.7  # radii of the subject from its centre to the dome
 _RAY = 0.10  # of the way to the subject: the stub of a ray that is drawn at every light
 _FAINTEST = 0.35  # display value of the weakest light's brightest channel
-_GUIDE = (0.75, 0.78, 0.85, 0.20)
+_GUIDE = (0.50, 0.52, 0.58, 0.50)  # a grey that is seen on dark and on light themes
 _CAMERA = (0.80, 0.82, 0.88, 0.75)
 _CURRENT = (1.0, 0.86, 0.45, 1.0)
 _FRUSTUM = 0.16  # of the distance to the subject: how deep a camera is drawn

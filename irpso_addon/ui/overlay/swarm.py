@@ -21,6 +21,8 @@ from .scales import label
 TRAIL = 12  # positions of each particle that are remembered
 _AXES = ((0.98, 0.32, 0.36, 1.0), (0.55, 0.85, 0.22, 1.0), (0.36, 0.62, 1.0, 1.0))  # as Blender colours x, y and z
 _BEST = (1.0, 0.84, 0.30, 1.0)
+_LIGHT_RIM = (0.85, 0.85, 0.88, 0.8)
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, of display values, which is near enough to tell dark from light
 _GOAL = (1.0, 1.0, 1.0, 1.0)
 _WIDTH, _HEIGHT = 264.0, 286.0  # pixels at scale 1
 _EMPTY = 56.0  # high, without a swarm
@@ -153,9 +155,9 @@ def draw_swarm(
     path, depth = box_pixels(places, view, inside)
     _draw_trails(painter, path, own)
     bests, _ = box_pixels(in_box(axes, particles.bests[np.isfinite(particles.fitness)]), view, inside)
-    painter.rings(bests, (1.0, 1.0, 1.0, 0.55), 4.0, 1.0)
+    painter.rings(bests, (1.0, 1.0, 1.0, 0.55), 5.5, 1.0)
     order = np.argsort(depth[-1])
-    painter.dots(path[-1][order], HALO, 8.5)
+    painter.dots(path[-1][order], _rims(own[order]), 8.5)
     painter.dots(path[-1][order], own[order], 6.5)
     best = in_box(axes, particles.global_best)
     _draw_best(painter, best, view, inside)
@@ -172,6 +174,12 @@ def particle_colors(axes: Sequence[Axis], positions: np.ndarray, color: Sequence
     if parts == list("xyz"):
         return np.pad(encode_normal(values), ((0, 0), (0, 1)), constant_values=1.0)
     return np.tile(np.float64(color), (len(positions), 1))
+
+
+def _rims(colors: np.ndarray) -> np.ndarray:
+    """Return (m, 4) what particles are edged with to stand out from the panel: dark ones light, light ones dark."""
+    dark = colors[:, :3] @ _LUMINANCE < 0.35
+    return np.where(dark[:, None], _LIGHT_RIM, HALO)
 
 
 @cache
