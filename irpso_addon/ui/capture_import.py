@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
@@ -128,14 +129,17 @@ def _slice(check: _Check, seconds: float) -> bool:
 def _store(settings, report: Report) -> None:
     settings.checked_path = settings.capture_path
     settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
-    _store_findings(settings, report.findings)
+    folder = report.path if report.path.is_dir() else report.path.parent
+    _store_findings(settings, report.findings, f"{folder}{os.sep}")
 
 
-def _store_findings(settings, findings: Iterable[Finding]) -> None:
+def _store_findings(settings, findings: Iterable[Finding], known: str = "") -> None:
+    """Keep findings as settings. known: how the paths in them begin, which is left out: a panel is narrow."""
     settings.findings.clear()
     for finding in findings:
         item = settings.findings.add()
-        item.severity, item.message = finding.severity, finding.message
+        item.severity = finding.severity
+        item.message = finding.message.replace(known, "") if known else finding.message
 
 
 def _redraw() -> None:
