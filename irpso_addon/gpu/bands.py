@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 
 _FIRST_BANDS = 64  # into how many bands a pass that has never been timed is cut
-_GROWTH = 4  # times the rows of one band that the next may have: regions of a picture differ in what they cost
+_GRAIN = 4  # rows that cost the same as one: software renderers shade blocks of 4 × 4
+_GROWTH = 2  # times the rows of one band that the next may have
+_FORGET = 0.8  # of a rate that is left after a faster band: the next region of a picture may be dear again
 _TIMED_BANDS = 3  # of each kind, before its rate is believed where nobody waits
 _TIME_AGAIN = 64  # runs of a pass between later timings
 
@@ -29,14 +31,14 @@ class Bands:
     ) -> Iterator[None]:
         """Draw all rows in bands of about ``seconds`` each; yields after every band.
 
-        The first band of all is one row, in which drivers compile; its time tells nothing.
+        The first band of all is the smallest, in which drivers compile; its time tells nothing.
         """
         runs = self._runs[name] = self._runs.get(name, 0) + 1
         row = 0
         if name not in self._timed:
             self._timed[name] = 0
-            yield from self.once(lambda: draw((0, 1)), fence)
-            row = 1
+            row = min(_GRAIN, height)
+            yield from self.once(lambda: draw((0, row)), fence)
         if self.paced and row < height:
             fence()  # what was ordered before is none of this pass
         while row < height:
@@ -62,9 +64,8 @@ class Bands:
 
     def _next(self, name: str, height: int, seconds: float) -> int:
         rate = self._seconds_per_row.get(name)
-        if rate is None:
-            return max(1, height // _FIRST_BANDS)
-        return max(1, min(int(seconds / rate), _GROWTH * self._rows[name]))
+        rows = height // _FIRST_BANDS if rate is None else min(int(seconds / rate), _GROWTH * self._rows[name])
+        return max(_GRAIN, rows - rows % _GRAIN)
 
     def _learn(self, name: str, rows: int, seconds_per_row: float) -> None:
         self._timed[name] += 1
@@ -72,5 +73,5 @@ class Bands:
         # 1e-7: a clock that did not advance must not make a band of endless rows.
         found = max(1e-7, seconds_per_row)
         before = self._seconds_per_row.get(name, found)
-        # Slower is believed at once, faster by halves: a band too many costs less than a stall.
-        self._seconds_per_row[name] = max(found, 0.5 * (before + found))
+        # Slower is believed at once, faster little by little: a band too many costs less than a stall.
+        self._seconds_per_row[name] = max(found, _FORGET * before)

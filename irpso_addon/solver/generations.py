@@ -159,6 +159,11 @@ class RunningGenerations(Phase):
         self.textures.restore(arrays)
         self.iteration = iteration
 
+    def inherit(self, old: RunningGenerations) -> None:
+        """Go on with the swarms of a stage that looks for the same, which is over then."""
+        self.textures.stop()
+        self.textures, old.textures, self.iteration = old.textures, None, old.iteration
+
     def close(self) -> None:
         """Free shaders and textures."""
         self.passes.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -12,20 +13,19 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.coarsen import coarser, coarser_map, finer_map
 from ..geometry.domain import Domain
 from ..gpu import probe
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
+from .changes import given
 from .checkpoint import Checkpoint
 from .recovery import NOTE, Progress, Recovery, full_map, named
 from .resolve import resolve
 from .schedule import Schedule
 
-# Of the preset's spread around the seed, and of its first speeds, where the seed is a coarser level's: with 300
-# iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
-_NARROWER = 0.3
 _AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations made at those before it
 
 
@@ -50,13 +50,7 @@ class Pyramid:
         known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         self._domains, self._known = _sizes(domain, model, known, schedule.levels)
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        self._iterations = [
-            sum(stage.iterations for stage in resolve(s, model, set(known), domain.observations))
-            for s in self._schedules
-        ]
-        self._costs = [
-            count * int(np.count_nonzero(d.solvable)) for count, d in zip(self._iterations, self._domains, strict=True)
-        ]
+        self._count()
         self._level, self._before = 0, 0  # evaluations of the levels that are done
         self._live = self._begin(None, None)
 
@@ -110,9 +104,17 @@ class Pyramid:
         """Return the mean error of the level that is being solved, as Recovery.mean_error."""
         return self._live.mean_error()
 
+    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
+        """Find what maps() tells of the level that is being solved, as Recovery.refresh_confidence."""
+        return self._live.refresh_confidence(time_budget_s)
+
     def view(self) -> AbstractContextManager[dict[str, Any]]:
         """Lend the live textures of the level that is being solved, as Recovery.view."""
         return self._live.view()
+
+    def confidence_view(self) -> AbstractContextManager[dict[str, Any]]:
+        """Lend the deviations of the level that is being solved, as Recovery.confidence_view."""
+        return self._live.confidence_view()
 
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save."""
@@ -130,6 +132,17 @@ class Pyramid:
         self._live = self._begin(None, saved)
         return named(saved.arrays, NOTE)
 
+    def changed(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
+        """Return a run that goes on from here under another schedule, as Recovery.changed; levels must be as many."""
+        if schedule.levels != self.schedule.levels:
+            raise InputError(f"levels = {schedule.levels}: a run under way has {self.schedule.levels}; begin another")
+        result = copy(self)
+        result.schedule, result.seed = schedule, self.seed if seed is None else seed
+        result._schedules = level_schedules(schedule)
+        result._live = self._live.changed(result._schedules[self._level], seed)
+        result._count()
+        return result
+
     def close(self) -> None:
         """Free all that lies on the GPU."""
         self._live.close()
@@ -139,6 +152,14 @@ class Pyramid:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _count(self) -> None:
+        known, observations = set(self._known[-1]), self.domain.observations
+        self._iterations = [
+            sum(stage.iterations for stage in resolve(s, self.model, known, observations)) for s in self._schedules
+        ]
+        solved = [int(np.count_nonzero(d.solvable)) for d in self._domains]
+        self._costs = [count * texels for count, texels in zip(self._iterations, solved, strict=True)]
 
     def _begin(self, guess: Maps | None, state: Checkpoint | None) -> Recovery:
         """Return the recovery of the level that is next. guess: at its size, None where there is no coarser one."""
@@ -178,14 +199,7 @@ def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
     part = schedule.level_iterations
     stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
     survey = replace(first.survey, iterations=_part(first.survey.iterations, part))
-    swarm = first.swarm
-    finer = first.replaced(
-        seed="given",
-        survey=survey,
-        seed_spread=_NARROWER * swarm.seed_spread,
-        start_speed=_NARROWER * swarm.start_speed,
-    )
-    finer = replace(finer, stages=stages)
+    finer = replace(given(first.replaced(survey=survey)), stages=stages)
     return (first, *[finer] * (schedule.levels - 1))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -18,7 +17,7 @@ from ..gpu import context, probe, textures
 from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
-from . import checkpoint, prepare
+from . import changes, checkpoint, prepare
 from .checkpoint import Checkpoint
 from .findings import Findings
 from .generations import RunningGenerations
@@ -26,7 +25,8 @@ from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
 from .prior import RunningPrior
-from .resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
+from .progress import Progress
+from .resolve import Resolved, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
 from .schedule import Schedule
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, texel_states
@@ -38,26 +38,6 @@ NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller'
 _PHASE = "phase_"  # before those that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a recovery is. iteration counts from 0 in the stage, negative while swarms are being placed.
-
-    iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1. evaluations:
-    renders of all observations at one texel, so far.
-    """
-
-    stage: int
-    stages: int
-    title: str
-    iteration: int
-    iterations: int
-    iteration_in_all: int
-    iterations_in_all: int
-    fraction: float
-    evaluations: int
-    done: bool
 
 
 class Recovery:
@@ -83,25 +63,41 @@ class Recovery:
         prepared: Prepared | None = None,
         state: Checkpoint | None = None,
     ):
-        if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
-            raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
-        if schedule.levels > 1:
-            raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
+        self._check(schedule, seed)
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
-        self._stages = resolve(schedule, model, set(known), domain.observations)
+        stages = resolve(schedule, model, set(known), domain.observations)
         prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
-        self._packing = prepared.packing
-        scale = self._packing.pack(prepared.scale)
-        self._textures = DomainTextures(domain, self._packing, None, scale, prepared.brightness, prepared.arrays)
-        self._stack: np.ndarray | None = prepared.stack  # until it is on the GPU
-        self._solved = int((texel_states(domain) == SOLVED).sum())
-        guess = {**prepared.guess, **known}
-        self._estimates = Estimates(model, {name: self._packing.pack(value) for name, value in guess.items()})
-        self._known = known
-        self._findings = Findings(model, self._textures, self._estimates, known)
+        packing, guess = prepared.packing, {**prepared.guess, **known}
+        scale = packing.pack(prepared.scale)
+        self._set_up(
+            DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays),
+            prepared.stack,
+            Estimates(model, {name: packing.pack(value) for name, value in guess.items()}),
+            known,
+            stages,
+        )
+        if state is None:
+            self._phase = self._begin(0, schedule)
+        else:
+            self.restore(state)
+
+    def _set_up(
+        self,
+        textures: DomainTextures,
+        stack: np.ndarray | None,
+        estimates: Estimates,
+        known: dict[str, np.ndarray],
+        stages: tuple[Resolved, ...],
+    ) -> None:
+        """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
+        self._stages, self._known = stages, known
+        self._textures, self._stack, self._estimates = textures, stack, estimates
+        self._packing = textures.packing
+        self._solved = int((texel_states(self.domain) == SOLVED).sum())
+        self._findings = Findings(self.model, textures, estimates, known)
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
         self._shown: tuple[int, int] | None = None  # and of which a display's copy is
@@ -113,10 +109,6 @@ class Recovery:
         self._surveyed: np.ndarray | None = None  # the survey's fitness, packed, once there is one
         self._evaluations = 0
         self._phase: Phase | None = None
-        if state is None:
-            self._phase = self._begin(0)
-        else:
-            self.restore(state)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, or for about so long, or to the end; return the progress.
@@ -259,9 +251,24 @@ class Recovery:
         self._surveyed = saved.arrays.get("surveyed")
         if self._phase is not None:
             self._phase.close()
-        self._phase = self._begin(self._index) if self._index < len(self._stages) else None
+        self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
         if self._phase is not None:
             self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
+
+    def changed(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
+        """Return a recovery that goes on from here under another schedule. This one can only be closed then.
+
+        What the domain has on the GPU serves both. Stages that are finished, and that the other schedule has too, are
+        not made again, whatever their settings are now. The stage under way goes on in mid-search where its swarms have
+        as many particles and the fitness is the same: other constants then count from the next iteration on. Else it
+        begins anew, as does every stage from the first on that is another: swarms around what has been found, the
+        polish and the prior from there. So the error can rise for a while where the fitness is another, and a prior
+        that was under way is made from the start. A checkpoint goes on bit for bit
+        once its swarms are placed. prepared: of ``prepare`` with the other schedule, where its
+        percentile or shadow differ; found here otherwise, which may take a second. Raises InputError, with this one
+        left as it was but for an iteration that was under way.
+        """
+        return changes.changed(self, schedule, seed, prepared)
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
@@ -278,11 +285,17 @@ class Recovery:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, index: int) -> Phase:
+    @staticmethod
+    def _check(schedule: Schedule, seed: int) -> None:
+        if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
+            raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
+        if schedule.levels > 1:
+            raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
+
+    def _begin(self, index: int, schedule: Schedule) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
-        stage, model, schedule = self._stages[index], self.model, self.schedule
-        domain, estimates = self._textures, self._estimates
+        stage, model, domain, estimates = self._stages[index], self.model, self._textures, self._estimates
         if isinstance(stage, ResolvedPolish):
             return RunningPolish(stage, model, schedule, domain, estimates, self.entry, self._judge())
         if isinstance(stage, ResolvedPrior):
@@ -329,7 +342,7 @@ class Recovery:
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes cost something else
         self._index += 1
-        self._phase = self._begin(self._index) if self._index < len(self._stages) else None
+        self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
 
     def _finish_iteration(self) -> None:
         if self._work is not None:

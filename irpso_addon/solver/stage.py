@@ -141,6 +141,11 @@ class RunningStage(Phase):
         self.swarm.restore(arrays)
         self.iteration = iteration
 
+    def inherit(self, old: RunningStage) -> None:
+        """Go on with the swarms of a stage that looks for the same, which is over then."""
+        self.swarm.stop()
+        self.swarm, old.swarm, self.iteration = old.swarm, None, old.iteration
+
     def close(self) -> None:
         """Free shaders and textures."""
         self.passes.close()

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.build import mapped_array
 from ..geometry.domain import Domain, tile
 from ..gpu import context, probe
@@ -206,6 +207,20 @@ class TiledRecovery:
             evaluations = int(saved.arrays[_EVALUATIONS][number])
             part.progress = replace(self._tiles[0].progress, evaluations=evaluations)
         return named(saved.arrays, NOTE)
+
+    def mean_error(self) -> float:
+        """Return the mean error over a few thousand texels of each tile on the device, as Recovery.mean_error."""
+        live = [part for part in self._tiles if part.recovery is not None]
+        errors = np.array([part.recovery.mean_error() for part in live])
+        return float(np.average(errors, weights=[part.solved for part in live]))
+
+    def changed(self, schedule: Schedule, seed: int | None = None) -> TiledRecovery:
+        """Raise InputError: a recovery in tiles does not change its settings midway."""
+        raise InputError("a recovery in tiles takes no other settings in mid-run: stop, and recover again with them")
+
+    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
+        """Return True: tiles that take turns find theirs in maps()."""
+        return True
 
     def close(self) -> None:
         """Free all that lies on the GPU, and the files."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.errors import ShaderError
+from irpso_addon.errors import GpuUnavailableError, ShaderError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.compiler import messages_of
@@ -142,6 +142,85 @@ def test_bands_cover_every_row_once_whatever_time_they_are_given(seconds, height
         for _ in bands.run("pass", height, seconds, drawn.append, lambda: None):
             pass
         assert [row for first, last in drawn for row in range(first, last)] == list(range(height))
+
+
+class Costs:
+    """A clock that a draw advances: each row costs its own time, and nothing else does."""
+
+    def __init__(self, seconds_per_row):
+        self.now, self.costs, self.bands = 0.0, np.asarray(seconds_per_row), []
+
+    def perf_counter(self):
+        return self.now
+
+    def draw(self, rows):
+        cost = self.costs[rows[0] : rows[1]].sum()
+        self.bands.append(cost)
+        self.now += cost
+
+
+@pytest.mark.parametrize("paced", [True, False])
+def test_the_first_bands_of_a_pass_are_short_and_then_as_long_as_asked_for(monkeypatch, paced):
+    clock = Costs(np.full(512, 1e-3))
+    monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
+    bands = Bands(paced)
+    for _ in range(3):
+        for _ in bands.run("pass", 512, 0.02, clock.draw, lambda: None):
+            pass
+    assert max(clock.bands) <= 0.02 + 1e-9
+    assert max(clock.bands[:2]) <= 0.008 + 1e-9  # nothing is known of it yet
+    assert np.median(clock.bands[4:]) >= 0.016
+
+
+def test_a_region_that_is_dearer_by_far_stalls_nothing_once_it_is_known(monkeypatch):
+    clock = Costs(np.where(np.arange(512) < 256, 1e-5, 1e-3))  # texels that are done cost little
+    monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
+    bands = Bands(paced=True)
+    for run in range(4):
+        clock.bands.clear()
+        for _ in bands.run("pass", 512, 0.02, clock.draw, lambda: None):
+            pass
+        assert run == 0 or max(clock.bands) < 0.08
+        assert sum(cost > 0.021 for cost in clock.bands) <= 2
+
+
+@pytest.mark.parametrize("paced", [True, False])
+def test_every_band_is_waited_for_where_somebody_looks_at_the_clock(paced):
+    bands, order = Bands(paced), []
+    for _ in range(20):
+        order.clear()
+        for _ in bands.run("pass", 64, 1.0, lambda rows: order.append("draw"), lambda: order.append("fence")):
+            order.append("look")
+    unfenced = sum(a == "draw" and b == "look" for a, b in zip(order, order[1:], strict=False))
+    assert (unfenced == 0) == paced
+
+
+def test_a_pass_is_compiled_where_it_is_first_run(entry, monkeypatch):
+    compiled = []
+    from irpso_addon.gpu import passes
+
+    real = passes.compile_shader
+    monkeypatch.setattr(passes, "compile_shader", lambda name, *rest: compiled.append(name) or real(name, *rest))
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    assert not compiled
+    target = textures.empty(5, 3, value=BEFORE)
+    for _ in range(2):
+        work.run([target], {}, {"u_mark": 5, "u_skip": 0, "u_scale": 0.1})
+        assert len(compiled) == 1
+    work.close()
+
+
+def test_samplers_that_a_kernel_does_not_speak_of_take_no_room(entry, monkeypatch):
+    monkeypatch.setattr(context, "max_samplers", lambda: 1)
+    source, copied = textures.upload(np.full((3, 5, 4), 2.5, np.float32)), textures.empty(5, 3)
+    others = {f"u_other_{i}": "FLOAT_2D" for i in range(40)}
+    copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {**others, "u_source": "FLOAT_2D"}, {}, {}), entry)
+    copy.run([copied], {"u_source": source})
+    assert (read(copied) == 2.5).all()
+    copy.close()
+    monkeypatch.setattr(context, "max_samplers", lambda: 0)
+    with pytest.raises(GpuUnavailableError, match=r"reads 0 textures in a shader, view/copy\.glsl needs 1; choose"):
+        Pass(copy.kernel, entry).compile()
 
 
 # ---- sources -----------------------------------------------------------------------------------------------------
