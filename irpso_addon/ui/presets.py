@@ -175,6 +175,12 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
             return "Remove this preset of your own; the settings stay as they are"
         return cls.__doc__
 
+    def draw(self, context) -> None:
+        """Ask for the name, its field ready to be typed into."""
+        row = self.layout.row()
+        row.activate_init = True
+        row.prop(self, "name")
+
     def execute(self, context):
         """Add or remove a preset of the user's own; shipped ones are never touched."""
         settings = context.scene.irpso.schedule

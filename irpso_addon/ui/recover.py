@@ -186,7 +186,7 @@ class IRPSO_OT_stop(bpy.types.Operator):
 
     def execute(self, context):
         """Keep, and end."""
-        return bpy.ops.irpso.keep("INVOKE_DEFAULT")
+        return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one step to undo, as if pressed itself
 
 
 class IRPSO_OT_cancel(bpy.types.Operator):
