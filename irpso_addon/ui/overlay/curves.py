@@ -12,6 +12,7 @@ from .legend import PERCENT
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
 from .place import Stand, circle, pixel_size, transformed
 from .plot import curve_plot
+from .scales import label
 
 _MEAN = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
@@ -95,7 +96,7 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
         painter.dots(np.array([[x, y + 3.5 * s]]), color, 7)
         painter.text(name, x + 9 * s, y, TEXT, SMALL)
         if curve:
-            painter.text(f"{PERCENT * curve[-1][1]:.2g}", area.right - 10 * s, y, DIM, SMALL, "right")
+            painter.text(label(float(f"{PERCENT * curve[-1][1]:.2g}")), area.right - 10 * s, y, DIM, SMALL, "right")
         y -= 17 * s
 
 
