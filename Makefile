@@ -5,8 +5,8 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench test test-matrix test-gui lint format extension clean environment environment-test \
-        environment-bench
+.PHONY: help demo paper doctor bench test test-matrix test-gui docs-images lint format extension clean environment \
+        environment-test environment-bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST) | expand -t 22
@@ -40,6 +40,9 @@ test-matrix: environment-test ## the headless Blender tests on every supported v
 
 test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/to/blender, or Debian's, built once
 	$(RUN) tests/run_gui.py $(ONLY)
+
+docs-images: environment ## the guide's pictures, from a Blender window as in test-gui, into docs/images
+	$(RUN) scripts/docs_images.py
 
 lint: environment-test ## style only
 	$(RUN) -m ruff check --quiet .

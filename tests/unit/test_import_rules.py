@@ -244,8 +244,8 @@ def test_a_fresh_clone_stays_small():
     objects = "\n".join(line.split()[0] for line in names.stdout.splitlines())
     pack = ["git", "pack-objects", "--stdout", "-q"]
     history = len(subprocess.run(pack, cwd=ROOT, input=objects.encode(), capture_output=True, check=True).stdout)
-    # Sources and tests take 1.6 MB, the plots of docs/ the rest; no data, no pictures of the program's own making.
-    assert files < 3_000_000
+    # Sources and tests take 2.2 MB, the plots and pictures of docs/ 0.8 MB; no data.
+    assert files < 3_500_000
     assert history < 4_000_000
 
 
