@@ -56,6 +56,7 @@ class Pass:
     def __init__(self, kernel: Kernel, entry: Entry = "fragment"):
         if not 1 <= len(kernel.outputs) <= MAX_OUTPUTS:
             raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.outputs)}")
+        context.ensure()
         self.kernel, self.entry = kernel, entry
         self._shader: Any = None
         self._triangle: Any = None
@@ -66,7 +67,6 @@ class Pass:
     def compile(self) -> Pass:
         """Compile now what would be at the first run; return the pass. Raises ShaderError, GpuUnavailableError."""
         if self._shader is None:
-            context.ensure()
             source = self._sources()
             declared = _declared(self.kernel, source)
             build = self._compute if self.entry == "compute" else self._fragment

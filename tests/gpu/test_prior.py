@@ -370,6 +370,7 @@ def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover
     monkeypatch.setattr(textures, "_texture", counted)
     again = RunningPrior(resolve(schedule, TWO_LOBES, set())[-1], TWO_LOBES, schedule, bench.uploaded, bench.estimates,
                          "fragment")  # fmt: skip
+    again.textures.ensure()
     assert sum(taken) == 99 * need.textures
     assert sum(array.nbytes for array in again.state().values()) == 99 * need.kept
     reaches, renders = [], 0

@@ -208,7 +208,7 @@ def test_looking_at_maps_often_keeps_nothing(recover):
         recovery.step(iterations=1)
         recovery.maps()
         recovery.halo()
-    assert len(recovery._residual._framebuffers) == 1
+    assert len(recovery._findings._residual._framebuffers) == 1
     assert len(recovery._phase.reader._copy._framebuffers) <= 2
 
 
