@@ -191,6 +191,7 @@ HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n"
     [
         (HEAD + "schedule.preset = 'nonsense'\n", "preset 'nonsense' is not shipped; choose one of"),
         (HEAD + "schedule.preset = 'paper'\nschedule.particels = 3\n", "there is no setting 'particels'"),
+        (HEAD + "schedule.preset = 'paper'\nschedule.search = ['normal']\n", "there is no setting 'search'"),
         (HEAD + "schedule.preset = 'paper'\nschedule.particles = -3\n", "particles must be a whole number from 1"),
         (HEAD + "schedule.preset = 'paper'\nschedule.seeded = 2.0\n", "seeded must be at most 1"),
         (HEAD + "schedule.particles = 3\n", "names no schedule"),
