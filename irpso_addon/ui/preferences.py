@@ -106,7 +106,7 @@ class Preferences(bpy.types.AddonPreferences):
             box = layout.box().column(align=True)
             for name, value in _report.items():
                 row = box.split(factor=0.25)
-                row.label(text=name)
+                row.label(text=name[:1].upper() + name[1:])
                 row.label(text=value)
 
 

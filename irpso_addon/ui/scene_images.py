@@ -96,9 +96,8 @@ def _in_memory(image, where: str, space: str) -> Photograph:
         return Picture(values.reshape(height, width, found.channels), 32 if found.is_float else 8)
 
     def read() -> Samples:
-        found = picture()
-        # Blender keeps floats in linear light, whatever their color space was.
-        return samples_of_picture(found, "linear" if found.bits == 32 else space)
+        # Blender keeps floats in linear light, whatever the color space of their file: what "auto" takes them for.
+        return samples_of_picture(picture(), space)
 
     return Photograph(size, where, read, lambda: mask_of_picture(picture()))
 

@@ -418,7 +418,8 @@ def test_an_eight_bit_image_that_is_set_to_non_color_is_linear(scene, tmp_path):
 @pytest.mark.parametrize("is_float", [False, True])
 def test_an_image_made_in_blender_is_taken_as_it_is(scene, is_float):
     image = bpy.data.images.new("made", 6, 4, float_buffer=is_float)
-    values = RNG.integers(0, 254, (4, 6, 4)) / 255
+    image.colorspace_settings.name = "sRGB"  # of a file that floats are saved to: in memory they are linear
+    values = RNG.integers(0, 254, (4, 6, 4)) / 255 * (3 if is_float else 1)
     values[..., 3] = 1
     image.pixels.foreach_set(values.astype(np.float32).ravel())
     observation = photographed(scene, image)
