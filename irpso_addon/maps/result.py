@@ -15,8 +15,9 @@ class Maps:
 
     values: parameter name → (H, W, components) float32 in the parameter's own units; a normal is a unit vector in
     tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
-    mean absolute difference between render and reference over the weighted samples, or None. confidence: parameter
-    name → (H, W, components) standard deviation, or None. A normal's is in radians, one component.
+    mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
+    parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
+    one component, at most π/2.
     """
 
     model: ReflectanceModel

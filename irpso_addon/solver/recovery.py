@@ -41,14 +41,14 @@ _SHARE = 0.5  # of a time budget that one band takes: the last one begins before
 
 
 class Recovery:
-    """One run: domain, model and schedule to maps.
+    """One run: domain, model and schedule to maps (Nagano et al., Eq. 2–4; what goes past them: solver/schedule.py).
 
     The same seed, settings and device give the same maps bit for bit, however the steps were sliced, the domain
     tiled or the run interrupted. Needs a GPU context (GpuUnavailableError); a model that does not compile raises
     ShaderError, settings that do not fit InputError.
 
-    domain: what was observed. known: parameter name → (H, W, components) or (components,), taken as given and not
-    searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where
+    domain: what was observed. seed: −2³¹ to 2³¹ − 1. known: parameter name → (H, W, components) or (components,) in the
+    parameter's own units, taken as given and not searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where
     it has been found already. state: where it begins, of ``state``.
     """
 

@@ -258,7 +258,11 @@ def shipped_presets() -> list[str]:
 
 
 def load_schedule(name_or_path: str | Path) -> Schedule:
-    """Read a shipped preset by name, or a .toml file of one's own by path. Raises InputError."""
+    """Read a shipped preset by name, or a .toml file of one's own by path.
+
+    What each constant means and may be: Swarm, Fitness, Survey, Polish, Prior and SETTINGS, here; where the shipped
+    values are from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
+    """
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
     _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", *_OPTIONAL], str(path))
     rows = table.get("stage", [])

@@ -10,6 +10,7 @@ import pytest
 
 import irpso_addon
 from irpso_addon.solver.schedule import load_schedule, shipped_presets
+from irpso_addon.ui.schedule_words import GROUPS, WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -70,6 +71,14 @@ def test_every_button_that_is_named_is_there(name):
     sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "irpso_addon" / "ui").rglob("*.py"))
     sources += (ROOT / "shaders" / "models" / "principled.toml").read_text(encoding="utf-8")
     assert [label for label in labels if f'"{label}' not in sources] == []
+
+
+def test_every_setting_that_is_advised_is_in_the_panel_that_is_named():
+    pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("presets.md", "reading_maps.md")]
+    advised = re.findall(r"\b([A-Z]\w+), ([A-Z][A-Za-z ]+) = \w", "\n".join(pages))
+    assert len(advised) > 5
+    labels = {group: {WORDS[name].label for name in names} for group, names in GROUPS.items()}
+    assert [(group, label) for group, label in advised if label not in labels[group]] == []
 
 
 def test_every_shipped_preset_is_described():
