@@ -24,7 +24,7 @@ _BEST = (1.0, 0.84, 0.30, 1.0)
 _LIGHT_RIM = (0.85, 0.85, 0.88, 0.8)
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, of display values, which is near enough to tell dark from light
 _GOAL = (1.0, 1.0, 1.0, 1.0)
-_WIDTH, _HEIGHT = 264.0, 286.0  # pixels at scale 1
+_WIDTH, _HEIGHT = 264.0, 294.0  # pixels at scale 1
 _EMPTY = 56.0  # high, without a swarm
 _TURN = 40.0  # seconds of work in which the box turns round once
 _START = 0.62  # of the box's turn, in radians
@@ -147,7 +147,7 @@ def draw_swarm(
     if not trail.live:
         painter.text("the last that searched", area.right - 12 * s, area.top - 20 * s, DIM, SMALL, "right")
     _draw_key(painter, area, goal is not None)
-    inside = area.inset(26 * s, 46 * s, 26 * s, 38 * s)
+    inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
     view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION if len(axes) == 3 else np.pi / 2 - 1e-3)
     _draw_box(painter, axes, view, inside, area)
     places = in_box(axes, np.stack(trail.positions))
