@@ -16,8 +16,8 @@ _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light
 def read_capture(path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto") -> Capture:
     """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded when they are asked for.
 
-    Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own. Images
-    become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
+    Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
+    Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
     decoder: reads the formats that are no EXR (``irpso_addon.maps.blender_images.decode`` is one); without it such
     images are refused. colour_space: "srgb", "linear", or "auto" (8-bit files sRGB, all others linear).
     Raises InputError naming the file and the remedy.

@@ -72,9 +72,10 @@ def domain_from_mesh(
 ) -> Domain:
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
-    mesh: of ``extract_mesh``, in the capture's world. grazing: the least cosine, 0…1, between face and view at which a
-    texel counts as seen. Observations are read one at a time. The domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. Raises InputError for
-    overlapping UVs (unless allowed), images of another size than their camera, or when no texel is seen by any camera.
+    mesh: of ``extract_mesh``, in the capture's world. grazing: the least cosine, 0…1, between face and view at
+    which a texel counts as seen. Observations are read one at a time. The domain's bake is a SurfaceBake, which
+    ``frames`` needs. scratch: as for a card. Raises InputError for overlapping UVs (unless allowed), images of
+    another size than their camera, or when no texel is seen by any camera.
     """
     return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch))
 

@@ -106,8 +106,8 @@ def shipped_models() -> list[str]:
 def load_model(name_or_path: str | Path) -> ReflectanceModel:
     """Read a shipped model by name, or a user's own by the path of its .toml file (the .glsl lies beside it).
 
-    What both files hold: shaders/README.md. The shader is compiled by the recovery that uses it. Raises InputError naming
-    the file, the key and the remedy.
+    What both files hold: shaders/README.md. The shader is compiled by the recovery that uses it. Raises InputError
+    naming the file, the key and the remedy.
     """
     table, path = load_shipped_table("model", name_or_path, MODELS)
     return _model_from_table(table, path)

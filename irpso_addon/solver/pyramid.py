@@ -32,9 +32,10 @@ _AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations 
 class Pyramid:
     """One run over ``levels`` sizes of a domain, driven as a Recovery is, which it is where levels is 1.
 
-    schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest make.
-    The others are as Recovery has them. The same seed, settings and device give the same maps bit for bit, however the
-    steps were sliced or the run interrupted. Errors are those of Recovery; a domain with a halo raises ValueError.
+    schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest
+    make. The others are as Recovery has them. The same seed, settings and device give the same maps bit for bit,
+    however the steps were sliced or the run interrupted. Errors are those of Recovery; a domain with a halo raises
+    ValueError.
     """
 
     def __init__(

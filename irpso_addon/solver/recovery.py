@@ -47,9 +47,10 @@ class Recovery:
     tiled or the run interrupted. Needs a GPU context (GpuUnavailableError); a model that does not compile raises
     ShaderError, settings that do not fit InputError.
 
-    domain: what was observed. seed: −2³¹ to 2³¹ − 1. known: parameter name → (H, W, components) or (components,) in the
-    parameter's own units, taken as given and not searched. entry: "fragment", "compute", or "auto" for what the probe finds faster. prepared: of ``prepare``, where
-    it has been found already. state: where it begins, of ``state``.
+    domain: what was observed. seed: −2³¹ to 2³¹ − 1. known: parameter name → (H, W, components) or (components,) in
+    the parameter's own units, taken as given and not searched. entry: "fragment", "compute", or "auto" for what the
+    probe finds faster. prepared: of ``prepare``, where it has been found already. state: where it begins, of
+    ``state``.
     """
 
     def __init__(
