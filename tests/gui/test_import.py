@@ -1,0 +1,156 @@
+"""A capture comes into a real window: by the button's file browser, dropped, checked without a pause, as a scene."""
+
+import pytest
+
+UI = "bl_ext.user_default.irpso.irpso_addon.ui"
+STALL = 1.0  # seconds that the check may take from the window at a time, on a machine that others use as well
+
+SETUP = f"""
+import importlib, time
+capture_import = importlib.import_module("{UI}.capture_import")
+scene_capture = importlib.import_module("{UI}.scene_capture")
+
+def settings():
+    return bpy.context.scene.irpso
+
+def checking():
+    return capture_import.checking(bpy.context.scene)
+
+def until_checked():
+    # The longest slice that the check took, and what it said on the way.
+    slices, said, real = [], [], capture_import._slice
+    def timed(check, seconds):
+        begun = time.perf_counter()
+        more = real(check, seconds)
+        slices.append(time.perf_counter() - begun)
+        said.append(check.doing)
+        return more
+    capture_import._slice = timed
+    while checking():
+        yield
+    capture_import._slice = real
+    return max(slices, default=0.0), said
+
+def forget():
+    settings().capture_path = settings().checked_path = settings().summary = ""
+    settings().findings.clear()
+"""
+
+
+@pytest.fixture(scope="module")
+def ready(window):
+    window.run(SETUP)
+    window.open_sidebar("IRPSO")
+    return window
+
+
+@pytest.fixture
+def icon(shared_data, ready):
+    ready.run("forget()")
+    return shared_data / "rti_icon"
+
+
+def test_a_capture_is_chosen_in_the_file_browser(ready, icon):
+    ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
+    ready.click(*ready.find_button("irpso.import_capture"))
+    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    ready.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {str(icon).encode()!r}", area="")
+    ready.settle()
+    ready.screenshot("file browser")
+    ready.move(*ready.region("FILE_BROWSER").centre)
+    ready.key("Return")
+    ready.wait(f"settings().capture_path == {str(icon)!r}", area="")
+    ready.wait("not checking()", timeout=180)
+    ready.screenshot("capture imported")
+    assert ready.run("settings().source, settings().subject") == ["FILES", "CARD"]
+    assert ready.run("'images: 72' in settings().summary")
+    assert ready.run("[item.message.split(': ')[1][:4] for item in settings().findings]") == ["3.8%"]
+
+
+def test_a_dropped_list_of_lights_is_imported_and_checked_while_the_window_goes_on(ready, icon):
+    # What Blender itself does once files have been dropped on an area.
+    ready.run(f"bpy.ops.wm.drop_import_file(directory={str(icon)!r}, files=[{{'name': 'dirs.lp'}}])")
+    stall, said = ready.run("until_checked()", timeout=180)
+    print(f"72 images were checked in {len(said)} slices, of {stall:.3f} s at most")
+    assert ready.run("settings().capture_path").endswith("dirs.lp")
+    assert len({line for line in said if line.startswith("Checking images")}) > 5 and stall < STALL
+    assert ready.run("settings().checked_path == settings().capture_path")
+
+
+def test_what_is_no_capture_is_told_and_changes_nothing(ready, icon, tmp_path):
+    (tmp_path / "notes.txt").write_text("no capture")
+    ready.run(f"bpy.ops.irpso.import_capture('INVOKE_DEFAULT', filepath={str(icon / 'dirs.lp')!r})")
+    ready.wait("not checking()", timeout=180)
+    before = ready.run("settings().capture_path")
+    ready.run(
+        "try:\n"
+        f"    bpy.ops.wm.drop_import_file(directory={str(tmp_path)!r}, files=[{{'name': 'notes.txt'}}])\n"
+        "except RuntimeError:\n"
+        "    pass"
+    )
+    ready.settle()
+    assert ready.run("settings().capture_path") == before
+    assert any("holds no capture" in line for line in ready.reports())
+
+
+def test_another_file_in_the_middle_of_a_check_ends_it(ready, icon):
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(icon)!r})")
+    ready.wait("checking().startswith('Checking')")
+    ready.run("bpy.ops.wm.read_homefile(app_template='')", area="")
+    ready.run("redrawn()", area="")
+    assert ready.run("checking(), settings().summary, len(capture_import._running)")[:2] == ["", ""]
+    assert not ready.run("bpy.app.timers.is_registered(capture_import._tick)")
+    ready.open_sidebar("IRPSO")
+
+
+def test_cameras_and_lights_stand_in_the_scene_and_one_light_shines(ready, icon):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(icon)!r})")
+    ready.wait("not checking()", timeout=180)
+    ready.run("bpy.ops.ed.undo_push(message='before')")
+    ready.run("bpy.ops.irpso.create_scene('EXEC_DEFAULT', True)")
+    shining = ready.run("[obj.name[:9] for obj in bpy.data.objects if obj.type == 'LIGHT' and not obj.hide_viewport]")
+    assert (shining, ready.run("len(bpy.data.lights)")) == (["Light 000"], 72)
+    ready.run("bpy.ops.view3d.view_all()")
+    ready.run("redrawn()", area="")
+    ready.screenshot("scene of the capture")
+    ready.run("bpy.ops.view3d.view_camera()")
+    # EEVEE takes minutes to begin on a software renderer.
+    ready.run("bpy.context.scene.render.engine = 'CYCLES'\nbpy.context.scene.cycles.preview_samples = 4")
+    ready.run("largest('VIEW_3D').spaces.active.shading.type = 'RENDERED'")
+    for index in (0, 40):
+        ready.run(f"settings().view.observation = {index}")
+        ready.run("redrawn(30)", area="", timeout=180)
+        ready.screenshot(f"observation {index} through its camera")
+    ready.run("largest('VIEW_3D').spaces.active.shading.type = 'SOLID'")
+
+
+def test_undo_takes_the_cameras_and_lights_away_and_redo_brings_them_back(ready, icon):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.run(f"settings().capture_path = {str(icon)!r}")
+    ready.run("bpy.ops.ed.undo_push(message='before')")
+    ready.run("bpy.ops.irpso.create_scene('EXEC_DEFAULT', True)")
+    ready.move(*ready.region().centre)
+    ready.key("ctrl+z")
+    ready.wait("not bpy.context.scene.objects")
+    ready.key("ctrl+shift+z")
+    ready.wait("len(bpy.context.scene.objects) == 74")
+    assert ready.run("len(scene_capture.capture_from_scene(bpy.context.scene).observations)") == 72
+
+
+def test_the_preferences_show_a_report_on_the_gpu_and_copy_it(ready):
+    ready.run("bpy.ops.irpso.doctor()", timeout=120)
+    ready.run("bpy.ops.irpso.copy_report()")
+    report = ready.run("bpy.context.window_manager.clipboard")
+    assert ready.run("__import__('gpu').platform.renderer_get()") in report and "passes used" in report
+    ready.run(
+        "area = largest('VIEW_3D')\n"
+        "area.type = 'PREFERENCES'\n"
+        "bpy.context.preferences.active_section = 'ADDONS'\n"
+        "bpy.context.window_manager.addon_search = 'irpso'\n"
+        "bpy.ops.preferences.addon_expand(module='bl_ext.user_default.irpso')",
+        area="",
+    )
+    ready.run("redrawn(10)", area="")
+    ready.screenshot("preferences")
+    ready.run("largest('PREFERENCES').type = 'VIEW_3D'", area="")
