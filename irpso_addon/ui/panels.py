@@ -54,6 +54,7 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
             column.use_property_split, column.use_property_decorate = True, False
             column.prop(settings, "colour_space")
         else:
+            layout.operator("irpso.assign_images", icon="FILE_IMAGE")
             _draw_light(layout, context)
         _draw_check(layout, context, settings)
         if settings.source == "FILES":
@@ -294,8 +295,6 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 def _shown(settings, name: str) -> bool:
     """Return whether a setting does anything with the others as they are."""
     schedule = settings.schedule
-    if name in ("linear_reach",):
-        return True
     switch = {"survey": "survey_iterations", "polish": "polish_iterations", "prior": "prior_rounds"}
     part = name.partition("_")[0]
     if part in switch and name != switch[part]:
