@@ -15,7 +15,7 @@ from .schedule import Fitness, Schedule
 from .state import domain_arrays
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
-_CHUNK = 1 << 15  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
+_CHUNK = 1 << 16  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
 _THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
@@ -121,10 +121,11 @@ def drop_shadow(
     """
     if fitness.loss != "robust" or fitness.shadow == 0:
         return
-    for layer, light, intensity in zip(stack, lights, intensities, strict=True):
-        squared = ((light[:3] - position) ** 2).sum(axis=-1) if light[3] > 0 else 1.0
-        brightness = _mean(layer) * squared / intensity.mean()
-        layer[..., 3] *= brightness >= fitness.shadow * scale
+    brightness = _mean(stack)
+    for layer in np.flatnonzero(lights[:, 3] > 0):
+        brightness[layer] *= ((lights[layer, :3] - position) ** 2).sum(axis=-1)
+    brightness /= intensities.mean(axis=-1)[:, None, None]
+    stack[..., 3] *= brightness >= fitness.shadow * scale
 
 
 def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
@@ -175,41 +176,53 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     vectors, irradiance = light_vectors(domain, texels)
     samples = _samples(domain, texels, start)
     lights = irradiance > 0  # a coloured light may have none of a channel
-    shades = [_shade(samples, channel, irradiance[..., channel], lights[..., channel]) for channel in range(3)]
-    sums, channels = (shades[0] + shades[1]) + shades[2], lights.sum(axis=-1)
-    grey = sums / channels
-    lit = grey > 0
-    # Single precision sorts faster, and in the same order where all lights have as many channels.
-    single = (channels == channels.flat[0]).all()
+    seen = samples[..., 3] > 0
+    shades = [_shade(samples, seen, channel, irradiance[..., channel]) for channel in range(3)]
+    sums, channels = (shades[0] + shades[1]) + shades[2], lights.sum(axis=-1).astype(np.float64)
+    grey = sums.astype(np.float64)
     with np.errstate(all="ignore"):
+        grey /= channels
+        lit = grey > 0
+        # Single precision sorts faster, and in the same order where all lights have as many channels.
+        single = (channels == channels.flat[0]).all()
         values = np.where(lit, sums if single else grey, np.nan)
         low, high = _percentiles(values, _LIT_PERCENTILES, channels.flat[0] if single else 1)
-        kept = lit & (grey >= low) & (grey <= high)
-    kept = np.where(kept.sum(axis=0) >= 3, kept, lit).astype(np.float64)
+        kept = (grey >= low) & (grey <= high) & lit
+    count = kept.sum(axis=0)
+    if (count < 3).any():
+        kept = np.where(count >= 3, kept, lit)
+        count = kept.sum(axis=0)
+    kept = kept.astype(np.float64)
     gram, right = _normal_equations(vectors, kept, grey)
     # 1e-9 of the trace: an answer for lights in a plane too, where it is the shortest of many.
     gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
     scaled = np.linalg.solve(gram, right[..., None])[..., 0]
     scaled[:, 2] = np.maximum(scaled[:, 2], 0)
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
-    usable = (kept.sum(axis=0) >= 3)[:, None] & (length > 1e-8)
+    usable = (count >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
     facing = vectors[:, 0] @ normal.T if vectors.shape[1] == 1 else np.einsum("kti,ti->kt", vectors, normal)
-    cosine = np.maximum(facing, 0) * kept
-    albedo = np.empty(normal.shape, np.float32)
+    cosine = np.maximum(facing, 0, out=facing)
+    cosine *= kept
+    albedo, squares = np.empty(normal.shape, np.float32), None
     for channel, shade in enumerate(shades):
-        seen = cosine if lights[..., channel].all() else cosine * lights[..., channel]
-        albedo[:, channel] = (seen * shade).sum(axis=0) / np.maximum((seen**2).sum(axis=0), 1e-8)
+        every = lights[..., channel].all()
+        told = cosine if every else cosine * lights[..., channel]
+        if squares is None or not every:
+            squares = (told**2).sum(axis=0)
+        albedo[:, channel] = (told * shade).sum(axis=0) / np.maximum(squares, 1e-8)
+        squares = squares if every else None
     return normal.astype(np.float32), albedo
 
 
-def _shade(samples: np.ndarray, channel: int, irradiance: np.ndarray, lights: np.ndarray) -> np.ndarray:
-    """(K, T) one channel over the irradiance/π, 0 where a sample weighs nothing or its light lacks the channel."""
+def _shade(samples: np.ndarray, seen: np.ndarray, channel: int, irradiance: np.ndarray) -> np.ndarray:
+    """(K, T) one channel over the irradiance/π, 0 where a sample is not seen or its light lacks the channel."""
     # What weighs nothing may be anything, and 0 · NaN is NaN.
-    radiance = np.where(samples[..., 3] > 0, samples[..., channel], 0)
+    radiance = samples[..., channel] if seen.all() else np.where(seen, samples[..., channel], 0)
+    lights = np.broadcast_to(irradiance > 0, radiance.shape)
     if lights.all():
         return radiance / irradiance
-    return np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=np.broadcast_to(lights, radiance.shape))
+    return np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=lights)
 
 
 def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

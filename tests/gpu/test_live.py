@@ -9,8 +9,10 @@ from irpso_addon.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver import prepare
+from irpso_addon.solver.pyramid import Pyramid
 from irpso_addon.solver.recovery import Recovery
 from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.tiled import TiledRecovery
 from tests.swarm_subjects import SHORT, bits_of, recoveries, subject, with_radiance
 
 LAMBERT = load_model("lambert")
@@ -273,3 +275,39 @@ def test_a_run_that_is_done_stays_done_where_nothing_new_is_asked_for(whole, rec
     second = first.changed(schedule.replaced(c1=0.7))
     assert second.progress.done and bits_of(second.maps()) == wanted
     second.close()
+
+
+def test_a_run_over_several_sizes_is_changed_at_the_size_it_is_at(recover):
+    domain, _ = subject(24, 20, observations=8)
+    schedule = SHORT.replaced(iterations=6, levels=2, level_iterations=1.0)
+    with Pyramid(domain, LAMBERT, schedule, 1, entry="fragment") as whole:
+        whole.step()
+        wanted = bits_of(whole.maps())
+    first = Pyramid(domain, LAMBERT, schedule, 1, entry="fragment")
+    first.step(iterations=2)
+    second = first.changed(schedule)
+    first.close()
+    assert second.mean_error() >= 0 and second.refresh_confidence()
+    second.step()
+    assert bits_of(second.maps()) == wanted
+    with pytest.raises(InputError, match="levels = 1"):
+        second.changed(schedule.replaced(levels=1))
+    second.close()
+
+
+def test_a_run_in_tiles_tells_its_error_in_slices_and_takes_no_other_settings(monkeypatch):
+    monkeypatch.setattr("irpso_addon.solver.tiled.BAND_SECONDS", 1e-6)  # these tiles are small
+    domain, _ = subject(16, 16, holes=False, observations=6)
+    boxes = [(0, 0, 16, 8), (0, 8, 16, 8)]
+    with Recovery(domain, LAMBERT, SHORT, 1, entry="fragment") as whole:
+        whole.step()
+        wanted, error = bits_of(whole.maps()), whole.mean_error()
+    with TiledRecovery(domain, LAMBERT, SHORT, 1, entry="fragment", boxes=boxes, halo=2) as tiled:
+        calls = 0
+        while not tiled.step(time_budget_s=1e-6).done:
+            calls += 1
+        assert calls > 3 * 2 * (6 + 12)  # it stops between bands, not only between iterations
+        assert bits_of(tiled.maps()) == wanted
+        assert tiled.mean_error() == pytest.approx(error, rel=1e-5)
+        with pytest.raises(InputError, match="in tiles"):
+            tiled.changed(SHORT)

@@ -1,10 +1,13 @@
 """Before the search: scales, shadow weights and the Lambertian guess, against numpy's percentile and lstsq."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.domain import tile
+from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver import prepare
 from irpso_addon.solver.schedule import load_schedule
 from tests.swarm_oracle import direction_to, frames, turned
@@ -172,3 +175,39 @@ def test_a_highlight_and_a_shadow_do_not_move_the_seed():
     np.put_along_axis(domain.stack[..., 0], order[:5], 1e-4, axis=0)
     normal, _ = prepare.lambert_seed(domain)
     assert (normal * truth["normal"]).sum(axis=-1).min() > np.cos(np.radians(0.1))
+
+
+@pytest.mark.parametrize("options", [{}, {"holes": False}, LENS], ids=str)
+def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options):
+    domain = make_domain(70, 61, observations=16, **options)  # more than one chunk
+    schedule = load_schedule("swarm").replaced(shadow=0.4)
+    with ThreadPoolExecutor(1) as pool:
+        prepared = pool.submit(prepare.prepare, domain, load_model("lambert"), schedule).result()
+    texels = np.nonzero(domain.solvable)
+    samples = domain.stack[:, texels[0], texels[1]].astype(np.float64)
+    squared = 1.0
+    if domain.lights[0, 3]:
+        squared = ((domain.lights[:, None, :3].astype(np.float64) - domain.bake.position[texels]) ** 2).sum(axis=-1)
+    shade = samples[..., :3].mean(axis=-1) * squared / domain.intensities.astype(np.float64).mean(axis=1)[:, None]
+    scale = np.nanpercentile(np.where(samples[..., 3] > 0, shade, np.nan), schedule.fitness.percentile, axis=0)
+    np.testing.assert_allclose(prepared.scale[texels], scale, rtol=1e-5)
+    found = prepared.stack.reshape(16, -1, 4)
+    count = len(texels[0])
+    clear = np.abs(shade / (0.4 * scale) - 1) > 1e-5  # of the threshold, as far as float32 can tell
+    wanted = np.where(shade >= 0.4 * scale, samples[..., 3], 0)
+    np.testing.assert_array_equal(found[:, :count, 3][clear], wanted[clear].astype(np.float32))
+    np.testing.assert_array_equal(found[:, :count, :3], domain.stack[:, texels[0], texels[1], :3])
+    assert (found[:, count:] == 0).all() and 0 < (wanted > 0).mean() < 0.95
+    places = prepared.arrays["u_place"].reshape(-1, 2)[:count].astype(int)
+    np.testing.assert_array_equal(places, np.stack(texels[::-1], axis=-1))
+
+
+def test_a_part_of_what_is_prepared_has_the_numbers_of_the_whole():
+    domain = make_domain(20, 30)
+    whole = prepare.prepare(domain, load_model("lambert"), load_schedule("standard"), pack=False)
+    assert whole.stack is None
+    rows, columns = slice(3, 11), slice(5, 20)
+    part = whole.part(rows, columns).packed(tile(domain, 5, 3, 15, 8), load_schedule("standard"))
+    np.testing.assert_array_equal(part.scale, whole.scale[rows, columns])
+    np.testing.assert_array_equal(part.guess["normal"], whole.guess["normal"][rows, columns])
+    assert part.brightness == whole.brightness and part.stack.shape[1:3] == part.arrays["u_position"].shape[:2]
