@@ -21,6 +21,7 @@ from . import changes, checkpoint, prepare
 from .checkpoint import Checkpoint
 from .findings import Findings
 from .generations import RunningGenerations
+from .need import recovery_need
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
@@ -95,6 +96,8 @@ class Recovery:
     ) -> None:
         """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
         self._stages, self._known = stages, known
+        need = recovery_need(self.model, self.schedule, set(known), self.domain.observations)
+        self._weights = [phase.evaluations for phase in need.phases]
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())
@@ -139,9 +142,13 @@ class Recovery:
         running = stages[min(self._index, len(stages) - 1)]
         iteration = self._phase.iteration if self._phase else running.iterations
         made = before + max(iteration, 0) if self._phase else total
+        weights = self._weights
+        done = sum(weights[: self._index])
+        if self._phase is not None:
+            done += weights[self._index] * max(iteration, 0) / max(1, running.iterations)
         return Progress(
             min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made, total,
-            made / total, self._evaluations, self._phase is None,
+            done / sum(weights), self._evaluations, self._phase is None,
         )  # fmt: skip
 
     def maps(self, confidence: bool = True) -> Maps:
