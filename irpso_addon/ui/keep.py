@@ -27,9 +27,9 @@ _NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
 
 
-def found_maps(running: session.Session) -> tuple[Maps, Maps]:
+def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     """Return what was found, in the solver's frames, and with normals in those of Blender's normal maps."""
-    maps = running.maps()
+    maps = running.maps(confidence)
     if running.mesh is None:
         return maps, maps
     values = turned_normals(maps.model, maps.values, running.mesh, running.domain.bake, to_blender)
@@ -126,7 +126,7 @@ def _keep(context, running: session.Session) -> str:
         raise InputError(f"'{name}' has been deleted: undo that and keep again, or export the maps")
     if subject is not None:
         material.check_object(subject)
-    _, maps = found_maps(running)
+    _, maps = found_maps(running, confidence=False)
     folder = preferences.current(context).output_folder
     made = material.build_material(maps, name, folder or None)
     if running.mesh is None:
@@ -188,7 +188,7 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
             return {"CANCELLED"}
         folder = Path(bpy.path.abspath(self.directory))
         try:
-            maps, written = found_maps(running)
+            maps, written = found_maps(running, confidence=True)
             files = write_maps(written, folder, report_of(running, maps), pictures_of(running, maps))
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))

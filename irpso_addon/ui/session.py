@@ -154,9 +154,9 @@ class Session:
         self.state = self._paused_in
         _tell()
 
-    def maps(self) -> Maps:
-        """Return what has been found so far, in the solver's frames."""
-        return self.recovery.maps()
+    def maps(self, confidence: bool = True) -> Maps:
+        """Return what has been found so far, in the solver's frames. confidence: as for a Recovery."""
+        return self.recovery.maps(confidence)
 
     def add_probe(self, row: int, column: int) -> None:
         """Watch a texel; the oldest of more than four is dropped."""
