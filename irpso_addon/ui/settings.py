@@ -144,7 +144,10 @@ class ParameterItem(bpy.types.PropertyGroup):
 class ViewSettings(bpy.types.PropertyGroup):
     """What is drawn over the viewport and the Image editor while a recovery runs."""
 
-    show: BoolProperty(name="Show Maps", description="Draw the maps on the subject while they converge", default=True)
+    show: BoolProperty(
+        name="Show Maps", description="Draw the maps on the subject while they converge, where overlays are shown, and"
+        " flat in Image editors that show no image or a recovered map", default=True,
+    )  # fmt: skip
     shown: EnumProperty(name="Show", items=_SHOWN, default="PARAMETER")
     parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
     observation: IntProperty(

@@ -43,9 +43,12 @@ def redraw(only: int = 0) -> None:
 
 def _follow() -> None:
     """Begin with a session, go on with it, and end with it. Called where the session works."""
+    global _failed
     running = session.current()
     if _stage is not None and running is not _stage.running:
         _end()
+    if running is not _failed:
+        _failed = None
     if running is None or running is _failed or bpy.app.background:
         return
     if _stage is None:
