@@ -79,8 +79,7 @@ def _end() -> None:
         bpy.app.timers.unregister(_idle)
     if _stage is not None:
         _stage.close()
-    _stage = None
-    if not bpy.app.background:
+        _stage = None
         redraw()
 
 

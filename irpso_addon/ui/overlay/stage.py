@@ -135,6 +135,8 @@ class Stage:
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         if _has_room(free, painter.scale):
             self._draw_legend(painter, context.scene, free)
+            if all(other.type != "VIEW_3D" for other in context.screen.areas):  # else the panels are there
+                self._draw_panels(painter, view, free)
         painter.flush()
 
     def close(self) -> None:
