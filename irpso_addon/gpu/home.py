@@ -14,14 +14,14 @@ class Home:
     """
 
     def __init__(self) -> None:
-        self._window = _active()
+        self._window = active()
 
     def here(self) -> bool:
         """Return whether the same context is current, outside of any drawing."""
-        return _active() is self._window
+        return active() is self._window
 
 
-def _active() -> Any:
+def active() -> Any:
     """Return the frame buffer of the window whose context is current: Blender hands out one object for each."""
     import gpu
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import GpuUnavailableError
-from . import context
+from . import context, home
 from .compiler import compile_shader
 from .library import read_source
 
@@ -102,12 +102,16 @@ class Pass:
             gpu.shader.unbind()
 
     def framebuffer(self, targets: Sequence[Any]) -> Any:
-        """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets."""
+        """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets and window.
+
+        Frame buffers belong to the context in which they are made, and every window has one of its own.
+        """
         import gpu
 
-        key = tuple(id(target) for target in targets)
+        window = home.active()
+        key = (id(window), *(id(target) for target in targets))
         if key not in self._framebuffers:
-            self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), tuple(targets))
+            self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), window, tuple(targets))
         return self._framebuffers[key][0]
 
     def fence(self, targets: Sequence[Any]) -> None:

@@ -169,8 +169,17 @@ def test_the_extension_switched_off_in_mid_run_leaves_nothing_behind(ready):
     ready.run(MODULES, area="")
 
 
-def test_the_window_the_background_and_the_command_line_find_the_same_maps(ready, blender, settings, capture, tmp_path):
+def test_two_windows_the_background_and_the_command_line_find_the_same_maps(
+    ready, blender, settings, capture, tmp_path
+):
     begin(ready)
+    ready.run("bpy.ops.irpso.pause()\nbpy.ops.wm.window_new()")
+    ready.run("redrawn()", area="")
+    ready.run(
+        "new = bpy.context.window_manager.windows[-1]\n"
+        "with bpy.context.temp_override(window=new, area=new.screen.areas[0]):\n    bpy.ops.irpso.resume()",
+        area="",
+    )
     finish(ready)
     ready.run(f"bpy.ops.irpso.export_maps(directory={str(tmp_path / 'window')!r})")
     script = tmp_path / "operator.py"
