@@ -14,6 +14,8 @@ from .schedule_settings import schedule_of
 _TIMER_SECONDS = 1 / 60
 _SLICE_SECONDS = 0.04  # of work between two looks at the user's events: 25 a second, and half of the stall that is felt
 
+_LONGEST_SLICE_SECONDS = 0.1  # what nobody calls a stall yet
+
 
 class IRPSO_OT_recover(bpy.types.Operator):
     """Recover the maps of the subject from the capture, and watch them converge. Esc pauses"""
@@ -96,10 +98,12 @@ class IRPSO_OT_run(bpy.types.Operator):
             return self._leave(context)
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
+        now = time.perf_counter()
         if self._drew:  # what came in between was the drawing: it may take a third of the time, and no more
-            now = time.perf_counter()
             self._draw_at = max(self._draw_at, now + 2 * (now - self._returned))
-        running.tick(_SLICE_SECONDS)
+        # Blender draws all it shows whenever an image is loaded, asked or not: then work as long as that takes.
+        drawing = now - self._returned if running.state == "loading" else 0.0
+        running.tick(min(max(_SLICE_SECONDS, drawing), _LONGEST_SLICE_SECONDS))
         self._returned = time.perf_counter()
         self._drew = self._returned >= self._draw_at
         if self._drew:
@@ -194,6 +198,14 @@ class IRPSO_OT_cancel(bpy.types.Operator):
 
     bl_idname = "irpso.cancel"
     bl_label = "Cancel"
+
+    @classmethod
+    def description(cls, context, properties):
+        """Say what is dropped, and what is not once it has been kept."""
+        running = session.current()
+        if running is not None and running.kept:
+            return "Let go of the recovery; the material that was kept stays"
+        return cls.__doc__
 
     @classmethod
     def poll(cls, context):
