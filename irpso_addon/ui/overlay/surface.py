@@ -13,7 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...solver.display import Shown
 from ..session import Session
 from .place import Stand, card_corners, card_frame, stand_of
-from .scales import steady_limit
+from .scales import round_up, steady_limit
 
 _BLINKS = 2.0  # pictures a second
 _MEAN_TO_RED = 4.0  # errors spread over about this many times their mean
@@ -111,4 +111,4 @@ def shows_itself(context, running: Session) -> bool:
 
 def _deviation_limit(model: ReflectanceModel, name: str) -> float:
     parameter = model.parameter(name)
-    return _RED_ANGLE if parameter.is_normal else _RED_SHARE * (parameter.range[1] - parameter.range[0])
+    return _RED_ANGLE if parameter.is_normal else round_up(_RED_SHARE * (parameter.range[1] - parameter.range[0]))

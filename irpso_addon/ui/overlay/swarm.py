@@ -148,7 +148,7 @@ def draw_swarm(
         painter.text("the last that searched", area.right - 12 * s, area.top - 20 * s, DIM, SMALL, "right")
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
-    view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION if len(axes) == 3 else np.pi / 2 - 1e-3)
+    view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION) if len(axes) == 3 else np.eye(3)
     _draw_box(painter, axes, view, inside, area)
     places = in_box(axes, np.stack(trail.positions))
     own = particle_colors(axes, particles.positions, color)
