@@ -17,7 +17,7 @@ from ..geometry.domain import Domain
 from ..geometry.frames import from_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
 from ..maps import material
-from ..maps.encode import linear_from_srgb
+from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder, untiled
 from ..solver.prepare import Prepared
@@ -132,7 +132,7 @@ def make_job(context) -> Job:
         capture, name, None if obj is None else obj.session_uid, mesh, model, schedule, settings.seed,
         _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
-        free_place(context, size[0] / size[1]), _source(settings, mesh),
+        free_place(context, size[0] / size[1]), _source(settings, capture, mesh),
     )  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def _given(settings, model: ReflectanceModel, size: tuple[int, int]) -> dict[str
 
 
 def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
-    low, high = parameter.range
+    low, high = np.float32(parameter.range)  # Blender keeps 0.02 as 0.0199999996
     if item.image is not None:
         return image_map(item.image, parameter, size)
     if parameter.is_normal:
@@ -160,7 +160,11 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
 
 
 def image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
-    """Return (H, W, components) of a Blender image, in the parameter's own units."""
+    """Return (H, W, components) of a Blender image, in the parameter's own units.
+
+    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Of what is no colour the numbers of the file are
+    meant, though Blender takes every PNG for sRGB until told otherwise.
+    """
     height, width = size
     if not image.has_data and not image.size[0]:
         raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
@@ -174,23 +178,44 @@ def image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     values = values.reshape(height, width, image.channels)[..., : parameter.components]
     if values.shape[-1] < parameter.components:
         raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
+    encoded = image.colorspace_settings.name == "sRGB"  # and where they are floats, Blender has decoded them
+    if encoded and image.is_float and parameter.color_space != "sRGB":
+        values = srgb_from_linear(values)
     if parameter.is_normal:
-        values = 2 * values - 1
-        return values / np.maximum(np.linalg.norm(values, axis=-1, keepdims=True), 1e-8)
-    if image.colorspace_settings.name == "sRGB" and not image.is_float:
+        return _normals(values, image.is_float and not encoded)
+    if encoded and not image.is_float and parameter.color_space == "sRGB":
         values = linear_from_srgb(values)
     return np.clip(values, *parameter.range).astype(np.float32)
 
 
-def _source(settings, mesh: MeshData | None) -> tuple[Any, ...] | None:
-    """Return what tells whether a domain is still the one of these settings: files with their times, and the mesh."""
+def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
+    """Return the unit vectors of a normal map: its values, or 2v − 1, whichever have lengths nearer to 1."""
+    shifted = 2 * values - 1
+    off, shifted_off = (np.median(np.abs(np.linalg.norm(v, axis=-1) - 1)) for v in (values, shifted))
+    vectors = values if may_be_vectors and off < shifted_off else shifted
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-8)
+
+
+def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...] | None:
+    """Return what tells whether a domain is still the one of these settings: images with their times, lights, mesh.
+
+    Lights and cameras by their values: a folder's own time does not change with the lists that lie in it.
+    """
     if settings.source != "FILES":
         return None
     import bpy
 
     path = Path(bpy.path.abspath(settings.capture_path))
     draft = read_draft(path, settings.colour_space)
-    files = {shot.image.path for shot in draft.shots} | {view.mask.path for view in draft.views if view.mask}
-    stamps = tuple(sorted((str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in {*files, draft.source}))
-    shape = None if mesh is None else (mesh.positions.tobytes(), mesh.uvs.tobytes(), settings.resolution)
-    return stamps, settings.colour_space, hash(shape)
+    images = (*(shot.image for shot in draft.shots), *(view.mask for view in draft.views if view.mask))
+    files = {image.path: image.path.stat() for image in images}
+    stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
+    lights = tuple((observation.light, observation.camera) for observation in capture.observations)
+    cameras = tuple(
+        (c.width, c.height, *c.scale, *c.centre, c.matrix.tobytes(), c.perspective) for c in capture.cameras
+    )
+    shape = None
+    if mesh is not None:
+        arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)
+        shape = hash((*(array.tobytes() for array in arrays), settings.resolution))
+    return stamps, lights, cameras, shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -12,7 +13,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..errors import IrpsoError
+from ..errors import InputError, IrpsoError
 from ..geometry.domain import Domain
 from ..gpu import context
 from ..maps.material import TAG as SUBJECT_TAG
@@ -29,6 +30,7 @@ MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
 
+_log = logging.getLogger(__name__)
 listeners: list[Callable[[], None]] = []  # called when there is something new to draw
 _current: Session | None = None
 _loaded: tuple[tuple[Any, ...], Domain] | None = None  # the last domain that was read: a second run need not wait
@@ -69,7 +71,6 @@ class Session:
         self._read = 0
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
-        self._finishing = False
         self._opening: Generator[None, None, None] | None = self._open()
 
     @property
@@ -125,6 +126,10 @@ class Session:
         except (IrpsoError, MemoryError) as error:
             self.failure = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
             self.close()
+        except Exception as error:  # noqa: BLE001  a modal operator that raises is called again, and again
+            _log.exception("the recovery has ended")
+            self.failure = f"The recovery has ended: {' '.join(str(error).split()) or type(error).__name__}"
+            self.close()
         took = time.perf_counter() - started
         self.longest_stall_s = max(self.longest_stall_s, took)
         if self.recovery is not None:
@@ -132,9 +137,13 @@ class Session:
         _tell()
 
     def run(self) -> None:
-        """Work to the end: for background mode. Raises what ``tick`` would have kept as a failure."""
-        while self.active:
-            self._work(time.perf_counter() + 0.5)
+        """Work to the end: for background mode. Raises what ``tick`` would have kept as a failure, and ends with it."""
+        try:
+            while self.active:
+                self._work(time.perf_counter() + 0.5)
+        except BaseException:
+            self.close()
+            raise
 
     def pause(self) -> None:
         """Rest until ``resume``."""
@@ -152,6 +161,11 @@ class Session:
         if schedule is not None and schedule != self.job.schedule:
             self._change(schedule)
         self.state = self._paused_in
+        _tell()
+
+    def finish(self) -> None:
+        """Go on no further; what has been found waits to be kept."""
+        self.state, self.title = "done", "Done"
         _tell()
 
     def maps(self, confidence: bool = True) -> Maps:
@@ -198,7 +212,7 @@ class Session:
             progress = self.recovery.step(time_budget_s=max(0.001, deadline - time.perf_counter()))
             self.title = progress.title
             if progress.done:
-                self._finish()
+                self.finish()
 
     def _advance_opening(self, deadline: float) -> None:
         while self._opening is not None:
@@ -262,12 +276,15 @@ class Session:
         return found[0]
 
     def _change(self, schedule: Schedule) -> None:
-        self.job = replace(self.job, schedule=schedule)
         if self.recovery is None:  # it has not begun: what was prepared was for the other one
             self._join()
+            self.job = replace(self.job, schedule=schedule)
             self._opening, self._paused_in, self._read = self._open(), "loading", 0
             return
+        if schedule.levels != self.job.schedule.levels:
+            raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
         changed = self.recovery.changed(schedule)
+        self.job = replace(self.job, schedule=schedule)
         self.display.close()
         self.recovery.close()
         self.recovery, self.display = changed, Display(changed, self.job.known)
@@ -284,9 +301,6 @@ class Session:
         self.error = float(self.recovery.mean_error())
         if np.isfinite(self.error):
             self.history.append((progress.iteration_in_all, self.error))
-
-    def _finish(self) -> None:
-        self.state, self.title = "done", "Done"
 
 
 def current() -> Session | None:

@@ -1,0 +1,166 @@
+"""The window's session and the job it is given: what is read anew, what is given, and how a run ends."""
+
+import bpy
+import numpy as np
+import pytest
+
+import irpso_addon
+from irpso_addon.capture.exr import write_exr
+from irpso_addon.errors import InputError
+from irpso_addon.maps.result import Maps
+from irpso_addon.maps.write import write_maps
+from irpso_addon.reflectance.model import load_model
+from tests import cli_maker
+
+SHAPE = (10, 12)
+LIGHTS = cli_maker.dome_lights(12, widest=70)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    irpso_addon.register()
+    yield
+    irpso_addon.unregister()
+
+
+@pytest.fixture
+def scene():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A capture in the layout whose lights stand in a list of their own."""
+    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    images = cli_maker.render_oracle("principled", values, LIGHTS)
+    names = [f"{number:03d}.exr" for number in range(len(images))]
+    for name, image in zip(names, images, strict=True):
+        write_exr(tmp_path / name, {"image": dict(zip("RGB", np.moveaxis(np.float32(image), -1, 0), strict=True))})
+    (tmp_path / "filenames.txt").write_text("\n".join(names))
+    (tmp_path / "light_directions.txt").write_text("\n".join(" ".join(map(str, light[:3])) for light in LIGHTS))
+    return tmp_path
+
+
+@pytest.fixture
+def job(scene, folder):
+    from irpso_addon.ui.job import make_job
+
+    scene.irpso.capture_path, scene.irpso.subject = str(folder), "CARD"
+    return lambda: make_job(bpy.context)
+
+
+@pytest.fixture
+def running(job):
+    """A session under way."""
+    from irpso_addon.ui import session
+
+    bpy.context.scene.irpso.schedule.iterations = 4000
+    running = session.begin(job())
+    while running.recovery is None:
+        running.tick(0.05)
+    running.tick(0.05)
+    assert running.state == "running"
+    yield running
+    session.end()
+
+
+def swap_first_lines(path):
+    first, second, *others = path.read_text().splitlines()
+    path.write_text("\n".join([second, first, *others]))
+
+
+@pytest.mark.parametrize("name", ["light_directions.txt", "filenames.txt"])
+def test_a_list_that_was_edited_in_place_makes_another_domain(job, folder, name):
+    before = job().source
+    assert job().source == before
+    swap_first_lines(folder / name)
+    assert job().source != before
+
+
+def test_a_camera_that_was_edited_in_place_makes_another_domain(job, folder):
+    (folder / "camera.toml").write_text("fov_degrees = 30\n")
+    before = job().source
+    (folder / "camera.toml").write_text("fov_degrees = 31\n")
+    assert job().source != before
+
+
+def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
+    obj = bpy.context.object
+    bpy.context.scene.irpso.subject = "MESH"
+    obj.data.shade_flat()
+    flat = job().source
+    assert job().source == flat
+    obj.data.shade_smooth()
+    assert job().source != flat
+
+
+def given(name, path, space):
+    from irpso_addon.ui.job import image_map
+
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = space
+    return image_map(image, load_model("principled").parameter(name), SHAPE)
+
+
+@pytest.fixture
+def maps(scene, tmp_path):
+    model, random = load_model("principled"), np.random.default_rng(5)
+    values = {p.name: np.float32(random.uniform(0.1, 0.9, (*SHAPE, p.components))) for p in model.parameters}
+    normals = random.normal(size=(*SHAPE, 3)) * 0.5 + (0, 0, 1.5)
+    values["normal"] = np.float32(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+    write_maps(Maps(model, values, np.ones(SHAPE, bool)), tmp_path / "maps", {}, {})
+    return tmp_path / "maps", values
+
+
+@pytest.mark.parametrize(
+    ("file", "space"),
+    [
+        ("normal.exr", "Non-Color"), ("roughness.exr", "Linear Rec.709"), ("base_color.exr", "Linear Rec.709"),
+        ("normal.png", "Non-Color"), ("roughness.png", "Non-Color"), ("base_color.png", "sRGB"),
+        ("normal.png", "sRGB"), ("roughness.png", "sRGB"),  # what Blender takes every PNG for
+    ],
+)  # fmt: skip
+def test_maps_that_were_written_can_be_given_again(maps, file, space):
+    folder, values = maps
+    name, _, ending = file.partition(".")
+    found = given(name, folder / file, space)
+    assert np.abs(found - values[name]).max() < (1e-6 if ending == "exr" else 1e-4)
+
+
+def test_a_flat_normal_map_is_flat_in_either_way_of_writing(scene, tmp_path):
+    for number, flat in enumerate([(0, 0, 1), (0.5, 0.5, 1)]):
+        image = np.broadcast_to(np.float32(flat), (*SHAPE, 3))
+        path = tmp_path / f"{number}.exr"
+        write_exr(path, {"image": dict(zip("RGB", np.moveaxis(image, -1, 0), strict=True))})
+        np.testing.assert_allclose(given("normal", path, "Non-Color"), np.broadcast_to((0, 0, 1), (*SHAPE, 3)))
+
+
+def test_both_ends_of_a_range_can_be_given(job):
+    item = bpy.context.scene.irpso.parameters["roughness"]
+    item.recover = False
+    for value in load_model("principled").parameter("roughness").range:
+        item.value = value
+        assert job().given["roughness"] == np.float32(value)
+    item.value = 0.019
+    with pytest.raises(InputError, match="between 0.02 and 1"):
+        job()
+
+
+def test_a_schedule_that_is_refused_is_not_taken_for_the_one_that_runs(running):
+    running.pause()
+    before = running.job.schedule
+    for _ in range(2):
+        with pytest.raises(InputError, match="Levels"):
+            running.resume(before.replaced(levels=2))
+        assert running.state == "paused" and running.job.schedule == before
+
+
+def test_whatever_goes_wrong_in_a_tick_ends_the_session_and_is_told(running, monkeypatch):
+    def fail(**_):
+        raise RuntimeError("the device is gone")
+
+    monkeypatch.setattr(running.recovery, "step", fail)
+    running.tick(0.01)
+    assert running.closed and running.failure == "The recovery has ended: the device is gone"
