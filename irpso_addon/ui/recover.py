@@ -13,7 +13,6 @@ from .schedule_settings import schedule_of
 
 _TIMER_SECONDS = 1 / 60
 _SLICE_SECONDS = 0.04  # of work between two looks at the user's events: 25 a second, and half of the stall that is felt
-
 _LONGEST_SLICE_SECONDS = 0.1  # what nobody calls a stall yet
 
 
@@ -41,11 +40,11 @@ class IRPSO_OT_recover(bpy.types.Operator):
             if bpy.app.background:  # in a window Blender has a context, and a probe would take seconds
                 probe.probe()
             session.begin(make_job(context)).run()
-        except IrpsoError as error:
+        except (IrpsoError, MemoryError) as error:
             session.end()
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
-        return bpy.ops.irpso.keep()
+        return _keep(self)
 
     def invoke(self, context, event):
         """Begin, and leave the window to its user meanwhile."""
@@ -72,6 +71,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     _timer = None
     _session = None
+    _number = 0  # of the session's runs: one that was resumed by another in between leaves
     _draw_at = 0.0  # when the next picture is due
     _returned = 0.0  # when the last slice ended
     _drew = False  # whether a picture was asked for then
@@ -81,6 +81,8 @@ class IRPSO_OT_run(bpy.types.Operator):
         self._session = session.current()
         if self._session is None or not self._session.active:
             return {"CANCELLED"}
+        self._session.runs += 1
+        self._number = self._session.runs
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TIMER_SECONDS, window=context.window)
         manager.modal_handler_add(self)
@@ -90,7 +92,7 @@ class IRPSO_OT_run(bpy.types.Operator):
     def modal(self, context, event):
         """Work for one slice at a time; everything but Esc goes on to Blender."""
         running = self._session
-        if session.current() is not running or not running.active:
+        if not self._is_on() or not running.active:
             return self._leave(context)
         if event.type == "ESC" and event.value == "PRESS":
             running.pause()
@@ -113,8 +115,11 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def cancel(self, context):
         """Rest when the window that it ran in is closed: nothing is lost, another one can resume."""
-        if session.current() is self._session:
+        if self._is_on():
             self._session.pause()
+
+    def _is_on(self) -> bool:
+        return session.current() is self._session and self._session.runs == self._number
 
     def _leave(self, context):
         context.window_manager.event_timer_remove(self._timer)
@@ -190,7 +195,10 @@ class IRPSO_OT_stop(bpy.types.Operator):
 
     def execute(self, context):
         """Keep, and end."""
-        return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one step to undo, as if pressed itself
+        done = _keep(self)
+        if done == {"FINISHED"}:
+            session.current().finish()
+        return done
 
 
 class IRPSO_OT_cancel(bpy.types.Operator):
@@ -220,6 +228,15 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         session.end()
         _redraw(context)
         return {"FINISHED"}
+
+
+def _keep(operator) -> set[str]:
+    """Keep, and report what keeps that from being done as the operator's own error: Blender raises it here."""
+    try:
+        return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one step to undo, as if pressed itself
+    except RuntimeError as error:
+        operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+        return {"CANCELLED"}
 
 
 def _redraw(context) -> None:

@@ -67,6 +67,7 @@ class Session:
         self.longest_stall_s = 0.0
         self.kept = False
         self.closed = False
+        self.runs = 0  # of the modal operator, which is begun anew by each resuming
         self._paused_in = self.state
         self._read = 0
         self._asked = 0.0  # when the error was looked at last
@@ -124,7 +125,7 @@ class Session:
             self._work(started + budget_s)
             self._look()
         except (IrpsoError, MemoryError) as error:
-            self.failure = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
+            self.failure = words(error)
             self.close()
         except Exception as error:  # noqa: BLE001  a modal operator that raises is called again, and again
             _log.exception("the recovery has ended")
@@ -316,6 +317,11 @@ def begin(job: Job) -> Session:
     _current = Session(job)
     _tell()
     return _current
+
+
+def words(error: Exception) -> str:
+    """Return what an IrpsoError or a MemoryError says, in one line."""
+    return " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
 
 
 def end() -> None:

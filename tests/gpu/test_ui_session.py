@@ -164,3 +164,22 @@ def test_whatever_goes_wrong_in_a_tick_ends_the_session_and_is_told(running, mon
     monkeypatch.setattr(running.recovery, "step", fail)
     running.tick(0.01)
     assert running.closed and running.failure == "The recovery has ended: the device is gone"
+
+
+def test_stopping_keeps_and_ends_the_run(running):
+    assert bpy.ops.irpso.stop() == {"FINISHED"}
+    assert running.state == "done" and running.kept
+    assert bpy.ops.irpso.recover.poll()
+
+
+def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
+    from irpso_addon.ui import keep
+
+    def refuse(*_):
+        raise InputError("'leaf' has been deleted: undo that")
+
+    monkeypatch.setattr(keep, "_keep", refuse)
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.irpso.stop()
+    assert str(caught.value).strip() == "Error: 'leaf' has been deleted: undo that"
+    assert running.state == "paused" and not running.kept
