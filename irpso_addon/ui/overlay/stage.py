@@ -81,12 +81,12 @@ class Stage:
     def draw_view(self, context) -> None:
         """Draw in the space of a viewport: the map on its subject, lights, cameras, rings around probes."""
         running, subject = self.running, self.running.subject()
-        if running.domain is None or not surface.is_seen(context, running, subject, self.home_scene):
+        if not self._draws_in(context, subject):
             return
         view, region = context.scene.irpso.view, context.region
         stand, perspective = self._stand(subject), np.array(context.region_data.perspective_matrix)
         size, scale = (region.width, region.height), context.preferences.system.ui_scale
-        if view.show and not surface.shows_itself(context, running):
+        if view.show:
             self._draw_surface(context, view, stand, perspective)
             curves.draw_rings(self.drawing, running, stand, perspective, size, scale)
         if view.show_lights:
@@ -98,20 +98,19 @@ class Stage:
 
     def draw_pixels(self, context) -> None:
         """Draw over a viewport: legend, curves, swarm, names."""
-        running, subject = self.running, self.running.subject()
-        if running.domain is None or not surface.is_seen(context, running, subject, self.home_scene):
+        subject = self.running.subject()
+        if not self._draws_in(context, subject):
             return
         view, region = context.scene.irpso.view, context.region
         painter = Painter(self.drawing, context.preferences.system.ui_scale)
         if view.show_lights:
             self._name_light(painter, view, subject, context)
-        maps = view.show and not surface.shows_itself(context, running)
-        if maps:
+        if view.show:
             self._draw_split_line(painter, context, Rectangle(0, 0, region.width, region.height))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         # Of a quad view one has the panels: the user's own.
         if context.region_data == context.space_data.region_3d and _has_room(free, painter.scale):
-            if maps:
+            if view.show:
                 self._draw_legend(painter, context.scene, free)
             self._draw_panels(painter, view, free)
         painter.flush()
@@ -143,6 +142,12 @@ class Stage:
         """Free what lies on the GPU."""
         self._forget()
         self.drawing.close()
+
+    def _draws_in(self, context, subject) -> bool:
+        """Return whether a viewport shows the subject, and not its kept material, which nothing should stand before."""
+        running = self.running
+        seen = running.domain is not None and surface.is_seen(context, running, subject, self.home_scene)
+        return seen and not surface.shows_itself(context, running)
 
     def _begin(self) -> None:
         self._forget()
