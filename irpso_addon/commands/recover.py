@@ -106,7 +106,7 @@ def run(options: Namespace) -> dict:
     if mesh is not None:
         written = replace(maps, values=turned_normals(job.model, maps.values, mesh, domain.bake, to_blender))
     write_maps(written, job.folder, report, pictures)
-    _write_material(written, job, subject)
+    _write_material(written, job, subject, mesh)
     (job.folder / CHECKPOINT).unlink(missing_ok=True)
     if not options.quiet and not options.json:
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
@@ -215,9 +215,10 @@ def _try_material(job: _Job, subject: object | None) -> None:
         material.check_object(subject)
 
 
-def _write_material(maps: Maps, job: _Job, subject: object | None) -> None:
+def _write_material(maps: Maps, job: _Job, subject: object | None, mesh: MeshData | None) -> None:
     name = _subject_name(job, subject)
-    made = material.build_material(maps, name)
+    uv_map = "" if mesh is None else material.other_uv_map(subject, mesh.uv_map)
+    made = material.build_material(maps, name, uv_map=uv_map)
     if subject is None:
         subject = material.card_object(name, *maps.covered.shape)
     material.apply_material(subject, made)

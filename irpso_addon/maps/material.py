@@ -79,6 +79,15 @@ def check_object(obj) -> None:
         raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, which has no material; choose a mesh")
 
 
+def other_uv_map(obj, name: str) -> str:
+    """Return the name of the UV map that maps were made in, "" where image nodes take it by themselves.
+
+    They take the one with the camera mark; maps are made in the one that is highlighted.
+    """
+    marked = next((layer.name for layer in obj.data.uv_layers if layer.active_render), "")
+    return "" if name == marked else name
+
+
 def apply_material(obj, material) -> None:
     """Put the material into the object's active slot, or into a first one; faces keep the slots they have.
 

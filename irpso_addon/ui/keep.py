@@ -128,7 +128,8 @@ def _keep(context, running: session.Session) -> str:
         material.check_object(subject)
     _, maps = found_maps(running, confidence=False)
     folder = preferences.current(context).output_folder
-    made = material.build_material(maps, name, folder or None)
+    uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
+    made = material.build_material(maps, name, folder or None, uv_map)
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape)
         if former is None:

@@ -183,3 +183,29 @@ def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypa
         bpy.ops.irpso.stop()
     assert str(caught.value).strip() == "Error: 'leaf' has been deleted: undo that"
     assert running.state == "paused" and not running.kept
+
+
+def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
+    from irpso_addon.ui import session
+
+    settings = bpy.context.scene.irpso
+    bpy.ops.mesh.primitive_plane_add(location=(0, 0, -1))
+    obj, settings.subject, settings.resolution = bpy.context.object, "MESH", 8
+    settings.schedule.preset, settings.schedule.iterations = "swarm", 2
+    layers = obj.data.uv_layers
+    layers.active = layers.new(name="Turned")
+    coordinates = np.empty(8, np.float32)
+    layers["Turned"].uv.foreach_get("vector", coordinates)
+    layers["Turned"].uv.foreach_set("vector", 1 - coordinates)
+    assert layers["UVMap"].active_render
+    for marked, nodes in (("UVMap", ["Turned"]), ("Turned", [])):
+        layers[marked].active_render = True
+        session.begin(job()).run()
+        bpy.ops.irpso.keep()
+        tree = obj.active_material.node_tree
+        assert [node.uv_map for node in tree.nodes if node.bl_idname == "ShaderNodeUVMap"] == nodes
+        textures = [node for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage"]
+        assert all(node.inputs["Vector"].is_linked == bool(nodes) for node in textures) and textures
+        (normal,) = [node for node in tree.nodes if node.bl_idname == "ShaderNodeNormalMap"]
+        assert normal.uv_map == ("Turned" if nodes else "")
+    session.end()
