@@ -53,7 +53,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
         try:
             begun = session.begin(make_job(context))
         except IrpsoError as error:
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
         if begun.mesh is None and begun.subject() is None:  # nobody can know where it is going to stand
             height, width = begun.job.capture.masks[0].shape
@@ -171,7 +171,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
         try:
             session.current().resume(schedule_of(context.scene.irpso.schedule))
         except IrpsoError as error:
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
         if context.window is not None:
             bpy.ops.irpso.run("INVOKE_DEFAULT")

@@ -28,6 +28,7 @@ from .job import Job
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
+_SETTINGS = {"--memory": "Memory Budget", "--resolution": "Resolution"}  # as the engine's errors call them
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
 
 _log = logging.getLogger(__name__)
@@ -320,8 +321,11 @@ def begin(job: Job) -> Session:
 
 
 def words(error: Exception) -> str:
-    """Return what an IrpsoError or a MemoryError says, in one line."""
-    return " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
+    """Return what an IrpsoError or a MemoryError says, in one line, with settings called as they are in Blender."""
+    text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
+    for option, setting in _SETTINGS.items():
+        text = text.replace(option, setting)
+    return text
 
 
 def end() -> None:

@@ -209,3 +209,13 @@ def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
         (normal,) = [node for node in tree.nodes if node.bl_idname == "ShaderNodeNormalMap"]
         assert normal.uv_map == ("Turned" if nodes else "")
     session.end()
+
+
+def test_errors_call_settings_as_blender_does(job, monkeypatch):
+    from irpso_addon.ui import preferences, session
+
+    monkeypatch.setattr(preferences, "current", lambda context: preferences.Wanted(memory="device=1K"))
+    running = session.begin(job())
+    while running.active:
+        running.tick(0.05)
+    assert running.failure.startswith("Memory Budget device=1.0 KiB") and "--" not in running.failure
