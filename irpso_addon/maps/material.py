@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -105,15 +106,17 @@ def apply_material(obj, material) -> None:
 def card_object(subject: str, height: int, width: int):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
-    It is made once and found again by its tag; a new one is linked into the scene's collection.
+    It is made once and found again by its tag, and takes the maps' proportions unless the user has edited its mesh; a
+    new one is linked into the scene's collection.
     """
     import bpy
 
+    x, y = 0.5, 0.5 * height / width
     for obj in bpy.data.objects:
         if obj.get(TAG) == subject and obj.library is None:
+            _give_height(obj.data, x, y)
             return obj
     mesh = bpy.data.meshes.new(f"IRPSO {subject}")
-    x, y = 0.5, 0.5 * height / width
     mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
     layer = mesh.uv_layers.new(name="UVMap")
     layer.data.foreach_set("uv", (0, 0, 1, 0, 1, 1, 0, 1))
@@ -121,6 +124,16 @@ def card_object(subject: str, height: int, width: int):
     obj[TAG] = subject
     bpy.context.scene.collection.objects.link(obj)
     return obj
+
+
+def _give_height(mesh, x: float, y: float) -> None:
+    """Put the corners of a card's mesh at ±y where they are still the four that it was made with."""
+    corners = [vertex.co for vertex in mesh.vertices]
+    made = len(corners) == 4 and all(abs(c.x) == x and c.z == 0 and abs(c.y) == abs(corners[0].y) for c in corners)
+    if made and abs(corners[0].y) != np.float32(y):
+        for corner in corners:
+            corner.y = math.copysign(y, corner.y)
+        mesh.update()
 
 
 def save_blend(path: str | Path) -> Path:

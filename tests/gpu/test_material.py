@@ -317,3 +317,15 @@ def test_an_old_file_survives_when_saving_fails(tmp_path, monkeypatch):
         save_blend(target)
     assert target.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["x.blend"]
+
+
+def test_a_card_takes_the_proportions_of_other_maps_unless_it_was_edited():
+    card = card_object("other shape", 3, 4)
+    for height, width in ((4, 3), (4, 3), (2, 5)):
+        assert card_object("other shape", height, width) == card
+        found = np.array([vertex.co for vertex in card.data.vertices])
+        x, y = 0.5, np.float32(0.5 * height / width)
+        np.testing.assert_array_equal(found, [(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)])
+    card.data.vertices[0].co.z = 0.1
+    card_object("other shape", 1, 1)
+    assert card.data.vertices[1].co.y == -np.float32(0.2)
