@@ -193,7 +193,9 @@ def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
     shifted = 2 * values - 1
     off, shifted_off = (np.median(np.abs(np.linalg.norm(v, axis=-1) - 1)) for v in (values, shifted))
     vectors = values if may_be_vectors and off < shifted_off else shifted
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-8)
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # What has the length 1 but for rounding stays, bit for bit, as the command line takes it.
+    return np.where(np.abs(lengths - 1) < 1e-6, vectors, vectors / np.maximum(lengths, 1e-8))
 
 
 def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...] | None:
