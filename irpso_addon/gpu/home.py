@@ -18,11 +18,18 @@ class Home:
 
     def here(self) -> bool:
         """Return whether the same context is current, outside of any drawing."""
-        return active() is self._window
+        return self._window is not None and active() is self._window
 
 
 def active() -> Any:
-    """Return the frame buffer of the window whose context is current: Blender hands out one object for each."""
+    """Return the frame buffer of the window whose context is current: Blender hands out one object for each.
+
+    None where no context is current, as for timers once a window has been closed, until the next one is drawn.
+    """
     import gpu
 
+    try:
+        gpu.types.GPUFrameBuffer()  # it asks for a context; asked without one, the state below kills the process
+    except RuntimeError:
+        return None
     return gpu.state.active_framebuffer_get()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from .textures import TAG as IMAGE_TAG
 from .textures import check_images, material_images
 
 TAG = "irpso_subject"
+ORIGIN = "irpso_origin"  # what a material was recovered from
 _TRIAL = "trial, removed at once"
 
 # Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.
@@ -52,6 +54,18 @@ def build_material(maps: Maps, subject: str, images_folder: str | Path | None = 
             bpy.data.materials.remove(material)
         raise
     return material
+
+
+def subject_name(name: str, origin: str) -> str:
+    """Return the name for what is recovered from ``origin``: ``name``, unless that is of something else in this file.
+
+    Two captures may lie in folders of one name, and a mesh may be called like either: none may take another's maps.
+    """
+    import bpy
+
+    taken = {made[TAG]: made.get(ORIGIN, origin) for made in bpy.data.materials if TAG in made}
+    numbered = (name if number == 0 else f"{name}.{number:03d}" for number in itertools.count())
+    return next(free for free in numbered if taken.get(free, origin) == origin)
 
 
 def check_material(model: ReflectanceModel, subject: str) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
 from ..capture.draft import Draft
@@ -273,13 +274,20 @@ def _menu(self, context) -> None:
 CLASSES = (ImportCapture, CheckCapture, CaptureFiles)
 
 
+@persistent
+def _on_load(*_: object) -> None:
+    _running.clear()  # with the frames that it holds: the file that it was of goes
+
+
 def register() -> None:
-    """Add the entry of File > Import."""
+    """Add the entry of File > Import, and watch for another file being loaded."""
     bpy.types.TOPBAR_MT_file_import.append(_menu)
+    bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
     """Take the entry out, and end a check that is going on."""
+    bpy.app.handlers.load_pre.remove(_on_load)
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
     _running.clear()
     if bpy.app.timers.is_registered(_tick):

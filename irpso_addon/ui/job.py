@@ -28,18 +28,23 @@ from .scene_capture import capture_of
 from .schedule_settings import schedule_of
 from .settings import model_of
 
+_MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
+
 
 @dataclass
 class Job:
     """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
 
-    name: of material and images. object_uid: the session's own number of the mesh object, None for a card. given:
+    name: of material and images. origin: what they are recovered from. scene_uid: the session's own number of the scene
+    whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
     parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
     the sample stack depends on; equal sources have equal domains. None where that cannot be told.
     """
 
     capture: Capture
     name: str
+    origin: str
+    scene_uid: int
     object_uid: int | None
     mesh: MeshData | None
     model: ReflectanceModel
@@ -125,12 +130,13 @@ def make_job(context) -> Job:
     if obj is not None:
         material.check_object(obj)
         mesh = extract_mesh(obj)
-    name = obj.name if obj is not None else capture.name
+    origin = _MESH if obj is not None else str(capture.source or context.scene.name)
+    name = material.subject_name(obj.name if obj is not None else capture.name, origin)
     material.check_material(model, name)
     size = (settings.resolution,) * 2 if mesh is not None else capture.masks[0].shape
     return Job(
-        capture, name, None if obj is None else obj.session_uid, mesh, model, schedule, settings.seed,
-        _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
+        capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
+        schedule, settings.seed, _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh),
     )  # fmt: skip

@@ -130,6 +130,7 @@ def _keep(context, running: session.Session) -> str:
     folder = preferences.current(context).output_folder
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
     made = material.build_material(maps, name, folder or None, uv_map)
+    made[material.ORIGIN] = running.job.origin
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape)
         if former is None:

@@ -286,7 +286,10 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
         return running is None or running.state in ("paused", "done")
 
     def draw(self, context) -> None:
-        """Draw the seed; the rest is in panels of its own."""
+        """Draw the seed, which one that is paused keeps; the rest is in panels of its own."""
+        running = session.current()
+        if running is not None and running.state == "paused":
+            return
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(context.scene.irpso, "seed")

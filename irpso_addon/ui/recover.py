@@ -167,9 +167,12 @@ class IRPSO_OT_resume(bpy.types.Operator):
         return True
 
     def execute(self, context):
-        """Go on, with the schedule as it is set now."""
+        """Go on, with the schedule as it is set now in the scene that it was begun in."""
+        running = session.current()
+        scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
+        scene = scenes.get(running.job.scene_uid, context.scene)
         try:
-            session.current().resume(schedule_of(context.scene.irpso.schedule))
+            running.resume(schedule_of(scene.irpso.schedule))
         except IrpsoError as error:
             self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}

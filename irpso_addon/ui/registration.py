@@ -33,10 +33,14 @@ def register() -> None:
     try:
         for name in MODULES:
             module = import_module(f".{name}", __package__)
+            try:
+                for cls in getattr(module, "CLASSES", ()):
+                    bpy.utils.register_class(cls)
+                getattr(module, "register", _nothing)()
+            except Exception:
+                _unregister_classes(module)  # its own register() did not come to its end, so there is no undoing it
+                raise
             done.append(module)
-            for cls in getattr(module, "CLASSES", ()):
-                bpy.utils.register_class(cls)
-            getattr(module, "register", _nothing)()
     except Exception:
         _unregister(done)
         raise
@@ -48,13 +52,17 @@ def unregister() -> None:
 
 
 def _unregister(modules: list[ModuleType]) -> None:
-    import bpy
-
     for module in reversed(modules):
         getattr(module, "unregister", _nothing)()
-        for cls in reversed(getattr(module, "CLASSES", ())):
-            if getattr(cls, "is_registered", False):
-                bpy.utils.unregister_class(cls)
+        _unregister_classes(module)
+
+
+def _unregister_classes(module: ModuleType) -> None:
+    import bpy
+
+    for cls in reversed(getattr(module, "CLASSES", ())):
+        if getattr(cls, "is_registered", False):
+            bpy.utils.unregister_class(cls)
 
 
 def _nothing() -> None:
