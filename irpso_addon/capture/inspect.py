@@ -270,8 +270,8 @@ def _frame_findings(frames: _Frames, shifts: np.ndarray) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "clipped",
-            f"{names[worst]}: {np.mean(frames.clipped):.1%} of all pixels are clipped and get weight 0 (here"
-            f" {frames.clipped[worst]:.1%}); expose shorter",
+            f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped and get weight 0"
+            f" ({np.mean(frames.clipped):.1%} of all images'); expose shorter",
         )
     thumbnails = np.stack(frames.thumbnails)
     small = [_shrunk(thumbnail, -(-max(thumbnail.shape) // _COMPARED)) for thumbnail in thumbnails]
@@ -315,8 +315,8 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         yield Finding(
             "warning",
             "mirrored",
-            f"{where}: lights and images disagree as if {axis} were mirrored; negate {axis} of all lights, or flip the"
-            f" images {'left to right' if axis == 'x' else 'upside down'} (y is up)",
+            f"{where}: lights and images disagree as if {axis} were mirrored; if relief looks inside out, negate {axis}"
+            f" of all lights, or flip the images {'left to right' if axis == 'x' else 'upside down'} (y is up)",
         )
     elif border >= _ENOUGH / 5 and out_x < _TURNED and out_y < _TURNED:
         message = f"{where}: normals point inward all along the mask; negate x and y of all lights if it is no hollow"

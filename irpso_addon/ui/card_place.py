@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from mathutils import Quaternion, Vector
+from mathutils import Matrix, Quaternion, Vector
 
 _MARGIN = 0.25  # of a card's width, beside what stands at the origin already
 _DISTANCE = 2.2  # of a viewport from a card, in the longer of its sides: a lens of 50 mm then shows all of it
+_PUT = "irpso_put"  # the place that a card was given
 _HAVE_BODIES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GPENCIL", "GREASEPENCIL"}
 
 
@@ -19,6 +20,18 @@ def free_place(context, height: float) -> np.ndarray:
     if ((boxes[:, 0] <= half) & (boxes[:, 1] >= -half)).all(axis=1).any():
         place[0, 3] = boxes[:, 1, 0].max() + 0.5 + _MARGIN
     return place
+
+
+def put_card(card: bpy.types.Object, place: np.ndarray) -> None:
+    """Put a card's object at a (4, 4) place that nobody chose: ``is_free`` knows it until somebody moves it."""
+    card.matrix_world = Matrix(place.tolist())
+    card[_PUT] = [float(value) for row in card.matrix_basis for value in row]
+
+
+def is_free(card: bpy.types.Object) -> bool:
+    """Return whether a card stands where it was put by itself, or was never put anywhere."""
+    now = np.array(card.matrix_basis).ravel()
+    return np.allclose(now, np.array(card.get(_PUT, np.eye(4).ravel()))) or np.allclose(now, np.eye(4).ravel())
 
 
 def look_at_card(context, place: np.ndarray, height: float) -> None:

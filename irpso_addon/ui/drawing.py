@@ -20,9 +20,10 @@ def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
         icon = "BLANK1" if icon != "NONE" else icon
 
 
-def fact(layout, context, name: str, value: str) -> None:
-    """Draw a name and what is true of it, over as many lines as that takes."""
-    for line in textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME))) or [""]:
+def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
+    """Draw a name and what is true of it, over as many lines as that takes, and at least so many."""
+    found = textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME)))
+    for line in found + [""] * (lines - len(found)):
         row = layout.split(factor=_NAME)
         left = row.row()
         left.alignment = "RIGHT"
@@ -51,6 +52,6 @@ def rate(evaluations: float) -> str:
 
 
 def percent(error: float) -> str:
-    """Return an error, a part of white, in per cent with three figures."""
+    """Return an error, a part of white, in per cent with three figures, as far as anybody could care."""
     value = 100 * error
-    return f"{value:.3g} %" if value >= 0.01 else f"{value:.1e} %"
+    return f"{value:.3g} %" if value >= 0.001 else "< 0.001 %"

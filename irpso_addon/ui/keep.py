@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, StringProperty
-from mathutils import Matrix
 
 from ..errors import InputError, IrpsoError
 from ..geometry.frames import to_blender, turned_normals
@@ -22,6 +22,7 @@ from ..maps.tables import map_tables
 from ..maps.write import write_maps
 from ..solver.pictures import error_preview
 from . import preferences, session
+from .card_place import put_card
 
 _NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
@@ -134,7 +135,7 @@ def _keep(context, running: session.Session) -> str:
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape)
         if former is None:
-            subject.matrix_world = Matrix(running.job.place.tolist())
+            put_card(subject, running.job.place)
         _show(context, subject, new=former is None)
     material.apply_material(subject, made)
     count = len(map_tables(maps.model))
@@ -167,6 +168,7 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
     bl_label = "Export Maps"
 
     directory: StringProperty(name="Folder", description="Where the maps are written", subtype="DIR_PATH")
+    filename: StringProperty(name="New Folder", description="The folder in it that is made for them; empty for none")
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
 
     @classmethod
@@ -175,7 +177,11 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
         return _found(cls)
 
     def invoke(self, context, event):
-        """Ask for the folder."""
+        """Ask for the folder, and propose one."""
+        running = session.current()
+        source = running.job.capture.source
+        beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent if source else Path.home()
+        self.directory, self.filename = f"{beside}{os.sep}", f"{running.job.name} maps"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -188,7 +194,7 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
         if not self.directory:
             self.report({"ERROR"}, "No folder: choose where the maps are to be written")
             return {"CANCELLED"}
-        folder = Path(bpy.path.abspath(self.directory))
+        folder = Path(bpy.path.abspath(self.directory)) / self.filename
         try:
             maps, written = found_maps(running, confidence=True)
             files = write_maps(written, folder, report_of(running, maps), pictures_of(running, maps))

@@ -229,7 +229,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     column = layout.column(align=True)
     column.scale_y = 0.9
-    drawing.fact(column, context, "Now", title[:1].upper() + title[1:])
+    drawing.fact(column, context, "Now", title[:1].upper() + title[1:], lines=2)  # buttons must not jump
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
         drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
@@ -258,7 +258,7 @@ def draw_result(layout, context, running: session.Session) -> None:
                  translate=False)  # fmt: skip
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
-    drawing.fact(column, context, "Time", drawing.clock(running.seconds))
+    drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
     row = layout.row()
     row.scale_y = 1.0 if kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")

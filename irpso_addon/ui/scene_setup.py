@@ -21,6 +21,7 @@ from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.lights import point_power, sun_strength
 from . import scene_images
+from .card_place import is_free
 from .job import subject_object
 from .scene_capture import ASPECT, CAPTURE, LIGHT_TYPES, capture_path, in_order, natural
 
@@ -291,10 +292,13 @@ class CreateScene(bpy.types.Operator):
         lights = create_scene(scene, draft, capture)
         if settings.subject == "CARD" and len(capture.cameras) == 1:
             card = material.card_object(capture.name, *capture.masks[0].shape)
-            if card.matrix_basis == Matrix():  # else it was placed before, by hand perhaps
+            if is_free(card):  # else somebody has moved it
                 place_card(card, capture.cameras[0])
         cameras = len(capture.cameras)
-        self.report({"INFO"}, f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}")
+        text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
+        if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):
+            text += "; other lights shine as well: hide them, and darken the world, to compare with the photographs"
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from irpso_addon.errors import InputError
-from irpso_addon.maps.material import apply_material, build_material, card_object, save_blend
+from irpso_addon.maps.material import (
+    ORIGIN,
+    apply_material,
+    build_material,
+    card_object,
+    save_blend,
+    subject_name,
+)
 from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 
@@ -329,3 +336,14 @@ def test_a_card_takes_the_proportions_of_other_maps_unless_it_was_edited():
     card.data.vertices[0].co.z = 0.1
     card_object("other shape", 1, 1)
     assert card.data.vertices[1].co.y == -np.float32(0.2)
+
+
+def test_what_is_recovered_from_something_else_gets_a_name_of_its_own():
+    found = random_maps(load_model("lambert"))
+    assert subject_name("icon", "/a/icon") == "icon"
+    build_material(found, "icon")[ORIGIN] = "/a/icon"
+    assert subject_name("icon", "/a/icon") == "icon"
+    assert subject_name("icon", "/b/icon") == "icon.001"
+    build_material(found, "icon.001")[ORIGIN] = "/b/icon"
+    assert subject_name("icon", "/b/icon") == "icon.001"
+    assert subject_name("icon", "mesh") == "icon.002"

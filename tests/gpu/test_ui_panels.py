@@ -292,4 +292,4 @@ def test_numbers_are_written_for_people():
 
     assert [drawing.clock(s) for s in (0.4, 35, 723.2, 3723)] == ["0:00", "0:35", "12:03", "1:02:03"]
     assert [drawing.rate(e) for e in (940.0, 12345.0, 2.314e6)] == ["0.9 k/s", "12.3 k/s", "2.31 M/s"]
-    assert [drawing.percent(e) for e in (0.01234, 0.5, 1.2e-6)] == ["1.23 %", "50 %", "1.2e-04 %"]
+    assert [drawing.percent(e) for e in (0.01234, 0.5, 1.2e-6)] == ["1.23 %", "50 %", "< 0.001 %"]

@@ -145,7 +145,8 @@ def test_collapsed_texture_coordinates_are_refused_with_their_share_of_the_surfa
 
 def test_the_frames_of_texels_are_right_handed_where_their_sign_is_and_mirrored_elsewhere():
     rng = np.random.default_rng(5)
-    turns = Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()  # columns: tangent, bitangent, normal of a right-handed frame
+    # Columns: tangent, bitangent, normal of a right-handed frame.
+    turns = Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()
     sign = np.resize([1.0, -1, -1], 12)
     tangent = np.concatenate([turns[..., 0], sign[:, None]], axis=1).reshape(3, 4, 4).astype(np.float32)
     normal = turns[..., 2].reshape(3, 4, 3).astype(np.float32)
