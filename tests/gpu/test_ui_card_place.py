@@ -45,3 +45,9 @@ def test_a_card_is_free_until_somebody_moves_it():
     assert card_place.is_free(card) and card.location[0] == 1.75
     card.location[1] = 0.01
     assert not card_place.is_free(card)
+
+
+def test_what_is_close_to_the_cards_edge_is_in_its_way_too():
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.65, 0, 0))
+    bpy.context.view_layer.update()
+    assert card_place.free_place(bpy.context, 1.0)[0, 3] > 0.75 + 0.5
