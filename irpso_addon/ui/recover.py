@@ -107,7 +107,8 @@ class IRPSO_OT_run(bpy.types.Operator):
         drawing = now - self._returned if running.state == "loading" else 0.0
         running.tick(min(max(_SLICE_SECONDS, drawing), _LONGEST_SLICE_SECONDS))
         self._returned = time.perf_counter()
-        self._drew = self._returned >= self._draw_at
+        # A first guess is found the sooner the less else is done.
+        self._drew = self._returned >= self._draw_at and running.state != "preparing"
         if self._drew:
             self._draw_at = self._returned + 1 / preferences.current(context).display_rate
             _redraw(context)

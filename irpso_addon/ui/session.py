@@ -19,6 +19,7 @@ from ..gpu import context
 from ..maps.material import TAG as SUBJECT_TAG
 from ..maps.result import Maps
 from ..solver.display import Display
+from ..solver.memory import free_memory
 from ..solver.planning import AnyRecovery
 from ..solver.prepare import Prepared, prepare
 from ..solver.pyramid import Pyramid
@@ -29,12 +30,23 @@ from .job import Job
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
 _SETTINGS = {"--memory": "Memory Budget", "--resolution": "Resolution"}  # as the engine's errors call them
+_KEPT_SHARE = 0.1  # of the memory that is free, for what was prepared: a second run need not wait for that either
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
 
 _log = logging.getLogger(__name__)
 listeners: list[Callable[[], None]] = []  # called when there is something new to draw
 _current: Session | None = None
-_loaded: tuple[tuple[Any, ...], Domain] | None = None  # the last domain that was read: a second run need not wait
+_loaded: _Loaded | None = None  # the last domain that was read: a second run need not wait
+
+
+@dataclass
+class _Loaded:
+    """A domain that was read. source: Job.source. prepared: of ``basis``: model, seed and fitness."""
+
+    source: tuple[Any, ...]
+    domain: Domain
+    basis: tuple[Any, ...] = ()
+    prepared: Prepared | None = None
 
 
 @dataclass
@@ -230,14 +242,14 @@ class Session:
         global _loaded
         context.ensure()
         key = self.job.source
-        if key is not None and _loaded is not None and _loaded[0] == key:
-            self.domain = _loaded[1]
+        if key is not None and _loaded is not None and _loaded.source == key:
+            self.domain = _loaded.domain
         else:
             _loaded = None  # two domains at once may be more than there is room for
             loading = self.job.loading()
             self.domain = yield from self._counted(loading)
             if key is not None:
-                _loaded = (key, self.domain)
+                _loaded = _Loaded(key, self.domain)
         self.state, self.title = "preparing", "Fitting a first guess"
         prepared = None
         if self.job.solved_as_one(self.domain) and self.job.schedule.levels == 1:
@@ -258,7 +270,21 @@ class Session:
             yield
 
     def _prepared(self) -> Generator[None, None, Prepared]:
-        """Run the numpy part in a thread of its own, so that the window goes on being drawn."""
+        """Return what the numpy part finds, or found for the same settings before."""
+        schedule = self.job.schedule
+        basis = (self.job.model, schedule.swarm.seed, schedule.fitness)
+        known = _loaded is not None and _loaded.domain is self.domain
+        if known and _loaded.prepared is not None and _loaded.basis == basis:
+            return _loaded.prepared
+        if known:
+            _loaded.prepared = None
+        prepared = yield from self._preparing()
+        if known and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
+            _loaded.basis, _loaded.prepared = basis, prepared
+        return prepared
+
+    def _preparing(self) -> Generator[None, None, Prepared]:
+        """Run the numpy part in a thread of its own, so that the window lives on."""
         found: list[Any] = []
 
         def work() -> None:
