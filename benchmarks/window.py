@@ -127,7 +127,8 @@ def watched(window: Any, capture: Path) -> dict[str, Any]:
     lengths = np.array([length for length, _ in stalls])
     worst = sorted(stalls, reverse=True)[:8]
     return {
-        "first_picture_s": first, "first_picture_anew_s": anew, "redraw_s": redraw, "seconds": seconds, "pictures_per_s": draws / seconds, "slice_s": tick,
+        "first_picture_s": first, "first_picture_anew_s": anew, "redraw_s": redraw, "seconds": seconds,
+        "pictures_per_s": draws / seconds, "slice_s": tick,
         "stalls_s": {f"{q:g} %": float(np.percentile(lengths, q)) for q in (50, 95, 99)},
         "over_100_ms": int((lengths > 0.1).sum()), "turns": len(lengths), "longest": worst,
     }  # fmt: skip
@@ -181,8 +182,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     ]
     lines = [
         f"Blender of Debian {data['blender']}, {data['backend']}, a window of 1600 × 1000 under Xvfb. Preset standard,"
-        f" model principled, {LARGE}² texels under {LIGHTS} lights, images read before. What a run finds first, a guess by"
-        " least squares, is known where the same photographs were recovered with the same model and fitness before.",
+        f" model principled, {LARGE}² texels under {LIGHTS} lights, images read before. What a run finds first, a guess"
+        " by least squares, is known where they were recovered with the same model and fitness before.",
         "",
         *report.table(["", *names], rows),
         "",
