@@ -200,8 +200,9 @@ def _solve(recovery: AnyRecovery, history: History, job: _Job, options: Namespac
             iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
         bar.close()
         if not progress.done:
-            recovery.step(0)  # tiles that are behind catch up: a look that is due then would not be made after a resume
-            history.look()
+            if turns:  # tiles that are behind catch up: a look that is due then would not be made after a resume
+                recovery.step(0)
+                history.look()
             job.folder.mkdir(parents=True, exist_ok=True)
             recovery.save(checkpoint, history.notes)
             raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume")

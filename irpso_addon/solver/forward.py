@@ -38,6 +38,8 @@ class Renderer:
             **upload_geometry(bake.position, bake.normal, bake.tangent, state, np.ones_like(state)),
             **Estimates(model, dict(values)).bindings(),
             "u_observation_table": upload_observations(lights, intensities, views),
+            # Never read; but what a shader declares Vulkan wants bound.
+            "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
         }
         self._pass = render_pass(model, observation_defines(lights, views, card))
         self._target = textures.empty(state.shape[1], state.shape[0])
