@@ -170,7 +170,7 @@ def test_the_extension_switched_off_in_mid_run_leaves_nothing_behind(ready):
 
 
 def test_two_windows_the_background_and_the_command_line_find_the_same_maps(
-    ready, blender, settings, capture, tmp_path
+    ready, blender, backend, settings, capture, tmp_path
 ):
     begin(ready)
     ready.run("bpy.ops.irpso.pause()\nbpy.ops.wm.window_new()")
@@ -191,11 +191,10 @@ def test_two_windows_the_background_and_the_command_line_find_the_same_maps(
         f"bpy.ops.irpso.export_maps(directory={str(tmp_path / 'background')!r})\n"
     )
     variables = {"BLENDER_USER_RESOURCES": str(settings), "TMPDIR": str(tmp_path)}
-    blender.run(
-        blender.executable, "--background", "--python-exit-code", "3", "--python", str(script), variables=variables
-    )
+    program = (blender.executable, "--gpu-backend", backend)
+    blender.run(*program, "--background", "--python-exit-code", "3", "--python", str(script), variables=variables)
     command = ["--command", "irpso", "recover", str(capture), "-o", str(tmp_path / "command"), "--seed", "7", "--quiet"]
-    blender.run(blender.executable, *command, variables=variables)
+    blender.run(*program, *command, variables=variables)
     found = [read_exr(tmp_path / door / "maps.exr") for door in ("window", "background", "command")]
     for other in found[1:]:
         assert other.keys() == found[0].keys()
