@@ -46,7 +46,7 @@ def ready(window):
 @pytest.fixture
 def icon(shared_data, ready):
     ready.run("forget()")
-    return shared_data / "rti_icon"
+    return (shared_data / "rti_icon").resolve()
 
 
 def test_a_capture_is_chosen_in_the_file_browser(ready, icon):
