@@ -8,6 +8,21 @@ ivec2 atlas_texel(ivec2 texel, int block, int particle)
     return texel + ivec2(tile % TILES_X, tile / TILES_X) * ivec2(u_width, u_height);
 }
 
+// Reads all numbers of one particle, up to eight.
+void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
+{
+    vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
+    for (int i = 0; i < 4; i++) {
+        x[i] = part[i];
+    }
+#if BLOCKS > 1
+    part = texelFetch(atlas, atlas_texel(texel, 1, particle), 0);
+#endif
+    for (int i = 0; i < 4; i++) {
+        x[4 + i] = part[i];
+    }
+}
+
 // Finds whose number an atlas texel is; returns false on tiles that belong to no particle.
 bool atlas_owner(ivec2 place, out ivec2 texel, out int block, out int particle)
 {

@@ -40,20 +40,6 @@ void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 
 #else
 
-void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
-{
-    vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
-    for (int i = 0; i < 4; i++) {
-        x[i] = part[i];
-    }
-#if BLOCKS > 1
-    part = texelFetch(atlas, atlas_texel(texel, 1, particle), 0);
-#endif
-    for (int i = 0; i < 4; i++) {
-        x[4 + i] = part[i];
-    }
-}
-
 void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8], out float v[8])
 {
     float p[8];

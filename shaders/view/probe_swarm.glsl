@@ -7,20 +7,6 @@
 #include "swarm/neighbours.glsl"
 #include "codec.glsl"
 
-void read_place(sampler2D atlas, ivec2 texel, int particle, out float x[8])
-{
-    vec4 part = texelFetch(atlas, atlas_texel(texel, 0, particle), 0);
-    for (int i = 0; i < 4; i++) {
-        x[i] = part[i];
-    }
-#if BLOCKS > 1
-    part = texelFetch(atlas, atlas_texel(texel, 1, particle), 0);
-#endif
-    for (int i = 0; i < 4; i++) {
-        x[4 + i] = part[i];
-    }
-}
-
 bool texel_kernel(ivec2 place)
 {
     ivec2 at = packed_at(ivec2(u_column, u_row));
@@ -35,10 +21,10 @@ bool texel_kernel(ivec2 place)
     }
     float x[8];
     if (place.y < 3) {
-        read_place(u_particle_position, at, particle, x);
+        read_particle(u_particle_position, at, particle, x);
     }
     else if (place.y < 6) {
-        read_place(u_particle_best, at, particle, x);
+        read_particle(u_particle_best, at, particle, x);
     }
     else {
         read_best(at, x);
