@@ -211,9 +211,8 @@ def _solve(recovery: AnyRecovery, history: History, job: _Job, options: Namespac
 
 
 def _try_material(job: _Job, subject: object | None) -> None:
-    """Build the material of a single texel: what refuses it does so before hours of work, and before any file."""
-    texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in job.model.parameters}
-    material.build_material(Maps(job.model, texel, np.ones((1, 1), bool)), _subject_name(job, subject))
+    """Have what refuses the material do so before hours of work, and before any file."""
+    material.check_material(job.model, _subject_name(job, subject))
     if subject is not None:
         material.check_object(subject)
 

@@ -117,6 +117,13 @@ def apply_material(obj, material) -> None:
         obj.data.materials.append(material)
 
 
+def find_card(subject: str):
+    """Return the object that ``card_object`` made for this subject before, None where there is none (any more)."""
+    import bpy
+
+    return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
+
+
 def card_object(subject: str, height: int, width: int):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
@@ -126,10 +133,9 @@ def card_object(subject: str, height: int, width: int):
     import bpy
 
     x, y = 0.5, 0.5 * height / width
-    for obj in bpy.data.objects:
-        if obj.get(TAG) == subject and obj.library is None:
-            _give_height(obj.data, x, y)
-            return obj
+    if (found := find_card(subject)) is not None:
+        _give_height(found.data, x, y)
+        return found
     mesh = bpy.data.meshes.new(f"IRPSO {subject}")
     mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
     layer = mesh.uv_layers.new(name="UVMap")

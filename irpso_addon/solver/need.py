@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
 
 from ..reflectance.model import ReflectanceModel
 from .polish_kernels import renders
 from .prior_kernels import evaluations_of, reach_of
-from .resolve import ResolvedPolish, ResolvedPrior, ResolvedStage, ResolvedSurvey, resolve, survey_model
+from .resolve import (
+    Resolved,
+    ResolvedPolish,
+    ResolvedPrior,
+    ResolvedStage,
+    ResolvedSurvey,
+    resolve,
+    survey_model,
+)
 from .schedule import Schedule
 from .stage import particle_count, reach_at
 from .state import plan_atlas
@@ -93,11 +100,12 @@ def recovery_need(
 ) -> Need:
     """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
     stages = resolve(schedule, model, set(known), observations - held_out)
-    phases = tuple(_phase_need(stage, model, schedule) for stage in stages)
+    phases = tuple(phase_need(stage, model, schedule) for stage in stages)
     return Need(observations - held_out, observations, model.components, phases, compute)
 
 
-def _phase_need(resolved: Any, model: ReflectanceModel, schedule: Schedule) -> PhaseNeed:
+def phase_need(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseNeed:
+    """Return what one resolved stage asks for."""
     if isinstance(resolved, ResolvedStage):
         return _swarm_need(resolved, schedule)
     if isinstance(resolved, ResolvedSurvey):

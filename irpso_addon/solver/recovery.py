@@ -21,7 +21,7 @@ from . import changes, checkpoint, prepare
 from .checkpoint import Checkpoint
 from .findings import Findings
 from .generations import RunningGenerations
-from .need import recovery_need
+from .need import phase_need
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
@@ -96,8 +96,7 @@ class Recovery:
     ) -> None:
         """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
         self._stages, self._known = stages, known
-        need = recovery_need(self.model, self.schedule, set(known), self.domain.observations)
-        self._weights = [phase.evaluations for phase in need.phases]
+        self._weights = [phase_need(stage, self.model, self.schedule).evaluations for stage in stages]
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())

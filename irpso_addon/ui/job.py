@@ -19,7 +19,8 @@ from ..geometry.mesh import MeshData, extract_mesh
 from ..maps import material
 from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..reflectance.model import Parameter, ReflectanceModel
-from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder, untiled
+from ..solver.plan import Plan
+from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
 from ..solver.prepare import Prepared
 from ..solver.schedule import Schedule
 from . import preferences
@@ -63,27 +64,24 @@ class Job:
         """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
         # What a plan refuses, it refuses before the images are read.
         coverage = covered_texels(self.capture, self.mesh, (self.resolution, self.resolution))
-        plan = self._plan(coverage)
+        plan = self.plan(coverage)
         scratch = self.scratch if plan.stack_on == "scratch" else None
         if self.mesh is None:
             return (yield from card_steps(self.capture, scratch=scratch))
         return (yield from mesh_steps(self.capture, self.mesh, self.resolution, self.resolution, scratch=scratch))
 
-    def solved_as_one(self, domain: Domain) -> bool:
-        """Return whether the domain is solved in one piece, by what memory there is."""
-        return untiled(self._plan(domain.solvable))
-
-    def recovery(self, domain: Domain, prepared: Prepared | None) -> AnyRecovery:
-        """Return the recovery, as large as memory allows. Raises InputError, ShaderError."""
+    def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
+        """Return the recovery that is planned. Raises InputError, ShaderError."""
         self.known = dict(self.given)
         if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
             self.known = turned_normals(self.model, self.known, self.mesh, domain.bake, from_blender)
         return planned_recovery(
-            self._plan(domain.solvable), domain, self.model, self.schedule, self.seed, self.known, self.entry,
+            plan, domain, self.model, self.schedule, self.seed, self.known, self.entry,
             self.scratch, prepared,
         )  # fmt: skip
 
-    def _plan(self, coverage: np.ndarray):
+    def plan(self, coverage: np.ndarray) -> Plan:
+        """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
         return make_plan(
             coverage, self.model, self.schedule, self.given, len(self.capture.observations),
             memory=self.memory, entry=self.entry,

@@ -16,11 +16,11 @@ from bpy.app.handlers import persistent
 from ..errors import InputError, IrpsoError
 from ..geometry.domain import Domain
 from ..gpu import context
-from ..maps.material import TAG as SUBJECT_TAG
+from ..maps.material import find_card
 from ..maps.result import Maps
 from ..solver.display import Display
 from ..solver.memory import free_memory
-from ..solver.planning import AnyRecovery
+from ..solver.planning import AnyRecovery, untiled
 from ..solver.prepare import Prepared, prepare
 from ..solver.pyramid import Pyramid
 from ..solver.recovery import Progress, Recovery
@@ -127,7 +127,7 @@ class Session:
         uid = self.job.object_uid
         if uid is not None:
             return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
-        return next((o for o in bpy.data.objects if o.get(SUBJECT_TAG) == self.job.name and o.library is None), None)
+        return find_card(self.job.name)
 
     def tick(self, budget_s: float) -> None:
         """Work for about so long. Whatever fails ends the session, with ``failure`` set."""
@@ -251,11 +251,11 @@ class Session:
             if key is not None:
                 _loaded = _Loaded(key, self.domain)
         self.state, self.title = "preparing", "Fitting a first guess"
-        prepared = None
-        if self.job.solved_as_one(self.domain) and self.job.schedule.levels == 1:
+        plan, prepared = self.job.plan(self.domain.solvable), None
+        if untiled(plan) and self.job.schedule.levels == 1:
             prepared = yield from self._prepared()
         yield
-        self.recovery = self.job.recovery(self.domain, prepared)
+        self.recovery = self.job.recovery(self.domain, plan, prepared)
         if isinstance(self.recovery, Recovery | Pyramid):  # a domain in tiles has no picture of the whole
             self.display = Display(self.recovery, self.job.known)
         self.state = "running"
