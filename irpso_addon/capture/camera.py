@@ -7,16 +7,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from . import distortion as lens
+from .problems import CaptureError
+
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole or orthographic camera with square or oblong pixels and no lens distortion.
+    """A pinhole or orthographic camera with square or oblong pixels; a perspective one may have lens distortion.
 
     Axes are Blender's: x right, y up, z toward the viewer (the camera looks along −z). Pixel coordinates start at the
     lower left corner of the lower left pixel, whose centre is (0.5, 0.5).
 
     width, height: pixels. matrix: (4, 4) camera to world, float64. scale: (2,) the focal length in pixels of a
     perspective camera, or pixels per world unit of an orthographic one. centre: (2,) principal point in pixels.
+    distortion: the Brown–Conrady coefficients k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's formulas (``distortion.py``),
+    of which the last may be left out; empty for none. Raises InputError where they are more or no numbers, or the
+    camera is orthographic.
     """
 
     width: int
@@ -25,6 +31,13 @@ class Camera:
     centre: tuple[float, float]
     matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
     perspective: bool = True
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.distortion) > len(lens.NAMES) or not all(map(math.isfinite, self.distortion)):
+            raise CaptureError(f"distortion must be up to 8 finite numbers: {', '.join(lens.NAMES)}", "camera")
+        if self.distortion and not self.perspective:
+            raise CaptureError("an orthographic camera has no lens distortion; undistort its images", "camera")
 
     @staticmethod
     def from_fov(width: int, height: int, fov_degrees: float, matrix: np.ndarray | None = None) -> Camera:
@@ -59,7 +72,8 @@ class Camera:
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel coordinates (…, 2) and depth (…) along the axis, in world units, of world points (…, 3).
 
-        Points behind a perspective camera have depth ≤ 0 and meaningless pixels.
+        Points behind a perspective camera have depth ≤ 0 and meaningless pixels; those that a distorting lens does not
+        show have NaN.
         """
         inverse = np.linalg.inv(self.matrix)
         local = points @ inverse[:3, :3].T + inverse[:3, 3]
@@ -67,13 +81,20 @@ class Camera:
         plane = local[..., :2]
         if self.perspective:
             plane = plane / np.where(depth > 0, depth, np.inf)[..., None]
+        if any(self.distortion):
+            plane = lens.distorted(plane, self.distortion)
         return plane * np.asarray(self.scale) + np.asarray(self.centre), depth
 
     def points(self, depth: float = 1.0) -> np.ndarray:
-        """Return (H, W, 3) the world points at ``depth`` that the pixel centres show, row 0 at the bottom."""
+        """Return (H, W, 3) the world points at ``depth`` that the pixel centres show, row 0 at the bottom.
+
+        NaN where the lens shows nothing: its distortion folds back before it comes there.
+        """
         x = (np.arange(self.width) + 0.5 - self.centre[0]) / self.scale[0]
         y = (np.arange(self.height) + 0.5 - self.centre[1]) / self.scale[1]
         plane = np.stack(np.meshgrid(x, y), axis=-1)
+        if any(self.distortion):
+            plane = lens.undistorted(plane, self.distortion)
         if self.perspective:
             plane = plane * depth
         local = np.concatenate([plane, np.full((*plane.shape[:2], 1), -depth)], axis=-1)

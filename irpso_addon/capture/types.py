@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
+from .problems import CaptureError
 
 
 @dataclass(frozen=True)
@@ -17,12 +19,37 @@ class Light:
 
     vector: (3,) a unit direction from the surface to a distant light, or the position of a near one in world units.
     intensity: (3,) linear RGB; 1 is an irradiance of π at normal incidence (at distance 1 from a near light, falling
-    with the inverse square), so that a white Lambertian texel facing the light has radiance 1.
+    with the inverse square), so that a white Lambertian texel facing the light has radiance 1. Of a near light whose
+    light differs with direction, intensity is that along its axis. axis: (3,) the unit direction in which it shines.
+    cone: its half-angle in degrees, beyond which it gives nothing (a spot). cosine: whether its light falls with the
+    cosine of the angle to the axis, as that of a flat emitter does. Raises InputError where these contradict.
     """
 
     vector: tuple[float, float, float]
     intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
     distant: bool = True
+    axis: tuple[float, float, float] | None = None
+    cone: float | None = None
+    cosine: bool = False
+
+    def __post_init__(self) -> None:
+        if self.axis is None and (self.cone is not None or self.cosine):
+            raise CaptureError("a light with a cone or a cosine has an axis; give the direction in which it shines")
+        if self.axis is not None and self.distant:
+            raise CaptureError("a distant light has no axis and no cone; give its position, or leave them out")
+        if self.cone is not None and not 0 < self.cone <= 180:
+            raise CaptureError("a light's cone is a half-angle above 0 and up to 180 degrees")
+
+    def share(self, points: np.ndarray) -> np.ndarray:
+        """Return (…) what reaches points (…, 3) of the intensity along the axis, distance left out: 0 to 1."""
+        if self.axis is None:
+            return np.ones(points.shape[:-1])
+        away = points - np.asarray(self.vector, np.float64)
+        cosine = away @ np.asarray(self.axis) / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
+        share = np.maximum(cosine, 0) if self.cosine else np.ones_like(cosine)
+        # Half of a degree's millionth: what lies on the cone's border by rounding is inside.
+        border = -1.0 if self.cone is None else math.cos(math.radians(min(self.cone + 5e-7, 180)))
+        return np.where(cosine >= border, share, 0.0)
 
 
 @dataclass(frozen=True)

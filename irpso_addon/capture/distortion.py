@@ -1,0 +1,114 @@
+"""Lens distortion by the Brown–Conrady model with OpenCV's formulas and order of coefficients.
+
+Brown, Decentering distortion of lenses, 1966; OpenCV's calib3d documentation: with x, y on the plane at distance 1,
+y down, r² = x² + y² and g = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶),
+x″ = x g + 2 p1 x y + p2 (r² + 2 x²), y″ = y g + p1 (r² + 2 y²) + 2 p2 x y.
+Planes here are the cameras' own, with y up.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_REAL = 1e-9  # how large a root's imaginary part may be, as a part of the root, for it to be one of the real line
+_TABLE = 4096  # radii at which the radial part is tabulated for a start
+_STEPS = 30  # of Newton's method at most: from the table's start it takes three or four
+_LAST_STEP = 1e-9  # on the plane at distance 1: convergence is quadratic, so what remains is below rounding
+_ROUNDING = 1e-12
+_FAR = 64.0  # the tangent of 89°: the farthest radius that is looked for
+
+
+def reach(coefficients: tuple[float, ...]) -> float:
+    """Return the radius on the plane at distance 1 up to which the distorted radius rises; infinity if always.
+
+    Beyond it the polynomial folds the picture back into itself, which no lens does.
+    """
+    numerator, denominator = _radial(coefficients)
+    # d/dr (r g) has, in s = r², the sign of N D + 2 s (N′ D − N D′).
+    slope = numerator * denominator + np.polynomial.Polynomial([0, 2]) * (
+        numerator.deriv() * denominator - numerator * denominator.deriv()
+    )
+    roots = np.concatenate([polynomial.trim().roots() for polynomial in (slope, denominator)])
+    real = roots[np.abs(roots.imag) <= _REAL * np.abs(roots)].real
+    return math.sqrt(min((root for root in real if root > 0), default=math.inf))
+
+
+def distorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """Return where a lens puts points (…, 2) of the plane at distance 1; NaN for those that it does not show."""
+    out, jacobian = _distorted(plane, coefficients)
+    seen = np.linalg.norm(plane, axis=-1) < reach(coefficients)
+    seen &= jacobian[..., 0, 0] * jacobian[..., 1, 1] > jacobian[..., 0, 1] * jacobian[..., 1, 0]
+    return np.where(seen[..., None], out, np.nan)
+
+
+def undistorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """Return the points (…, 2) that a lens puts at these of the plane; NaN where it puts none.
+
+    Newton's method on both coordinates, started from a table of the radial part.
+    """
+    target = np.asarray(plane, np.float64)
+    found = target * _first_guess(np.linalg.norm(target, axis=-1), coefficients)[..., None]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        for _ in range(_STEPS):
+            value, jacobian = _distorted(found, coefficients)
+            off = value - target
+            determinant = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
+            step = np.stack(
+                [
+                    jacobian[..., 1, 1] * off[..., 0] - jacobian[..., 0, 1] * off[..., 1],
+                    jacobian[..., 0, 0] * off[..., 1] - jacobian[..., 1, 0] * off[..., 0],
+                ],
+                axis=-1,
+            )
+            step /= determinant[..., None]
+            found = found - step
+            if not (np.abs(step) > _LAST_STEP).any():
+                break
+        again = distorted(found, coefficients)
+        # What did not converge lies where the lens puts nothing.
+        exact = np.abs(again - target).max(axis=-1) <= _ROUNDING * (1 + np.abs(target).max(axis=-1))
+    return np.where(exact[..., None], found, np.nan)
+
+
+def _radial(coefficients: tuple[float, ...]) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
+    """Return numerator and denominator of g as polynomials in r²."""
+    k1, k2, _, _, k3, k4, k5, k6 = _all(coefficients)
+    return np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
+
+
+def _all(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    return (*coefficients, *(0.0,) * (len(NAMES) - len(coefficients)))
+
+
+def _distorted(plane: np.ndarray, coefficients: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distorted points (…, 2), in reach or not, and their derivatives (…, 2, 2)."""
+    _, _, p1, p2, *_ = _all(coefficients)
+    numerator, denominator = _radial(coefficients)
+    x, y = plane[..., 0], -plane[..., 1]  # OpenCV's y is down
+    r2 = x * x + y * y
+    top, bottom = numerator(r2), denominator(r2)
+    gain = top / bottom
+    slope = 2 * (numerator.deriv()(r2) - gain * denominator.deriv()(r2)) / bottom  # dg/dx is slope · x
+    out = np.stack(
+        [x * gain + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), -(y * gain + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y)],
+        axis=-1,
+    )
+    jacobian = np.empty((*plane.shape, 2))
+    mixed = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    jacobian[..., 0, 0] = gain + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    jacobian[..., 1, 1] = gain + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = -mixed
+    return out, jacobian
+
+
+def _first_guess(radius: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """Return undistorted over distorted radius, of the radial part alone."""
+    limit = min(reach(coefficients), _FAR)
+    numerator, denominator = _radial(coefficients)
+    # Evenly spaced angles: dense near the middle, and out to any field of view.
+    table = np.tan(np.linspace(0, math.atan(limit), _TABLE)[:-1])
+    images = table * numerator(table**2) / denominator(table**2)
+    return np.interp(radius, images, table) / np.maximum(radius, 1e-300) * (radius > 0) + (radius == 0)
