@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ..capture.camera import Camera
 from ..errors import InputError
-from ..gpu import raster
+from ..gpu import context, raster
 from .domain import GeometryBake
 from .mesh import MeshData
+from .slots import OPTION, overlapping_slots
 
 # What islands may share of the covered texels: neighbours packed to within rounding touch, they do not overlap.
 OVERLAP_LIMIT = 0.005
 _OVERLAP_SIZE = 1024  # texels along the square on which overlaps are looked for
+_LARGEST_SIDE = 16384  # texels drawn at once at most along a side, whatever the device allows
 _BLOCK = 1024  # texels along the square in which coverage is looked for
 _NEAREST = 1e-4  # the near plane, as a part of the farthest depth
 
@@ -40,7 +42,25 @@ def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False
     """
     if not allow_overlap:
         _refuse_overlap(mesh)
-    return _bake(mesh, _uv_places(mesh, width, height), width, height, nearest=False)
+    places = _uv_places(mesh, width, height)
+    context.ensure()
+    side = min(context.max_texture_size(), _LARGEST_SIDE)
+    if max(width, height) <= side:
+        return _bake(mesh, places, width, height, nearest=False)
+    # Wider than a texture can be, as UDIM tiles side by side may well stand.
+    rows = []
+    for y in range(0, height, side):
+        blocks = [
+            _bake(mesh, places - np.array([x, y, 0, 0]), min(side, width - x), min(side, height - y), nearest=False)
+            for x in range(0, width, side)
+        ]
+        rows.append(_joined(blocks, axis=1))
+    return _joined(rows, axis=0)
+
+
+def _joined(parts: list[SurfaceBake], axis: int) -> SurfaceBake:
+    names = [item.name for item in fields(SurfaceBake)]
+    return SurfaceBake(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names})
 
 
 def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
@@ -68,20 +88,40 @@ def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
 
 
 def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:
-    """Return which part of the covered texels of a size × size UV square lies under more than one triangle, 0…1."""
-    places = _uv_places(mesh, size, size)
-    first = raster.triangle_numbers(places, size, size, first=True)
-    last = raster.triangle_numbers(places, size, size, first=False)
+    """Return which part of the covered texels of the UV square lies under more than one triangle, 0…1.
+
+    A UDIM tile is looked at in size × size texels.
+    """
+    return _shared(*_first_and_last(mesh, size))
+
+
+def _first_and_last(mesh: MeshData, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last triangle over each texel, from 1; 0 for none. Tiles stand on each other."""
+    places = _uv_places(mesh, size * len(mesh.tiles), size)
+    found = [
+        [raster.triangle_numbers(places - np.array([x, 0, 0, 0]), size, size, first) for first in (True, False)]
+        for x in range(0, size * len(mesh.tiles), size)
+    ]
+    first, last = (np.concatenate(part) for part in zip(*found, strict=True))
+    return first, last
+
+
+def _shared(first: np.ndarray, last: np.ndarray) -> float:
     return float((first != last).sum() / max((last > 0).sum(), 1))
 
 
 def _refuse_overlap(mesh: MeshData) -> None:
-    shared = overlap(mesh)
+    first, last = _first_and_last(mesh, _OVERLAP_SIZE)
+    shared = _shared(first, last)
     if shared > OVERLAP_LIMIT:
-        raise InputError(
-            f"UV map '{mesh.uv_map}' of '{mesh.name}' overlaps itself over {100 * shared:.3g} % of its texels;"
-            " unwrap the mesh so that every place has texels of its own"
-        )
+        where = f"UV map '{mesh.uv_map}' of '{mesh.name}' overlaps itself over {100 * shared:.3g} % of its texels"
+        if slots := overlapping_slots(mesh.materials, first, last):
+            names = ", ".join(f"'{mesh.slots[slot]}'" if slot < len(mesh.slots) else str(slot) for slot in slots)
+            raise InputError(
+                f"{where}, because the material slots {names} share it; recover them one by one ({OPTION}), or unwrap"
+                " them side by side"
+            )
+        raise InputError(f"{where}; unwrap the mesh so that every place has texels of its own")
 
 
 def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:
@@ -100,7 +140,7 @@ def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: 
 
 def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
     places = np.zeros((*mesh.uvs.shape[:2], 4))
-    places[..., :2] = mesh.uvs * np.array([width, height], np.float64)
+    places[..., :2] = mesh.texel_uvs * np.array([width, height], np.float64)
     places[..., 3] = 1.0
     return places
 

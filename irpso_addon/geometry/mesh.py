@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
+from ..maps.udim import ONE_SQUARE
+from .slots import slot_names
+from .udim import SMALLEST_AREA, lay_out, layout_size, uv_areas
 
-# Texture coordinates this far outside the unit square are rounding, not intent.
-_UV_ROUNDING = 1e-5
 # More of the surface than this without area in the UV map is a fault of the map.
 _DEGENERATE_LIMIT = 0.005
 
@@ -20,8 +22,12 @@ class MeshData:
     """T triangles, by corner, in world units and world axes; all float32.
 
     positions: (T, 3, 3). normals: (T, 3, 3) unit, as Blender shades (custom and sharp ones included). tangents:
-    (T, 3, 4) unit MikkTSpace tangent and the bitangent's sign. uvs: (T, 3, 2) in 0…1. materials: (T,) int32 slot.
-    uv_map: the name of the UV map the texture coordinates and tangents are of. matrix: (4, 4) float64 object to world.
+    (T, 3, 4) unit MikkTSpace tangent and the bitangent's sign. uvs: (T, 3, 2) in 0…1, the place in the domain.
+    materials: (T,) int32 slot. uv_map: the name of the UV map the texture coordinates and tangents are of. matrix:
+    (4, 4) float64 object to world. tiles: the UDIM tiles of the domain, which stand side by side in it from the left:
+    ``uvs`` are within all of them together, tangents those of the UV map itself. slots: the names of the object's
+    material slots. solved: (T,) bool, triangles whose slot is asked for, None for all; the others are seen and throw
+    shadows, but have no texels.
     """
 
     name: str
@@ -32,14 +38,32 @@ class MeshData:
     materials: np.ndarray
     uv_map: str
     matrix: np.ndarray
+    tiles: tuple[int, ...] = ONE_SQUARE
+    slots: tuple[str, ...] = ()
+    solved: np.ndarray | None = None
+
+    @property
+    def texel_uvs(self) -> np.ndarray:
+        """(T, 3, 2) places in the domain; of triangles that are not solved all 0, so that nothing draws them."""
+        return self.uvs if self.solved is None else np.where(self.solved[:, None, None], self.uvs, np.float32(0))
+
+    @property
+    def solved_slots(self) -> tuple[int, ...]:
+        """The slots of the triangles that are solved, ascending."""
+        return tuple(np.unique(self.materials if self.solved is None else self.materials[self.solved]).tolist())
+
+    def domain_size(self, width: int, height: int) -> tuple[int, int]:
+        """Return (width, height) of the domain in which a UDIM tile has so many texels. Raises InputError."""
+        return layout_size(self.tiles, width, height)
 
 
-def extract_mesh(obj: Any) -> MeshData:
+def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
     """Return the triangles of a mesh object, modifiers applied as the viewport shows them, in world space.
 
     Texture coordinates come from the active UV map (the one highlighted in Blender's list, not the one with the camera
-    mark). Tangents are MikkTSpace of the triangles rather than of the quads, as Cycles has them. Raises InputError, by
-    the object's name, where there is no such surface or its UV map cannot hold one; overlaps are found by ``bake_uv``.
+    mark). Tangents are MikkTSpace of the triangles rather than of the quads, as Cycles has them. slots: the material
+    slots that are asked for, None for all. Raises InputError, by the object's name, where there is no such surface or
+    its UV map cannot hold one; overlaps are found by ``bake_uv``.
     """
     import bpy
 
@@ -53,7 +77,7 @@ def extract_mesh(obj: Any) -> MeshData:
     _check_matrix(obj.name, matrix)
     mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
     try:
-        corners = _local_triangles(obj.name, mesh)
+        corners = _local_triangles(obj.name, mesh, slot_names(obj), slots)
     finally:
         bpy.data.meshes.remove(mesh)
     return _to_world(obj.name, corners, matrix)
@@ -65,7 +89,7 @@ def _check_matrix(name: str, matrix: np.ndarray) -> None:
         raise InputError(f"object '{name}' has a scale of zero along an axis; set its scale or apply it")
 
 
-def _local_triangles(name: str, mesh: Any) -> dict[str, Any]:
+def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequence[int] | None) -> dict[str, Any]:
     """Return the corners' arrays in the object's own space."""
     if not len(mesh.polygons):
         raise InputError(f"mesh object '{name}' has no faces; choose one that has a surface")
@@ -81,15 +105,28 @@ def _local_triangles(name: str, mesh: Any) -> dict[str, Any]:
     positions = coordinates[vertices].reshape(-1, 3, 3)
     if not np.isfinite(positions).all():
         raise InputError(f"mesh object '{name}' has vertices that are not numbers; repair the mesh")
-    check_uvs(name, layer.name, positions, uvs)
+    # Blender draws what has a slot beyond the last with the last.
+    materials = np.minimum(_read(mesh.loop_triangles, "material_index", count, np.int32), max(len(names) - 1, 0))
+    solved = None if slots is None else np.isin(materials, np.asarray(slots, np.int32))
+    if solved is not None and not solved.any():
+        asked = ", ".join(f"'{names[slot]}'" for slot in slots)
+        raise InputError(f"no face of '{name}' has the material slot {asked}; choose one that has faces")
+    chosen = slice(None) if solved is None else solved
+    check_uvs(name, layer.name, positions[chosen], uvs[chosen])
+    tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
+    places = placed if solved is None else np.zeros_like(uvs)
+    places[chosen] = placed
     normals = _read(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
     return {
         "positions": positions,
         "normals": normals,
-        "uvs": uvs,
+        "uvs": places,
         "tangents": _tangents(coordinates, vertices, normals, uvs),
-        "materials": _read(mesh.loop_triangles, "material_index", count, np.int32),
+        "materials": materials,
         "uv_map": layer.name,
+        "tiles": tiles,
+        "slots": names,
+        "solved": solved,
     }
 
 
@@ -132,13 +169,13 @@ def _to_world(name: str, corners: dict[str, Any], matrix: np.ndarray) -> MeshDat
     signs = corners["tangents"][..., 3:] * np.sign(np.linalg.det(linear))
     return MeshData(
         name=name,
-        positions=(corners["positions"] @ linear.T + matrix[:3, 3]).astype(np.float32),
-        normals=_unit(normals).astype(np.float32),
-        tangents=np.concatenate([_unit(tangents), signs], axis=-1).astype(np.float32),
-        uvs=corners["uvs"],
-        materials=corners["materials"],
-        uv_map=corners["uv_map"],
         matrix=matrix,
+        **corners
+        | {
+            "positions": (corners["positions"] @ linear.T + matrix[:3, 3]).astype(np.float32),
+            "normals": _unit(normals).astype(np.float32),
+            "tangents": np.concatenate([_unit(tangents), signs], axis=-1).astype(np.float32),
+        },
     )
 
 
@@ -148,25 +185,15 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def check_uvs(name: str, uv_map: str, positions: np.ndarray, uvs: np.ndarray) -> None:
-    """Raise InputError where (T, 3, 2) texture coordinates leave the unit square or hold no area for the surface."""
+    """Raise InputError where (T, 3, 2) texture coordinates are no numbers or hold no area for the surface."""
     where = f"UV map '{uv_map}' of '{name}'"
     if not np.isfinite(uvs).all():
         raise InputError(f"{where} holds values that are not numbers; unwrap the mesh again")
-    outside = ((uvs < -_UV_ROUNDING) | (uvs > 1 + _UV_ROUNDING)).any(axis=(1, 2))
-    if outside.any():
-        (u0, v0), (u1, v1) = uvs.min(axis=(0, 1)), uvs.max(axis=(0, 1))
-        raise InputError(
-            f"{where} leaves the unit square in {outside.sum()} of {len(uvs)} triangles"
-            f" (u {u0:.4g} to {u1:.4g}, v {v0:.4g} to {v1:.4g}); pack its islands into the square"
-        )
     edges = (positions[:, 1:] - positions[:, :1]).astype(np.float64)
     surface = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1)
-    flat = (uvs[:, 1:] - uvs[:, :1]).astype(np.float64)
-    area = np.abs(flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0])
     if not surface.sum() > 0:
         raise InputError(f"the faces of '{name}' have no area; choose a mesh that has a surface")
-    # A millionth of a texel of the largest bake (16384²): no bake draws it.
-    lost = surface[area < 1e-14].sum() / surface.sum()
+    lost = surface[uv_areas(uvs) < SMALLEST_AREA].sum() / surface.sum()
     if lost > _DEGENERATE_LIMIT:
         raise InputError(
             f"{where} gives no area to {100 * lost:.3g} % of the surface (collapsed faces); unwrap the mesh again"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..reflectance.model import ReflectanceModel
+from .udim import ONE_SQUARE
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Maps:
     tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
     mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
-    one component, at most π/2.
+    one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left.
     """
 
     model: ReflectanceModel
@@ -25,3 +26,4 @@ class Maps:
     covered: np.ndarray
     residual: np.ndarray | None = None
     confidence: dict[str, np.ndarray] | None = field(default=None)
+    tiles: tuple[int, ...] = ONE_SQUARE

@@ -354,7 +354,7 @@ def hide(obj):
     ("change", "message"),
     [
         (without_uv, "'Suzanne' has no UV map"),
-        (lambda obj: change_uvs(obj, lambda uv: uv * 1.5), "leaves the unit square in"),
+        (lambda obj: change_uvs(obj, lambda uv: uv * 1.5), "do not lie in one UDIM tile"),
         (lambda obj: change_uvs(obj, lambda uv: uv * 0 + 0.5), "gives no area to 100 %"),
         (lambda obj: obj.data.clear_geometry(), "'Suzanne' has no faces"),
         (flatten, "'Suzanne' has a scale of zero"),

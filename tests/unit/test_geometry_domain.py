@@ -10,6 +10,7 @@ from irpso_addon.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.domain import GeometryBake, subset, tile
 from irpso_addon.geometry.mesh import check_uvs
+from irpso_addon.geometry.udim import lay_out
 from tests.geometry_oracle import plane
 
 # A camera turned a quarter about z and moved: its x axis is the world's y, its y axis the world's −x.
@@ -122,15 +123,16 @@ def test_a_tile_outside_the_domain_is_an_error(box):
         tile(domain_from_card(capture()[0]), *box)
 
 
-def test_texture_coordinates_outside_the_square_are_refused_with_count_and_range():
-    mesh = plane(columns=2, rows=1, u_span=(0.5, 1.5))
-    with pytest.raises(InputError, match=r"'UVMap' of 'Rock' leaves .* in 2 of 4 triangles \(u 0.5 to 1.5, v 0 to 1\)"):
-        check_uvs("Rock", "UVMap", mesh.positions, mesh.uvs)
+def test_texture_coordinates_across_the_squares_border_are_refused_with_count_and_range():
+    mesh = plane(columns=2, rows=1, u_span=(0.4, 1.4))
+    with pytest.raises(InputError, match=r"Rock: 2 of 4 triangles do not lie .* \(u 0.4 to 1.4, v 0 to 1; 2 cross"):
+        lay_out("Rock", mesh.uvs)
 
 
 def test_texture_coordinates_within_rounding_of_the_square_are_accepted():
     mesh = plane(u_span=(0.0, 1 + 5e-6))
-    check_uvs("Rock", "UVMap", mesh.positions, mesh.uvs)
+    tiles, uvs = lay_out("Rock", mesh.uvs)
+    assert tiles == (1001,) and uvs is mesh.uvs
 
 
 def test_collapsed_texture_coordinates_are_refused_with_their_share_of_the_surface():

@@ -1,0 +1,116 @@
+"""UDIM sets: several squares of texture coordinates, side by side in one domain, and a file for each of them.
+
+Numbers are Blender's and Mari's: 1001 is the unit square, one more for each square to the right, ten for each row up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError
+
+if TYPE_CHECKING:  # it needs what is here
+    from .result import Maps
+
+FIRST = 1001
+COLUMNS = 10
+ROWS = 100  # Blender's last number is 2000
+ONE_SQUARE = (FIRST,)
+PATTERN = "<UDIM>"
+_NUMBER = re.compile(r"(1\d\d\d|2000)")
+
+
+def tile_number(column: int, row: int) -> int:
+    """Return the number of the square whose lower left corner has these texture coordinates."""
+    return FIRST + column + COLUMNS * row
+
+
+def tile_place(number: int) -> tuple[int, int]:
+    """Return (column, row): the texture coordinates of a square's lower left corner."""
+    row, column = divmod(number - FIRST, COLUMNS)
+    return column, row
+
+
+def tile_stem(stem: str, number: int, tiles: Sequence[int]) -> str:
+    """Return the stem of a tile's file: "base_color.1002", and "base_color" where the unit square is all there is."""
+    return stem if tuple(tiles) == ONE_SQUARE else f"{stem}.{number}"
+
+
+def tile_part(array: np.ndarray, index: int, count: int) -> np.ndarray:
+    """Return the view (H, W / count, …) of the tile with this index in a domain (H, W, …)."""
+    width = array.shape[1] // count
+    return array[:, index * width : (index + 1) * width]
+
+
+def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
+    """Yield (number, its maps) for each tile, as views."""
+    count = len(maps.tiles)
+    for index, number in enumerate(maps.tiles):
+
+        def part(value, index=index):
+            return value if np.ndim(value) < 2 else tile_part(np.asarray(value), index, count)
+
+        yield (
+            number,
+            replace(
+                maps,
+                values={name: part(value) for name, value in maps.values.items()},
+                covered=part(maps.covered),
+                residual=None if maps.residual is None else part(maps.residual),
+                confidence=maps.confidence and {name: part(value) for name, value in maps.confidence.items()},
+                tiles=(number,),
+            ),
+        )
+
+
+def tile_files(path: Path, tiles: Sequence[int]) -> list[Path]:
+    """Return the file of each tile. path: with <UDIM>, or with one of the numbers, in its name; without, of one square.
+
+    Raises InputError where one name is given for several tiles, or a tile's file is missing.
+    """
+    if PATTERN not in path.name:
+        if tuple(tiles) == ONE_SQUARE:
+            return [path]
+        numbered = _pattern_of(path)
+        if numbered is None:
+            names = ", ".join(map(str, tiles))
+            raise InputError(
+                f"{path}: is one picture, the UV map has the UDIM tiles {names}; name a file of each, as in"
+                f" {path.stem}.{PATTERN}{path.suffix}"
+            )
+        path = numbered
+    files = [path.with_name(path.name.replace(PATTERN, str(number))) for number in tiles]
+    if missing := [number for number, file in zip(tiles, files, strict=True) if not file.is_file()]:
+        raise InputError(
+            f"{path}: has no file for UDIM tile {missing[0]} ({len(missing)} of {len(files)} are missing); add it"
+        )
+    return files
+
+
+def found_tiles(path: Path) -> tuple[int, ...]:
+    """Return the numbers of the files that there are of a path with <UDIM>, or one of the numbers, in its name."""
+    pattern = path if PATTERN in path.name else _pattern_of(path)
+    if pattern is None:
+        return ONE_SQUARE
+    before, _, after = pattern.name.partition(PATTERN)
+    middles = (
+        file.name[len(before) : len(file.name) - len(after)]
+        for file in (path.parent.iterdir() if path.parent.is_dir() else ())
+        if file.name.startswith(before) and file.name.endswith(after)
+    )
+    found = sorted(int(middle) for middle in middles if _NUMBER.fullmatch(middle))
+    if not found:
+        raise InputError(f"{path}: there is no file of this name with a number from 1001 to 2000; check the path")
+    return tuple(found)
+
+
+def _pattern_of(path: Path) -> Path | None:
+    """Return normal.<UDIM>.exr for normal.1002.exr, None for names that hold no such number before their ending."""
+    stem, dot, number = path.stem.rpartition(".")
+    return path.with_name(f"{stem}.{PATTERN}{path.suffix}") if dot and _NUMBER.fullmatch(number) else None
