@@ -93,23 +93,6 @@ def tile_files(path: Path, tiles: Sequence[int]) -> list[Path]:
     return files
 
 
-def found_tiles(path: Path) -> tuple[int, ...]:
-    """Return the numbers of the files that there are of a path with <UDIM>, or one of the numbers, in its name."""
-    pattern = path if PATTERN in path.name else _pattern_of(path)
-    if pattern is None:
-        return ONE_SQUARE
-    before, _, after = pattern.name.partition(PATTERN)
-    middles = (
-        file.name[len(before) : len(file.name) - len(after)]
-        for file in (path.parent.iterdir() if path.parent.is_dir() else ())
-        if file.name.startswith(before) and file.name.endswith(after)
-    )
-    found = sorted(int(middle) for middle in middles if _NUMBER.fullmatch(middle))
-    if not found:
-        raise InputError(f"{path}: there is no file of this name with a number from 1001 to 2000; check the path")
-    return tuple(found)
-
-
 def _pattern_of(path: Path) -> Path | None:
     """Return normal.<UDIM>.exr for normal.1002.exr, None for names that hold no such number before their ending."""
     stem, dot, number = path.stem.rpartition(".")

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,10 @@ from .blender_images import encode_png
 from .report import plain
 from .result import Maps
 from .tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
+from .udim import split_maps, tile_stem
 
 REPORT = "report.json"
-_OWN_FILE = re.compile(r"[A-Za-z0-9_-]+\.(png|exr)$")
+_OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
 
 
 def check_output_folder(folder: str | Path) -> Path:
@@ -49,6 +50,7 @@ def write_maps(
     """Write maps, residual, confidence, report and pictures into ``folder`` and return the paths written.
 
     Each map is a 16-bit PNG and a 32-bit EXR; normal.exr holds the unit vector; maps.exr holds everything, a part each.
+    Of UDIM tiles each has files of its own: normal.1001.exr, normal.1002.exr, and so on.
     pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. report: plain
     data, to which "maps" and "files" are added. A former result's files that this one does not have are removed, by
     the list in its report. Raises InputError where the folder or the model's table of maps cannot be used.
@@ -76,34 +78,43 @@ def write_maps(
 
 def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
     """Write every file but the report, and return the names."""
+    names = []
+    for number, part in split_maps(maps):
+        names += _write_tile(part, tables, folder, lambda stem, number=number: tile_stem(stem, number, maps.tiles))
+    for stem, image in pictures.items():
+        encode_png(folder / f"{stem}.png", image, bits=8)
+        names.append(f"{stem}.png")
+    return names
+
+
+def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Callable[[str], str]) -> list[str]:
+    """Write the maps, residual, confidence and all of them together, and return the names."""
     everything: dict[str, dict[str, np.ndarray]] = {}
     names = []
     for table in tables:
         values = map_values(table, maps)
         everything[table.name] = _channels(values)
-        encode_png(folder / f"{table.name}.png", encoded_values(table, values), bits=16)
-        write_exr(folder / f"{table.name}.exr", {table.name: everything[table.name]})
-        names += [f"{table.name}.png", f"{table.name}.exr"]
+        stem = stem_of(table.name)
+        encode_png(folder / f"{stem}.png", encoded_values(table, values), bits=16)
+        write_exr(folder / f"{stem}.exr", {table.name: everything[table.name]})
+        names += [f"{stem}.png", f"{stem}.exr"]
     outside = ~maps.covered
     if maps.residual is not None:
         residual = np.where(outside, 0, np.asarray(maps.residual, np.float32).reshape(outside.shape))
         everything["residual"] = _channels(residual[..., None])
-        write_exr(folder / "residual.exr", {"residual": everything["residual"]})
-        names.append("residual.exr")
+        names.append(f"{stem_of('residual')}.exr")
+        write_exr(folder / names[-1], {"residual": everything["residual"]})
     if maps.confidence is not None:
         parts = {}
         for name, deviation in maps.confidence.items():
             deviation = np.asarray(deviation, np.float32).reshape(*outside.shape, -1)
             parts[f"confidence_{name}"] = _channels(np.where(outside[..., None], 0, deviation))
-        write_exr(folder / "confidence.exr", parts)
-        names.append("confidence.exr")
+        names.append(f"{stem_of('confidence')}.exr")
+        write_exr(folder / names[-1], parts)
         everything |= parts
     everything["coverage"] = _channels(maps.covered[..., None].astype(np.float32))
-    write_exr(folder / "maps.exr", everything)
-    names.append("maps.exr")
-    for stem, image in pictures.items():
-        encode_png(folder / f"{stem}.png", image, bits=8)
-        names.append(f"{stem}.png")
+    names.append(f"{stem_of('maps')}.exr")
+    write_exr(folder / names[-1], everything)
     return names
 
 
