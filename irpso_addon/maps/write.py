@@ -6,7 +6,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ import numpy as np
 from ..capture.exr import write_exr
 from ..errors import InputError
 from .blender_images import encode_png
+from .extra import ExtraMap
 from .report import plain
 from .result import Maps
 from .tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
-from .udim import split_maps, tile_stem
+from .udim import split_maps, tile_part, tile_stem
 
 REPORT = "report.json"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
@@ -45,24 +46,32 @@ def check_output_folder(folder: str | Path) -> Path:
 
 
 def write_maps(
-    maps: Maps, folder: str | Path, report: Mapping[str, Any], pictures: Mapping[str, np.ndarray] | None = None
+    maps: Maps,
+    folder: str | Path,
+    report: Mapping[str, Any],
+    pictures: Mapping[str, np.ndarray] | None = None,
+    extras: Sequence[ExtraMap] = (),
 ) -> list[Path]:
     """Write maps, residual, confidence, report and pictures into ``folder`` and return the paths written.
 
     Each map is a 16-bit PNG and a 32-bit EXR; normal.exr holds the unit vector; maps.exr holds everything, a part each.
     Of UDIM tiles each has files of its own: normal.1001.exr, normal.1002.exr, and so on.
-    pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. report: plain
+    pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. extras: maps that
+    are not the model's, in files of their own. report: plain
     data, to which "maps" and "files" are added. A former result's files that this one does not have are removed, by
     the list in its report. Raises InputError where the folder or the model's table of maps cannot be used.
     """
     tables = map_tables(maps.model)
+    if taken := {extra.name for extra in extras} & {table.name for table in tables}:
+        raise InputError(f"model {maps.model.name}: has a map '{taken.pop()}' of its own; give it another name")
     folder = check_output_folder(folder)
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".irpso-", dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
-            _write_report(Path(temporary), report, tables, names)
+            names += _write_extras(extras, maps.tiles, Path(temporary))
+            _write_report(Path(temporary), report, tables, extras, names)
             former = _former_files(folder)
             # The report goes last: a folder whose report lists a file holds that file.
             for name in (*names, REPORT):
@@ -118,13 +127,28 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
     return names
 
 
+def _write_extras(extras: Sequence[ExtraMap], tiles: Sequence[int], folder: Path) -> list[str]:
+    names = []
+    for extra in extras:
+        for index, number in enumerate(tiles):
+            stem = tile_stem(extra.name, number, tiles)
+            names.append(f"{stem}.png")
+            encode_png(folder / names[-1], tile_part(extra.encoded, index, len(tiles)), bits=16)
+            if extra.exr:
+                names.append(f"{stem}.exr")
+                write_exr(folder / names[-1], {extra.name: _channels(tile_part(extra.values, index, len(tiles)))})
+    return names
+
+
 def _channels(values: np.ndarray) -> dict[str, np.ndarray]:
     """Name the channels of (H, W, C) values: Y, RG, RGB or RGBA."""
     names = CHANNELS[values.shape[-1]]
     return {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate(names)}
 
 
-def _write_report(folder: Path, report: Mapping[str, Any], tables: list[MapTable], names: list[str]) -> None:
+def _write_report(
+    folder: Path, report: Mapping[str, Any], tables: list[MapTable], extras: Sequence[ExtraMap], names: list[str]
+) -> None:
     described = {
         table.name: {
             "channels": [
@@ -135,6 +159,8 @@ def _write_report(folder: Path, report: Mapping[str, Any], tables: list[MapTable
         }
         for table in tables
     }
+    for extra in extras:
+        described[extra.name] = {"channels": [extra.name], "color_space": "Non-Color", "png": extra.text}
     data = {**plain(report), "maps": described, "files": [*names, REPORT]}
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     (folder / REPORT).write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,78 @@
+"""Heights of what was recovered: the relief of a card, and the detail on a mesh above its own surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..maps.height import Height, card_slopes, connected, integrate, relief_from_log, tangent_slopes
+from .bake import SurfaceBake
+from .mesh import MeshData
+
+
+def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Height:
+    """Return the relief of a card in texels, toward the viewer; normals: (H, W, 3) in camera space.
+
+    Through a perspective camera it is measured along its axis, against the mean depth, in texels of there.
+    """
+    if not camera.perspective:
+        values, steps = integrate(*card_slopes(normals, camera.scale), covered)
+    else:
+        local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4))
+        values, steps = integrate(*card_slopes(normals, camera.scale, local.points()), covered)
+        values = relief_from_log(values, camera.scale[0])
+    return Height(values.astype(np.float32), covered, "texels", steps)
+
+
+def mesh_height(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, covered: np.ndarray) -> Height:
+    """Return the relief on a mesh along its shading normals, in world units, of mean 0 in every UV island.
+
+    normals: (H, W, 3) in the solver's frame. It is what the normals lean off the mesh's own: detail that is small
+    against the bends of the mesh, whose curvature is not counted.
+    """
+    along, torn = texel_steps(mesh, bake)
+    values, steps = integrate(*tangent_slopes(normals, along), covered & bake.coverage, torn)
+    return Height(values.astype(np.float32), covered, "world", steps)
+
+
+def texel_steps(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far one texel goes on the surface, and which neighbours in the UV square are none on it.
+
+    The steps are (H, W, 2, 2) float32: [along x, along y][along the tangent, along the bitangent], in world units.
+    torn: (H, W, 2) bool, where the texel and the next one along x, or along y, are of different UV islands.
+    """
+    height, width = bake.coverage.shape
+    along = np.zeros((height, width, 2, 2), np.float32)
+    inside = bake.coverage
+    number = bake.triangle[inside]
+    steps = _world_per_uv(mesh)[number] / (width, height)  # (N, 3, 2)
+    frames = bake.frames(inside)[:, :2]
+    along[inside] = np.einsum("nij,njk->nki", frames, steps)
+    island = np.full((height, width), -1)
+    island[inside] = uv_islands(mesh)[number]
+    torn = np.zeros((height, width, 2), bool)
+    torn[:, :-1, 0] = island[:, 1:] != island[:, :-1]
+    torn[:-1, :, 1] = island[1:] != island[:-1]
+    return along, torn
+
+
+def uv_islands(mesh: MeshData) -> np.ndarray:
+    """Return (T,) int: triangles of one number hang together by corners shared in the world and in the UV square."""
+    corners = np.concatenate([mesh.positions, mesh.uvs], axis=-1).reshape(-1, 5)
+    corner = np.unique(corners, axis=0, return_inverse=True)[1].reshape(-1)
+    triangle = np.repeat(np.arange(len(mesh.uvs)), 3)
+    # Triangles and corners are nodes of one graph.
+    joined = connected(len(mesh.uvs) + corner.max() + 1, triangle, corner + len(mesh.uvs))
+    return joined[: len(mesh.uvs)]
+
+
+def _world_per_uv(mesh: MeshData) -> np.ndarray:
+    """Return (T, 3, 2) the world's change over u and v in every triangle; 0 where it has no area in the UV square."""
+    edges = (mesh.positions[:, 1:] - mesh.positions[:, :1]).astype(np.float64)  # (T, 2, 3)
+    flat = (mesh.uvs[:, 1:] - mesh.uvs[:, :1]).astype(np.float64)  # (T, 2, 2): edge, (u, v)
+    area = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
+    adjugate = np.stack(
+        [np.stack([flat[:, 1, 1], -flat[:, 0, 1]], -1), np.stack([-flat[:, 1, 0], flat[:, 0, 0]], -1)], axis=1
+    )
+    inverse = adjugate / np.where(area == 0, np.inf, area)[:, None, None]
+    return np.einsum("tij,tjk->tki", inverse, edges)

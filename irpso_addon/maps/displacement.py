@@ -1,0 +1,34 @@
+"""The recovered relief as displacement of a material.
+
+Measured in Cycles 4.2 to 5.2 on a card of 128 × 128 faces: with the method "Displacement and Bump" the shape is the
+relief's to a few thousandths of its height, and the normal map, which is connected as well, is not counted twice. With
+"Displacement Only" it is, by 20°, up to 4.5.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .height import Height
+from .nodes import OwnNodes
+from .result import Maps
+from .textures import data_image
+
+METHOD = "BOTH"
+_PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
+
+
+def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
+    """Make image and Displacement node; return its output. A card is one unit wide, whatever its texels are."""
+    image = data_image(maps, "height", height.values[..., None], subject, folder)
+    texture = nodes.node("map height", "ShaderNodeTexImage", _PLACES["map height"], "height", image=image)
+    if uv_map:
+        uv = nodes.node("uv", "ShaderNodeUVMap", _PLACES["uv"], uv_map=uv_map)
+        nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
+    # In the world an object's unequal scale does not bend the relief; a card's is its own, and grows with it.
+    space = "OBJECT" if height.unit == "texels" else "WORLD"
+    node = nodes.node("displacement", "ShaderNodeDisplacement", _PLACES["displacement"], space=space)
+    node.inputs["Midlevel"].default_value = 0.0
+    node.inputs["Scale"].default_value = 1 / height.values.shape[1] if height.unit == "texels" else 1.0
+    nodes.link(texture.outputs["Color"], node.inputs["Height"])
+    return node.outputs["Displacement"]
