@@ -1,0 +1,145 @@
+"""Relief on meshes, and relief displacing a card in Cycles."""
+
+import bpy
+import numpy as np
+import OpenEXR
+import pytest
+
+from irpso_addon.capture.camera import Camera
+from irpso_addon.geometry import bake, relief
+from irpso_addon.maps.material import apply_material, build_material, card_object
+from irpso_addon.maps.result import Maps
+from irpso_addon.reflectance.model import load_model
+from tests import geometry_oracle
+from tests.cli_maker import angle
+
+SIZE = 96
+
+
+def unit(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def test_detail_on_a_ball_comes_back_in_world_units():
+    mesh = geometry_oracle.sphere(radius=2.0, columns=96, rows=64)
+    texels = bake.bake_uv(mesh, 192, 128)
+    step = np.float64([np.pi * 2 / 192, np.pi / 128])
+
+    def detail(place):
+        x, y, z = np.moveaxis(np.asarray(place, np.float64), -1, 0)
+        return 0.02 * np.sin(4 * x + y) * np.cos(3 * z)
+
+    # The slope along tangent and bitangent, by differences over space; the ball's own radius takes the normal's part.
+    at = unit(texels.position.astype(np.float64))
+    axes, h = texels.frames(), 1e-4
+    slope = [
+        (detail(2 * unit(at + h * axes[..., k, :])) - detail(2 * unit(at - h * axes[..., k, :]))) / (4 * h)
+        for k in (0, 1)
+    ]
+    normals = unit(np.stack([-slope[0], -slope[1], np.ones_like(slope[0])], axis=-1))
+    inner = texels.coverage & (np.abs(texels.position[..., 2]) < 1.8)  # at a pole a texel has no width
+    found = relief.mesh_height(mesh, texels, normals, inner)
+    truth = detail(texels.position)
+    error = (found.values - truth)[inner]
+    error -= error.mean()
+    print(f"\nball: off by {np.abs(error).max():.5f} of {np.ptp(truth[inner]):.4f}, {found.steps} steps, step {step}")
+    assert found.unit == "world" and np.abs(error).max() < 0.02 * np.ptp(truth[inner])
+
+
+def test_a_step_from_texel_to_texel_is_what_positions_say():
+    mesh = geometry_oracle.sphere(columns=12, rows=8)
+    texels = bake.bake_uv(mesh, 64, 48)
+    along, torn = relief.texel_steps(mesh, texels)
+    same = (texels.triangle[:, 1:] == texels.triangle[:, :-1]) & texels.coverage[:, 1:]
+    difference = (texels.position[:, 1:] - texels.position[:, :-1])[same].astype(np.float64)
+    frames = texels.frames()[:, :-1][same]
+    expected = np.einsum("nij,nj->ni", frames[:, :2], difference)
+    np.testing.assert_allclose(along[:, :-1][same][:, 0], expected, atol=1e-5)
+    assert not torn[:, :-1, 0][texels.coverage[:, :-1] & texels.coverage[:, 1:]].any()
+
+
+def bump(x, y):
+    """Return height and normals of a smooth bump on a card one unit wide."""
+    z = 0.08 * np.exp(-((x - 0.05) ** 2 + (y + 0.03) ** 2) / 0.03)
+    return z, unit(np.stack([2 * (x - 0.05) / 0.03 * z, 2 * (y + 0.03) / 0.03 * z, np.ones_like(z)], axis=-1))
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    """A finely divided card with the recovered relief of a bump in its material, seen from above."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    centres = (np.arange(SIZE) + 0.5) / SIZE - 0.5
+    z, normals = bump(*np.meshgrid(centres, centres))
+    covered = np.ones((SIZE, SIZE), bool)
+    height = relief.card_height(Camera.orthographic(SIZE, SIZE, 7.0), normals, covered)
+    values = {"base_color": np.full((SIZE, SIZE, 3), 0.5, np.float32), "normal": normals.astype(np.float32)}
+    material = build_material(Maps(load_model("lambert"), values, covered), "bump", height=height)
+    obj = card_object("bump", SIZE, SIZE)
+    apply_material(obj, material)
+    obj.scale = (2, 2, 2)  # the relief grows with its card
+    divide = obj.modifiers.new("fine", "SUBSURF")
+    divide.subdivision_type, divide.levels, divide.render_levels = "SIMPLE", 0, 7
+    obj.data.polygons.foreach_set("use_smooth", [True])
+    data = bpy.data.cameras.new("view")
+    data.type, data.ortho_scale = "ORTHO", 2.0
+    view = bpy.data.objects.new("view", data)
+    view.location = (0, 0, 5)
+    bpy.context.scene.collection.objects.link(view)
+    bpy.context.scene.camera = view
+    return material, z, normals, tmp_path_factory.mktemp("height")
+
+
+def passes(path):
+    """Return the depth (H, W) and normal (H, W, 3) passes of Cycles, row 0 at the bottom."""
+    settings, cycles = bpy.context.scene.render, bpy.context.scene.cycles
+    settings.engine, settings.filepath = "CYCLES", str(path)
+    settings.resolution_x = settings.resolution_y = SIZE
+    if hasattr(settings.image_settings, "media_type"):
+        settings.image_settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.image_settings.file_format, settings.image_settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    cycles.samples, cycles.pixel_filter_type, cycles.filter_width = 1, "BOX", 0.01
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    layer = bpy.context.view_layer
+    layer.use_pass_normal = layer.use_pass_z = True
+    bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: channel.pixels[::-1] for part in file.parts for name, channel in part.channels.items()}
+    normal = np.stack([channels[f"ViewLayer.Normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    return next(pixels for name, pixels in channels.items() if name.startswith("ViewLayer.Depth")), normal
+
+
+INNER = (slice(4, -4), slice(4, -4))
+
+
+def test_the_displaced_card_has_the_height_of_the_bump_and_the_normal_map_counts_once(card):
+    material, z, normals, folder = card
+    assert material.displacement_method == "BOTH"
+    depth, normal = passes(folder / "both.exr")
+    found = (5 - depth) / 2
+    error = (found - found.mean() - z + z.mean())[INNER]
+    off = angle(unit(normal), normals)[INNER]
+    print(f"\nheight off by {np.abs(error).max():.5f} of {np.ptp(z):.3f}; normals 99 % {np.percentile(off, 99):.3f}°")
+    assert np.abs(error).max() < 0.005 * np.ptp(z) and np.percentile(off, 99) < 0.1
+
+
+def test_the_shape_alone_has_the_recovered_normals(card):
+    material, _, normals, folder = card
+    surface = material.node_tree.nodes["IRPSO surface"].inputs["Normal"]
+    link = surface.links[0]
+    source = link.from_socket
+    material.node_tree.links.remove(link)
+    material.displacement_method = "DISPLACEMENT"
+    _, normal = passes(folder / "shape.exr")
+    material.displacement_method = "BOTH"
+    material.node_tree.links.new(source, surface)
+    off = angle(unit(normal), normals)[INNER]
+    print(f"\nnormals of the shape: median {np.median(off):.3f}°, 99 % {np.percentile(off, 99):.3f}°")
+    assert np.median(off) < 0.1 and np.percentile(off, 99) < 1
+
+
+def test_a_material_that_is_built_again_without_height_is_displaced_no_more(card):
+    material, _, normals, _ = card
+    values = {"base_color": np.full((SIZE, SIZE, 3), 0.5, np.float32), "normal": normals.astype(np.float32)}
+    again = build_material(Maps(load_model("lambert"), values, np.ones((SIZE, SIZE), bool)), "bump")
+    assert again == material and "IRPSO displacement" not in material.node_tree.nodes
+    assert not material.node_tree.nodes["IRPSO output"].inputs["Displacement"].is_linked
