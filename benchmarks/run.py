@@ -16,9 +16,23 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks import coarse_to_fine, convergence, fig7, joint, lights, peers_table, report, scenes_table, window
+from benchmarks import (
+    coarse_to_fine,
+    convergence,
+    fig7,
+    joint,
+    large_mesh,
+    lights,
+    multiview,
+    peers_table,
+    report,
+    scenes_table,
+    window,
+)
 
-_MODULES = (joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, window)
+_MODULES = (
+    joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, window,
+)  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}
 _NICE = 10  # whoever works at the machine meanwhile goes first

@@ -12,7 +12,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from irpso_addon.capture.exr import read_exr
-from irpso_addon.maps.lights import sun_strength
+from irpso_addon.maps.lights import point_power, sun_strength
 
 from .materials import TRUTHS
 
@@ -72,11 +72,25 @@ def photographs(
 
     Pictures that ``folder`` holds are not rendered again.
     """
-    sun = _only_sun()
-    for number, direction in enumerate(directions):
+    return _photographs(folder, directions, "SUN", report)
+
+
+def photographs_near(folder: Path, places: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield as ``photographs`` does under each point light; places: (K, 3).
+
+    Their intensity is the square of their distance from the origin, where they shine as bright as a Sun of 1.
+    """
+    return _photographs(folder, places, "POINT", None)
+
+
+def _photographs(
+    folder: Path, vectors: np.ndarray, kind: str, report: Callable[[int], None] | None
+) -> Iterator[np.ndarray]:
+    lamp = _only_lamp(kind)
+    for number, vector in enumerate(vectors):
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():
-            _aim(sun, direction)
+            _place(lamp, vector)
             _render(path, "OPEN_EXR", persistent=True)
         (channels,) = read_exr(path).values()
         yield np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float32)
@@ -116,20 +130,29 @@ def truth(folder: Path) -> dict[str, np.ndarray]:
     return maps
 
 
-def _only_sun():
-    """Return the scene's one lamp, a Sun of intensity 1."""
+def _only_lamp(kind: str):
+    """Return the scene's one lamp, of that kind and without extent."""
     for lamp in [thing for thing in bpy.context.scene.objects if thing.type == "LIGHT"]:
         bpy.data.objects.remove(lamp)
-    data = bpy.data.lights.new("Sun", "SUN")
-    data.energy, data.angle = sun_strength(1.0), 0
-    sun = bpy.data.objects.new("Sun", data)
-    bpy.context.scene.collection.objects.link(sun)
-    return sun
+    data = bpy.data.lights.new("Lamp", kind)
+    if kind == "SUN":
+        data.angle = 0
+    else:
+        data.shadow_soft_size = 0
+    lamp = bpy.data.objects.new("Lamp", data)
+    bpy.context.scene.collection.objects.link(lamp)
+    return lamp
 
 
-def _aim(sun, direction: np.ndarray) -> None:
-    toward = Vector([float(v) for v in direction])
-    sun.matrix_world = Matrix.Translation(_DISTANCE * toward) @ toward.to_track_quat("Z", "Y").to_matrix().to_4x4()
+def _place(lamp, vector: np.ndarray) -> None:
+    """Turn a Sun to a direction, or put a point light at a place, as bright as ``photographs`` say."""
+    toward = Vector([float(v) for v in vector])
+    if lamp.data.type == "POINT":
+        lamp.matrix_world = Matrix.Translation(toward)
+        lamp.data.energy = point_power(toward.length_squared)
+        return
+    lamp.data.energy = sun_strength(1.0)
+    lamp.matrix_world = Matrix.Translation(_DISTANCE * toward) @ toward.to_track_quat("Z", "Y").to_matrix().to_4x4()
 
 
 def _render(path: Path, kind: str, persistent: bool = False) -> None:
