@@ -10,6 +10,13 @@ import numpy as np
 from . import distortion as lens
 from .problems import CaptureError
 
+_RIGID = 1e-4  # how far axes may be from unit length and right angles: six printed digits
+
+
+def is_rotation(axes: np.ndarray) -> bool:
+    """Return whether the axes (3, 3) turn and do nothing else, to the digits that files are written with."""
+    return bool(np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID and np.linalg.det(axes) > 0)
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .camera import is_rotation
 from .draft import Draft, Shot, ViewDraft
 from .images import ImageRef
 from .picture import COLOUR_SPACES
@@ -20,7 +21,6 @@ _CAMERA = {"name", "width", "height", "matrix", "mask", "mask_part", "mask_layer
 _OBSERVATION = {
     "name", "image", "part", "layer", "colour_space", "light_direction", "light_position", "light_intensity", "camera",
 }  # fmt: skip
-_RIGID = 1e-4  # how far a camera's axes may be from unit length and right angles: six printed digits
 
 
 def draft_of_table(path: Path, colour_space: str = "auto") -> Draft:
@@ -76,8 +76,7 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     matrix = np.asarray(flat, float).reshape(4, 4)
     if not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise CaptureError(f"{where}: matrix must end with the row 0, 0, 0, 1; write it row by row", "matrix")
-    axes = matrix[:3, :3]
-    if abs(axes.T @ axes - np.eye(3)).max() > _RIGID or np.linalg.det(axes) < 0:
+    if not is_rotation(matrix[:3, :3]):
         raise CaptureError(
             f"{where}: matrix is no rotation with a place (it scales, mirrors or has no inverse);"
             " write the camera's matrix with its scale applied",

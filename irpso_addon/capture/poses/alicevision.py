@@ -1,0 +1,157 @@
+"""Cameras of AliceVision, which Meshroom runs, in its JSON format: .sfm files.
+
+AliceVision's sfmDataIO with its CHANGES.md: numbers are written as strings; from version 1.2.1 the principal point is
+an offset from the image's middle, from 1.2.2 the focal length is in millimetres; matrices are written column by column,
+and a pose's rotation is that of the world into the camera (x right, y down, z to the front). The centres of pixels have
+whole coordinates, as in its image undistortion. Meshes are written with y and z negated since version 1.2.3.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import is_rotation
+from ..problems import CaptureError
+from .posed import PoseFile, camera_from_vision, moved
+
+# Distortion, by either of its names → which of OpenCV's coefficients the parameters are, in their order.
+_DISTORTIONS = {
+    "none": (),
+    "pinhole": (),
+    "radial1": ("k1",),
+    "radialk1": ("k1",),
+    "radial3": ("k1", "k2", "k3"),
+    "radialk3": ("k1", "k2", "k3"),
+    "brown": ("k1", "k2", "k3", "p1", "p2"),
+}
+_OFFSET_SINCE, _MILLIMETRES_SINCE, _MESH_TURNED_SINCE = (1, 2, 1), (1, 2, 2), (1, 2, 3)
+_MESH_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+_AGAIN = "write it again with Meshroom's ConvertSfMFormat, with views, intrinsics and extrinsics"
+
+
+def read_alicevision(path: Path) -> PoseFile:
+    """Return the cameras of a .sfm file in the world of the mesh that the same version writes.
+
+    Views without a pose are left out. Raises CaptureError where the file is damaged.
+    """
+    table = _parsed(path)
+    version = tuple(int(value) for value in _numbers(table, "version", 3, str(path)))
+    lenses = {_text(row, "intrinsicId", path): _lens(row, version, path) for row in _rows(table, "intrinsics", path)}
+    poses = {_text(row, "poseId", path): _pose(row, path) for row in _rows(table, "poses", path)}
+    cameras, unusable = {}, {}
+    for view in _rows(table, "views", path):
+        name = _text(view, "path", path)
+        where = f"{path}: view '{name}'"
+        if name in cameras or name in unusable:
+            raise CaptureError(f"{where}: is there twice; {_AGAIN}", "camera")
+        lens, pose = (items.get(str(view.get(key))) for items, key in ((lenses, "intrinsicId"), (poses, "poseId")))
+        if str(view.get("intrinsicId")) not in lenses:
+            unusable[name] = "has no intrinsics; run StructureFromMotion"
+        elif "rigId" in view and str(view.get("isPoseIndependant", "true")).lower() in ("false", "0"):
+            unusable[name] = "is part of a rig, whose poses are not read; switch rigs off in CameraInit"
+        elif pose is None:
+            unusable[name] = "was not aligned; give the .sfm that StructureFromMotion wrote"
+        elif isinstance(lens, str):
+            unusable[name] = lens
+        else:
+            camera = camera_from_vision(*lens, *pose)
+            cameras[name] = moved(camera, _MESH_TURN) if version >= _MESH_TURNED_SINCE else camera
+    return PoseFile(path, "AliceVision", cameras, unusable)
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        table = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise CaptureError(f"{path}: is cut short or no JSON ({error}); {_AGAIN}", "not_text") from error
+    if not isinstance(table, dict) or "views" not in table:
+        raise CaptureError(f"{path}: is no file of AliceVision's (it has no views); {_AGAIN}", "kind")
+    return table
+
+
+def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> tuple | str:
+    """Return (size, focal length, centre, distortion), or in words why the intrinsics are none of ours."""
+    where = f"{path}: intrinsics {row.get('intrinsicId')}"
+    kind = str(row.get("type", "")).lower()
+    # Since the distortion has a name of its own, type is that of the projection.
+    distortion, reverse = (
+        str(row.get(key, default)).lower() for key, default in (("distortionType", kind), ("undistortionType", "none"))
+    )
+    odd = next((name for name in (kind, distortion) if name not in _DISTORTIONS), reverse if reverse != "none" else "")
+    if odd or not kind:
+        return f"has intrinsics of type '{odd}', which is not read; choose pinhole, radialk1, radialk3 or brown"
+    names = _DISTORTIONS[distortion]
+    if abs(float(_value(row.get("pixelRatio", 1), f"{where}: pixelRatio")) - 1) > 1e-6:
+        return "has oblong pixels (pixelRatio), which are not read; lock the ratio to 1 in CameraInit"
+    width, height = _value(row.get("width"), f"{where}: width"), _value(row.get("height"), f"{where}: height")
+    focal = _focal(row, version, width, where)
+    if min(width, height, *focal) <= 0 or width % 1 or height % 1:
+        raise CaptureError(f"{where}: size and focal length must be above 0; {_AGAIN}", "camera")
+    x, y = _numbers(row, "principalPoint", 2, where)
+    if version >= _OFFSET_SINCE:
+        x, y = x + width / 2, y + height / 2
+    given = _numbers(row, "distortionParams", len(names), where) if row.get("distortionParams") else [0.0] * len(names)
+    of = dict(zip(names, given, strict=True))
+    coefficients = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3"))
+    return (int(width), int(height)), focal, (x + 0.5, y + 0.5), coefficients
+
+
+def _focal(row: dict[str, Any], version: tuple[int, ...], width: float, where: str) -> tuple[float, float]:
+    """Return the focal length along x and y in pixels."""
+    if version >= _MILLIMETRES_SINCE:
+        sensor = _value(row.get("sensorWidth"), f"{where}: sensorWidth")
+        if sensor <= 0:
+            raise CaptureError(f"{where}: sensorWidth must be above 0; {_AGAIN}", "camera")
+        return (_value(row.get("focalLength"), f"{where}: focalLength") / sensor * width,) * 2
+    given = row.get("pxFocalLength")
+    if isinstance(given, list):
+        return tuple(_numbers(row, "pxFocalLength", 2, where))
+    return (_value(given, f"{where}: pxFocalLength"),) * 2
+
+
+def _pose(row: dict[str, Any], path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation (3, 3), camera to world, and position (3,)."""
+    where = f"{path}: pose {row.get('poseId')}"
+    pose = row.get("pose")
+    transform = pose.get("transform") if isinstance(pose, dict) else None
+    if not isinstance(transform, dict):
+        raise CaptureError(f"{where}: has no transform; {_AGAIN}", "camera")
+    # Column by column world to camera is row by row camera to world.
+    rotation = np.reshape(_numbers(transform, "rotation", 9, where), (3, 3))
+    if not is_rotation(rotation):
+        raise CaptureError(f"{where}: its rotation is none (it scales or mirrors); {_AGAIN}", "matrix")
+    return rotation, np.array(_numbers(transform, "center", 3, where))
+
+
+def _rows(table: dict[str, Any], key: str, path: Path) -> list[dict[str, Any]]:
+    rows = table.get(key) or []
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise CaptureError(f"{path}: its {key} are no list; {_AGAIN}", "kind")
+    return rows
+
+
+def _text(row: dict[str, Any], key: str, path: Path) -> str:
+    if key not in row:
+        raise CaptureError(f"{path}: an entry has no {key}; {_AGAIN}", "kind")
+    return str(row[key])
+
+
+def _numbers(row: dict[str, Any], key: str, count: int, where: str) -> list[float]:
+    values = row.get(key)
+    if not isinstance(values, list) or len(values) != count:
+        raise CaptureError(f"{where}: {key} must be {count} numbers; {_AGAIN}", "not_number")
+    return [_value(value, f"{where}: {key}") for value in values]
+
+
+def _value(value: Any, where: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{where} must be a number; {_AGAIN}", "not_number") from error
+    if not np.isfinite(number):
+        raise CaptureError(f"{where} must be a finite number; {_AGAIN}", "not_number")
+    return number

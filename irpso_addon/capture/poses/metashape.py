@@ -1,0 +1,169 @@
+"""Cameras of Agisoft Metashape as File > Export > Export Cameras writes them in its own XML.
+
+Metashape's user manual, appendix "Camera models", frame cameras: x right, y down, z along the view, r² = x² + y²,
+x′ = x (1 + K1 r² + K2 r⁴ + K3 r⁶ + K4 r⁸) + (P1 (r² + 2x²) + 2 P2 xy)(1 + P3 r² + P4 r⁴), y′ likewise with P1 and P2
+changed about (so that its P1 is OpenCV's p2), u = w/2 + cx + x′ f + x′ B1 + y′ B2, v = h/2 + cy + y′ f; the upper
+left pixel's centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import numpy as np
+
+from ..camera import is_rotation
+from ..problems import CaptureError
+from .posed import PoseFile, camera_from_vision, similarity
+
+_AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
+_NEGLIGIBLE = 0.1  # pixels that a term which Camera does not have may amount to in the image's corners
+_NO = ("0", "false")
+_EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # of WKT: worlds that are the Earth
+
+
+def read_metashape(path: Path) -> PoseFile:
+    """Return the cameras of a Metashape XML file in the world of its exported models (scale of the chunk applied).
+
+    Disabled cameras and those without a place are left out. Raises CaptureError where the file is damaged, or its
+    world is a map of the Earth.
+    """
+    root = _parsed(path)
+    chunks = [root] if root.tag == "chunk" else root.findall("chunk")
+    if len(chunks) != 1:
+        what = f"holds {len(chunks)} chunks; export one" if chunks else f"is no list of Metashape's cameras; {_AGAIN}"
+        raise CaptureError(f"{path}: {what}", "kind")
+    (chunk,) = chunks
+    if (chunk.findtext("reference") or "").strip().startswith(_EARTH):
+        raise CaptureError(
+            f"{path}: its world is the Earth; in Metashape's Reference pane choose Local Coordinates, then export the"
+            " cameras and the model again",
+            "camera",
+        )
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
+    places = {part.get("id"): part.find("transform") for part in chunk.iterfind("components/component")}
+    cameras, unusable = {}, {}
+    for element in chunk.iterfind("cameras//camera"):
+        name = element.get("label") or f"camera {element.get('id')}"
+        where = f"{path}: camera '{name}'"
+        if name in cameras or name in unusable:
+            raise CaptureError(f"{where}: is there twice; give the photographs different names", "camera")
+        if (element.get("enabled") or "true").lower() in _NO:
+            unusable[name] = "is disabled; enable it in Metashape and export again"
+        elif element.find("transform") is None:
+            unusable[name] = "was not aligned; align it in Metashape and export again"
+        else:
+            sensor = sensors.get(element.get("sensor_id"))
+            if sensor is None:
+                raise CaptureError(f"{where}: its sensor {element.get('sensor_id')} is not there; {_AGAIN}", "camera")
+            lens = _lens(sensor, f"{path}: sensor '{sensor.get('label', sensor.get('id'))}'")
+            place = places.get(element.get("component_id"))
+            world = _transform(chunk.find("transform") if place is None else place, f"{path}: the chunk's transform")
+            if isinstance(lens, str):
+                unusable[name] = lens
+            else:
+                cameras[name] = camera_from_vision(*lens, *_pose(element, world, where))
+    return PoseFile(path, "Metashape", cameras, unusable)
+
+
+def _parsed(path: Path) -> ElementTree.Element:
+    """Return the root of an XML file without a document type: entities could grow without bound or open other files."""
+    data = path.read_bytes()
+
+    def refuse(*_: object) -> None:
+        raise CaptureError(f"{path}: declares a document type, which Metashape's files do not; {_AGAIN}", "kind")
+
+    looker = expat.ParserCreate()
+    looker.StartDoctypeDeclHandler = refuse
+    try:
+        looker.Parse(data, True)
+        return ElementTree.fromstring(data)
+    except (expat.ExpatError, ElementTree.ParseError) as error:
+        raise CaptureError(f"{path}: is cut short or no XML ({error}); {_AGAIN}", "not_text") from error
+
+
+def _lens(sensor: ElementTree.Element, where: str) -> tuple | str:
+    """Return (size, focal length, centre, distortion), or in words why the sensor is none of ours."""
+    found = sensor.findall("calibration")
+    calibration = next((item for item in found if item.get("class") == "adjusted"), found[0] if found else None)
+    if calibration is None:
+        raise CaptureError(f"{where}: has no calibration; {_AGAIN}", "camera")
+    kind = calibration.get("type") or sensor.get("type") or "frame"
+    if kind != "frame":
+        return f"has a lens of type {kind}; only frame cameras are read: export undistorted photographs from Metashape"
+    resolution = calibration.find("resolution")
+    resolution = sensor.find("resolution") if resolution is None else resolution
+    if resolution is None:
+        raise CaptureError(f"{where}: has no resolution; {_AGAIN}", "camera")
+    size = tuple(_numbers(resolution.get(side), 1, f"{where}: its resolution")[0] for side in ("width", "height"))
+    of = {item.tag: _numbers(item.text, 1, f"{where}: {item.tag}")[0] for item in calibration if _is_term(item.tag)}
+    if "f" not in of:
+        raise CaptureError(f"{where}: its calibration has no f; {_AGAIN} with Metashape 1 or later", "camera")
+    if min(of["f"], of["f"] + of.get("b1", 0), *size) <= 0 or any(side % 1 for side in size):
+        raise CaptureError(f"{where}: resolution and f must be above 0; {_AGAIN}", "camera")
+    if term := _unknown_term(of, size):
+        return (
+            f"has {term}, which is not read; optimize the alignment without it, or export undistorted photographs from"
+            " Metashape"
+        )
+    centre = (size[0] / 2 + of.get("cx", 0), size[1] / 2 + of.get("cy", 0))
+    distortion = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p2", "p1", "k3"))
+    return (int(size[0]), int(size[1])), (of["f"] + of.get("b1", 0), of["f"]), centre, distortion
+
+
+def _is_term(tag: str) -> bool:
+    return tag in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+
+
+def _unknown_term(of: dict[str, float], size: tuple[float, float]) -> str:
+    """Return the name of a term that Camera does not have and that moves the image's corners, "" without one."""
+    x = (size[0] / 2 + abs(of.get("cx", 0))) / of["f"]
+    y = (size[1] / 2 + abs(of.get("cy", 0))) / of["f"]
+    r = math.hypot(x, y)
+    tangential = 3 * r**2 * (abs(of.get("p1", 0)) + abs(of.get("p2", 0)))
+    pixels = {
+        "B2": abs(of.get("b2", 0)) * y,
+        "K4": abs(of.get("k4", 0)) * r**9 * of["f"],
+        "P3 and P4": tangential * (abs(of.get("p3", 0)) * r**2 + abs(of.get("p4", 0)) * r**4) * of["f"],
+    }
+    return next((name for name, moved in pixels.items() if moved > _NEGLIGIBLE), "")
+
+
+def _transform(element: ElementTree.Element | None, where: str) -> np.ndarray:
+    """Return (4, 4) what brings a component's points into the world: rotation, translation and scale."""
+    matrix = np.eye(4)
+    if element is None:
+        return matrix
+    rotation, translation = element.findtext("rotation"), element.findtext("translation")
+    scale = element.findtext("scale")
+    if rotation is not None:
+        matrix[:3, :3] = np.reshape(_numbers(rotation, 9, where), (3, 3))
+    if scale is not None:
+        matrix[:3, :3] *= _numbers(scale, 1, where)[0]
+    if translation is not None:
+        matrix[:3, 3] = _numbers(translation, 3, where)
+    if rotation is None and element.text and element.text.strip():
+        matrix = np.reshape(_numbers(element.text, 16, where), (4, 4))
+    return similarity(matrix, where)
+
+
+def _pose(element: ElementTree.Element, world: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation (3, 3), camera to world, and position (3,)."""
+    pose = np.reshape(_numbers(element.findtext("transform"), 16, f"{where}: its transform"), (4, 4))
+    if not is_rotation(pose[:3, :3]):
+        raise CaptureError(f"{where}: its transform is no rotation with a place; {_AGAIN}", "matrix")
+    whole = world @ pose
+    return whole[:3, :3] / np.cbrt(np.linalg.det(world[:3, :3])), whole[:3, 3]
+
+
+def _numbers(text: str | None, count: int, where: str) -> list[float]:
+    try:
+        values = [float(word) for word in (text or "").split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise CaptureError(f"{where} must be {count} finite number{'s' * (count > 1)}; {_AGAIN}", "not_number")
+    return values

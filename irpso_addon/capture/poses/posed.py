@@ -1,0 +1,155 @@
+"""Cameras with names and places, from whatever program, and bringing them to our axes, our world and our pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+
+from ..camera import Camera, is_rotation
+from ..problems import CaptureError
+
+# Quarter turns clockwise that bring a picture upright, by its orientation tag (EXIF 2.3, tag 274); others mirror it.
+_TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
+_TOLD = 6  # names that an error lists
+_SIZE = 0.75  # pixels by which the height of a scaled picture may be off its camera's proportions, by rounding
+_BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, to y up and z toward the viewer
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """The cameras of one file or folder. program: whose it is. cameras: by image name as written there.
+
+    unusable: image name → why that one has no camera.
+    """
+
+    path: Path
+    program: str
+    cameras: Mapping[str, Camera]
+    unusable: Mapping[str, str]
+
+    def name_of(self, wanted: str, where: str) -> str:
+        """Return the name of the camera of an image that is wanted, as written, or by its last part, or without suffix.
+
+        Raises CaptureError, beginning with ``where``, where there is none or several.
+        """
+        found = self._matches(wanted, self.cameras)
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise CaptureError(
+                f"{where}: '{wanted}' may be any of {_some(found)} of {self.path}; give camera its whole name", "camera"
+            )
+        if lost := self._matches(wanted, self.unusable):
+            why = f"its '{lost[0]}' {self.unusable[lost[0]]}"
+        else:
+            why = f"it has no '{wanted}'; set camera to one that it has: {_some(list(self.cameras))}"
+        raise CaptureError(f"{where}: its camera is to be had from {self.path}: {why}", "camera")
+
+    @staticmethod
+    def _matches(wanted: str, names: Mapping[str, object]) -> list[str]:
+        if wanted in names:
+            return [wanted]
+        for key in (_last, lambda name: _last(name).lower(), lambda name: _stem(_last(name).lower())):
+            if found := [name for name in names if key(name) == key(wanted)]:
+                return found
+        return []
+
+
+def camera_from_vision(
+    size: tuple[int, int],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    distortion: tuple[float, ...],
+    rotation: np.ndarray,
+    position: np.ndarray,
+) -> Camera:
+    """Return a camera given in the axes of computer vision: x right, y down, z away from the viewer.
+
+    size: (width, height) pixels. focal: (2,) pixels. centre: (2,) pixels from the upper left corner of the image, whose
+    first pixel's centre is (0.5, 0.5). distortion: as Camera's. rotation: (3, 3) camera to world. position: (3,).
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation @ _BACK
+    matrix[:3, 3] = position
+    while distortion and distortion[-1] == 0:
+        distortion = distortion[:-1]
+    return Camera(*size, focal, (centre[0], size[1] - centre[1]), matrix, True, distortion)
+
+
+def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
+    """Return a (4, 4) matrix that turns, moves and scales evenly. Raises CaptureError where it does anything else."""
+    matrix = np.asarray(matrix, np.float64)
+    scale = np.cbrt(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
+    if not scale > 0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise CaptureError(
+            f"{where} must turn, move and scale, without mirroring, and end with the row 0, 0, 0, 1", "matrix"
+        )
+    if not is_rotation(matrix[:3, :3] / scale):
+        raise CaptureError(f"{where} scales unevenly or skews; write a rotation times one scale", "matrix")
+    return matrix
+
+
+def moved(camera: Camera, world: np.ndarray) -> Camera:
+    """Return a camera of a world that was turned, moved and scaled by a ``similarity``."""
+    scale = np.cbrt(np.linalg.det(world[:3, :3]))
+    matrix = world @ camera.matrix
+    matrix[:3, :3] /= scale
+    return replace(camera, matrix=matrix)
+
+
+def of_picture(camera: Camera, width: int, height: int, orientation: int, where: str) -> Camera:
+    """Return a camera for a picture as it is shown, upright, where the file's was that of the picture as it is stored.
+
+    The program may have aligned a larger or a smaller copy: the picture's size decides. orientation: its EXIF tag.
+    Raises CaptureError where the picture has other proportions, or is mirrored.
+    """
+    if orientation not in _TURNS:
+        raise CaptureError(f"{where}: the picture is stored mirrored; save it upright, and align that one", "size")
+    # A program that turned the picture upright itself has the upright size. Half a turn, and squares, look alike: then
+    # it is taken to have left the picture as stored, as these programs do.
+    turned_already = _fits(camera, width, height) and not _fits(camera, height, width)
+    if not (turned_already and _TURNS[orientation] % 2):
+        for _ in range(_TURNS[orientation]):
+            camera = _quarter_turn(camera)
+    if not _fits(camera, width, height):
+        raise CaptureError(
+            f"{where}: the picture is {width}×{height} pixels, its camera {camera.width}×{camera.height}; align the"
+            " uncropped pictures that the capture names",
+            "size",
+        )
+    x, y = width / camera.width, height / camera.height
+    return replace(
+        camera, width=width, height=height, scale=(camera.scale[0] * x, camera.scale[1] * y),
+        centre=(camera.centre[0] * x, camera.centre[1] * y),
+    )  # fmt: skip
+
+
+def _fits(camera: Camera, width: int, height: int) -> bool:
+    return abs(camera.height * width / camera.width - height) <= _SIZE * max(1.0, width / camera.width)
+
+
+def _quarter_turn(camera: Camera) -> Camera:
+    """Return the camera of the picture turned by 90° clockwise: what was up is right."""
+    matrix = camera.matrix.copy()
+    matrix[:3, 0], matrix[:3, 1] = camera.matrix[:3, 1], -camera.matrix[:3, 0]
+    k1, k2, p1, p2, *rest = (*camera.distortion, *(0.0,) * (4 - len(camera.distortion)))
+    return Camera(
+        camera.height, camera.width, camera.scale[::-1], (camera.centre[1], camera.width - camera.centre[0]), matrix,
+        True, (k1, k2, p2, -p1, *rest) if camera.distortion else (),
+    )  # fmt: skip
+
+
+def _last(name: str) -> str:
+    """Return the last part of a path of any system."""
+    return PureWindowsPath(PurePosixPath(name).name).name
+
+
+def _stem(name: str) -> str:
+    return name.rpartition(".")[0] or name
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names[:_TOLD]) + (", …" if len(names) > _TOLD else "")

@@ -1,0 +1,38 @@
+"""The one door to files of cameras: finds out whose a path is and reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..problems import CaptureError
+from . import alicevision, colmap, metashape
+from .posed import PoseFile
+
+_KINDS = "cameras are read from a COLMAP folder (cameras.txt, images.txt), Metashape's .xml, or AliceVision's .sfm"
+
+
+def read_poses(path: Path | str) -> PoseFile:
+    """Read the cameras of COLMAP (text), Agisoft Metashape (.xml) or AliceVision, as in Meshroom (.sfm, .json).
+
+    The world is that of the mesh that the program exports. Raises CaptureError naming the file and the remedy where
+    it is missing, damaged or holds no camera that can be used.
+    """
+    path = Path(path)
+    try:
+        if not path.exists():
+            raise CaptureError(f"{path}: is not there; {_KINDS}", "missing")
+        if path.is_dir() or path.name.lower() in (colmap.CAMERAS, colmap.IMAGES):
+            found = colmap.read_colmap(path if path.is_dir() else path.parent)
+        elif path.suffix.lower() == ".xml":
+            found = metashape.read_metashape(path)
+        elif path.suffix.lower() in (".sfm", ".json"):
+            found = alicevision.read_alicevision(path)
+        else:
+            raise CaptureError(f"{path}: is no file of cameras; {_KINDS}", "kind")
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror}); check its permissions", "missing") from error
+    if not found.cameras:
+        name, why = next(iter(found.unusable.items()), ("", ""))
+        what = f"none of its cameras can be used: '{name}' {why}" if why else "holds no camera; align the photographs"
+        raise CaptureError(f"{path}: {what}", "camera")
+    return found

@@ -1,0 +1,472 @@
+"""Cameras of other programs: files written by hand from the formats' documentation, known points on known pixels."""
+
+import json
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture import CaptureError
+from irpso_addon.capture.poses import moved, of_picture, read_poses, similarity
+
+WIDTH, HEIGHT = 640, 480
+# World to camera as in computer vision (x right, y down, z away), at a place (3,): of the camera that all files have.
+ROTATION = np.array([[0.36, -0.8, 0.48], [0.48, 0.6, 0.64], [-0.8, 0.0, 0.6]])
+CENTRE = np.array([2.0, -1.5, 0.75])
+RNG = np.random.default_rng(3)
+# What that camera sees, up to 25° off its axis.
+SEEN = np.c_[RNG.uniform(-0.45, 0.45, (12, 2)), np.ones(12)] * RNG.uniform(2, 6, (12, 1))
+POINTS = SEEN @ ROTATION + CENTRE
+
+
+def quaternion(rotation):
+    """Return (w, x, y, z) of a rotation (3, 3) whose trace is above −1."""
+    w = np.sqrt(1 + np.trace(rotation)) / 2
+    r = rotation
+    return np.array([w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w))])
+
+
+def row(values):
+    return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def assert_sees(camera, pixels, points=POINTS, atol=1e-9):
+    """The points fall on pixels (N, 2) that count from the upper left corner."""
+    found, depth = camera.project(np.asarray(points))
+    assert (depth > 0).all()
+    np.testing.assert_allclose(np.c_[found[:, 0], camera.height - found[:, 1]], pixels, atol=atol)
+
+
+# ---- COLMAP
+
+
+def colmap(folder, model="PINHOLE", parameters="500 510 330.5 236.25", images=None, count=None, points="1 2 -1"):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "cameras.txt").write_text(
+        "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+        f"# Number of cameras: 1\n7 {model} {WIDTH} {HEIGHT} {parameters}\n"
+    )
+    pose = row([*quaternion(ROTATION), *(-ROTATION @ CENTRE)])
+    images = [f"1 {pose} 7 IMG_0001.JPG"] if images is None else images
+    lines = "".join(f"{line}\n{points}\n" for line in images)
+    head = f"# Number of images: {len(images) if count is None else count}, mean observations per image: 2\n"
+    (folder / "images.txt").write_text(f"# Image list with two lines of data per image:\n{head}{lines}")
+    return folder
+
+
+COLMAP_LENSES = {
+    "SIMPLE_PINHOLE": (500, 330.5, 236.25),
+    "PINHOLE": (500, 510, 330.5, 236.25),
+    "SIMPLE_RADIAL": (500, 330.5, 236.25, -0.11),
+    "RADIAL": (500, 330.5, 236.25, -0.11, 0.06),
+    "OPENCV": (500, 510, 330.5, 236.25, -0.11, 0.06, 0.004, -0.003),
+    "FULL_OPENCV": (500, 510, 330.5, 236.25, -0.11, 0.06, 0.004, -0.003, 0.02, 0.05, -0.01, 0.005),
+}
+
+
+def colmap_pixels(model, parameters):
+    """COLMAP's camera models: the pixel (0.5, 0.5) is the middle of the upper left one."""
+    values = list(parameters)
+    focal = [values[0]] * 2 if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") else values[:2]
+    rest = values[1:] if focal[0] == values[0] and len(values) in (3, 4, 5) and model != "PINHOLE" else values[2:]
+    centre, (k1, k2, p1, p2, k3, k4, k5, k6) = rest[:2], (*rest[2:], *[0] * (10 - len(rest)))
+    pixels = []
+    for x, y, z in (POINTS - CENTRE) @ ROTATION.T:
+        u, v = x / z, y / z
+        r2 = u * u + v * v
+        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+        pixels.append((
+            focal[0] * (u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)) + centre[0],
+            focal[1] * (v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v)) + centre[1],
+        ))  # fmt: skip
+    return pixels
+
+
+@pytest.mark.parametrize("model", COLMAP_LENSES)
+@pytest.mark.parametrize("place", [".", "sparse/0"])
+def test_colmap_cameras_see_points_where_its_models_say(tmp_path, model, place):
+    colmap(tmp_path / place, model, row(COLMAP_LENSES[model]))
+    found = read_poses(tmp_path)
+    assert (found.program, list(found.cameras)) == ("COLMAP", ["IMG_0001.JPG"])
+    camera = found.cameras["IMG_0001.JPG"]
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    np.testing.assert_allclose(camera.position, CENTRE, atol=1e-12)
+    assert_sees(camera, colmap_pixels(model, COLMAP_LENSES[model]))
+
+
+@pytest.mark.parametrize("points", ["", "1.5 2.5 -1 3.5 4.5 12"])
+def test_the_lines_of_points_may_be_empty_and_names_may_hold_spaces(tmp_path, points):
+    pose = row([1, 0, 0, 0, 1, 2, 3])
+    images = [f"1 {pose} 7 left camera/IMG 1.JPG", f"9 {pose} 7 right/0002"]
+    found = read_poses(colmap(tmp_path, images=images, points=points) / "cameras.txt")
+    assert list(found.cameras) == ["left camera/IMG 1.JPG", "right/0002"]
+    np.testing.assert_allclose(found.cameras["right/0002"].position, (-1, -2, -3), atol=1e-15)
+
+
+POSE = "1 0 0 0 1 2 3"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"parameters": "500 510 330"}, "line 4: PINHOLE has 4 parameters (fx, fy, cx, cy), not 3"),
+        ({"parameters": "500 510 330 nan"}, "cameras.txt: line 4: holds a value that is no finite number"),
+        ({"parameters": "500 510 330 x"}, "'x' is not a number"),
+        ({"parameters": "-500 510 330 240"}, "must be above 0"),
+        ({"images": [f"1 {POSE} 7 a", f"2 {POSE} 7 a"]}, "'a' is listed twice"),
+        ({"images": [f"1 {POSE} 8 a"]}, "cameras.txt has no camera 8"),
+        ({"images": ["1 0 0 0 0 1 2 3 7 a"]}, "line 3: the quaternion has length 0, not 1"),
+        ({"images": ["1 1 0 0 nan 1 2 3 7 a"]}, "no finite number"),
+        ({"images": ["1 1 0 0 0 1 2"]}, "line 3: is neither an image (ten words) nor an image's points"),
+        ({"count": 2}, "images.txt: says it lists 2 and lists 1; it is cut short"),
+        ({"images": []}, "holds no camera; align"),
+        ({"model": "OPENCV_FISHEYE", "parameters": "1 2 3 4 5 6 7 8"}, "OPENCV_FISHEYE, which is not read; undistort"),
+        ({"model": "MY_OWN"}, "of model MY_OWN, which is not read; undistort in COLMAP"),
+    ],
+)
+def test_a_broken_colmap_model_is_told_in_one_line(tmp_path, given, words):
+    with pytest.raises(CaptureError) as caught:
+        read_poses(colmap(tmp_path, **given))
+    told = str(caught.value)
+    assert words in told and len(told.splitlines()) == 1 and str(tmp_path) in told
+
+
+def test_binary_models_and_missing_files_name_the_remedy(tmp_path):
+    with pytest.raises(CaptureError, match="has no cameras.txt; give the folder"):
+        read_poses(tmp_path)
+    (tmp_path / "cameras.bin").write_bytes(b"\0")
+    with pytest.raises(CaptureError, match="export the model as text"):
+        read_poses(tmp_path)
+    (colmap(tmp_path) / "images.txt").unlink()
+    with pytest.raises(CaptureError, match=r"images.txt: is not there; export"):
+        read_poses(tmp_path)
+    (tmp_path / "images.txt").write_bytes(b"\xff\xfe\0")
+    with pytest.raises(CaptureError, match="is no text file"):
+        read_poses(tmp_path)
+    for name in ("gone.xml", "a.obj"):
+        (tmp_path / "a.obj").touch()
+        with pytest.raises(CaptureError, match="cameras are read from a COLMAP folder"):
+            read_poses(tmp_path / name)
+
+
+# ---- Metashape
+
+TERMS = {"f": 500, "cx": 10.5, "cy": -3.75, "b1": 4, "k1": -0.11, "k2": 0.06, "k3": 0.02, "p1": 0.004, "p2": -0.003}
+TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+SHIFT, SCALE = np.array([5.0, -6.0, 7.0]), 2.5
+COMPONENT = f"""<components><component id="0"><transform><rotation locked="true">{row(TURN)}</rotation>
+<translation>{row(SHIFT)}</translation><scale>{SCALE}</scale></transform></component></components>"""
+CHUNK = COMPONENT.replace('<components><component id="0">', "").replace("</component></components>", "")
+
+
+def metashape(path, terms=TERMS, world="", kind="frame", transform=None, camera="", head="", reference=""):
+    """Write what Export Cameras writes: camera to chunk, row by row."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = ROTATION.T, CENTRE
+    transform = row(matrix) if transform is None else transform
+    items = "".join(f"<{name}>{value}</{name}>" for name, value in terms.items())
+    path.write_text(
+        f"""<?xml version="1.0" encoding="UTF-8"?>{head}
+<document version="2.0.0"><chunk label="Chunk 1" enabled="true"><sensors next_id="1">
+<sensor id="0" label="Body, 50 mm" type="{kind}"><resolution width="{WIDTH}" height="{HEIGHT}"/>
+<calibration type="{kind}" class="initial"><f>1</f></calibration>
+<calibration type="{kind}" class="adjusted"><resolution width="{WIDTH}" height="{HEIGHT}"/>{items}</calibration>
+</sensor></sensors>{world}<cameras next_id="4"><group id="0"><camera id="0" sensor_id="0" component_id="0"
+label="IMG_0001"><transform>{transform}</transform></camera></group>
+<camera id="1" sensor_id="0" label="IMG_0002" enabled="false"><transform>{row(matrix)}</transform></camera>
+<camera id="2" sensor_id="0" label="IMG_0003"/>{camera}</cameras>{reference}</chunk></document>""",
+        encoding="utf-8",
+    )
+    return path
+
+
+def metashape_pixels(t):
+    """Metashape's manual, appendix Camera models, frame cameras."""
+    pixels = []
+    for px, py, pz in (POINTS - CENTRE) @ ROTATION.T:
+        x, y = px / pz, py / pz
+        r = np.hypot(x, y)
+        radial = 1 + t["k1"] * r**2 + t["k2"] * r**4 + t["k3"] * r**6
+        xd = x * radial + t["p1"] * (r**2 + 2 * x**2) + 2 * t["p2"] * x * y
+        yd = y * radial + t["p2"] * (r**2 + 2 * y**2) + 2 * t["p1"] * x * y
+        pixels.append((WIDTH * 0.5 + t["cx"] + xd * t["f"] + xd * t["b1"], HEIGHT * 0.5 + t["cy"] + yd * t["f"]))
+    return pixels
+
+
+@pytest.mark.parametrize("world", ["", COMPONENT, CHUNK])
+def test_metashape_cameras_see_points_where_its_manual_says(tmp_path, world):
+    found = read_poses(metashape(tmp_path / "cameras.xml", world=world))
+    assert (found.program, list(found.cameras)) == ("Metashape", ["IMG_0001"])
+    camera = found.cameras["IMG_0001"]
+    points = SCALE * POINTS @ TURN.T + SHIFT if world else POINTS
+    assert_sees(camera, metashape_pixels(TERMS), points)
+    np.testing.assert_allclose(camera.position, SCALE * TURN @ CENTRE + SHIFT if world else CENTRE, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(camera.matrix[:3, :3], axis=0), 1, atol=1e-12)
+
+
+def test_cameras_that_are_disabled_or_not_aligned_are_named_as_such(tmp_path):
+    found = read_poses(metashape(tmp_path / "cameras.xml"))
+    with pytest.raises(CaptureError, match="^here: .*'IMG_0002' is disabled; enable it"):
+        found.name_of("IMG_0002.JPG", "here")
+    with pytest.raises(CaptureError, match="'IMG_0003' was not aligned"):
+        found.name_of("img_0003.jpg", "here")
+    with pytest.raises(CaptureError, match="has no 'IMG_9.JPG'; set camera to one that it has: 'IMG_0001'$"):
+        found.name_of("IMG_9.JPG", "here")
+    assert found.name_of("photos/img_0001.tif", "here") == "IMG_0001"
+
+
+@pytest.mark.parametrize(
+    ("terms", "refused"),
+    [
+        ({"k4": 1e-6, "b2": 0.01}, ""),  # less than a tenth of a pixel in the corners
+        ({"k4": 0.01}, "K4"),
+        ({"b2": -1}, "B2"),
+        ({"p3": 5}, "P3 and P4"),
+    ],
+)
+def test_metashape_terms_that_no_camera_of_ours_has_are_refused_where_they_count(tmp_path, terms, refused):
+    metashape(tmp_path / "a.xml", {**TERMS, **terms})
+    if not refused:
+        assert_sees(read_poses(tmp_path / "a.xml").cameras["IMG_0001"], metashape_pixels(TERMS))
+        return
+    with pytest.raises(CaptureError, match=f"has {refused}, which is not read; optimize"):
+        read_poses(tmp_path / "a.xml")
+
+
+BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
+<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]>"""
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"head": BOMB}, "declares a document type"),
+        ({"head": '<!DOCTYPE a SYSTEM "file:///etc/passwd">'}, "declares a document type"),
+        ({"terms": {"cx": 1}}, "sensor 'Body, 50 mm': its calibration has no f"),
+        ({"terms": {"f": "nan"}}, "f must be 1 finite number"),
+        ({"terms": {"f": "five"}}, "f must be 1 finite number"),
+        ({"terms": {"f": -5}}, "resolution and f must be above 0"),
+        ({"transform": "1 0 0"}, "camera 'IMG_0001': its transform must be 16 finite numbers"),
+        ({"transform": row(np.diag([2, 2, 2, 1]))}, "no rotation with a place"),
+        ({"transform": row(np.full(16, np.nan))}, "16 finite numbers"),
+        ({"kind": "fisheye"}, "'IMG_0001' has a lens of type fisheye; only frame cameras are read"),
+        ({"kind": "equidistant_fisheye"}, "has a lens of type equidistant_fisheye"),
+        ({"world": CHUNK.replace("2.5", "0")}, "the chunk's transform must turn, move and scale"),
+        ({"world": CHUNK.replace("2.5", "1 2")}, "the chunk's transform must be 1 finite number"),
+        ({"camera": '<camera id="9" sensor_id="5" label="x"><transform/></camera>'}, "sensor 5 is not there"),
+        ({"camera": '<camera id="9" sensor_id="0" label="IMG_0001"/>'}, "'IMG_0001': is there twice"),
+        ({"reference": '<reference>GEOGCS["WGS 84",1]</reference>'}, "its world is the Earth"),
+    ],
+)
+def test_a_broken_metashape_file_is_told_in_one_line(tmp_path, given, words):
+    with pytest.raises(CaptureError) as caught:
+        read_poses(metashape(tmp_path / "cameras.xml", **given))
+    assert words in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (lambda whole: whole[: len(whole) // 2], "is cut short or no XML"),
+        (lambda whole: "", "is cut short or no XML"),
+        (lambda whole: "<html><body/></html>", "is no list of Metashape's cameras"),
+        (lambda whole: whole.replace("</chunk>", "</chunk><chunk/>"), "holds 2 chunks"),
+        (lambda whole: whole.replace("<cameras", "<kameras").replace("</cameras", "</kameras"), "holds no camera"),
+    ],
+)
+def test_what_is_no_metashape_file_is_told(tmp_path, text, words):
+    path = metashape(tmp_path / "cameras.xml")
+    path.write_text(text(path.read_text()))
+    with pytest.raises(CaptureError, match=words):
+        read_poses(path)
+
+
+# ---- AliceVision
+
+TURNED = np.diag([1.0, -1.0, -1.0])
+
+
+def alicevision(path, version=(1, 2, 6), intrinsics=None, pose=None, view=None, **more):
+    """Write a .sfm as its versions do: every number a string, matrices column by column."""
+    millimetres = {"sensorWidth": "36", "sensorHeight": "27", "focalLength": repr(500 / WIDTH * 36), "pixelRatio": "1"}
+    scale = millimetres if version >= (1, 2, 2) else {"pxFocalLength": ["500", "500"]}
+    if version < (1, 2, 0):
+        scale = {"pxFocalLength": "500"}
+    middle = (0, 0) if version >= (1, 2, 1) else (WIDTH / 2, HEIGHT / 2)
+    table = {
+        "version": [str(number) for number in version],
+        "views": [
+            {"viewId": "11", "poseId": "21", "intrinsicId": "31", "path": "/scan/IMG_0001.JPG", "width": str(WIDTH)},
+            {"viewId": "12", "poseId": "22", "intrinsicId": "31", "path": "/scan/IMG_0002.JPG", **(view or {})},
+        ],
+        "intrinsics": [{
+            "intrinsicId": "31", "width": str(WIDTH), "height": str(HEIGHT), "type": "radial3", **scale,
+            "principalPoint": [str(middle[0] + 10.5), str(middle[1] - 3.75)],
+            "distortionParams": ["-0.11", "0.06", "0.02"], **(intrinsics or {}),
+        }],
+        "poses": [{"poseId": "21", "pose": {"transform": {
+            "rotation": [repr(float(v)) for v in ROTATION.T.ravel()], "center": [repr(float(v)) for v in CENTRE],
+            **(pose or {}),
+        }, "locked": "0"}}],
+        **more,
+    }  # fmt: skip
+    path.write_text(json.dumps(table))
+    return path
+
+
+def alicevision_pixels(k1=0.0, k2=0.0, k3=0.0, t1=0.0, t2=0.0):
+    """AliceVision's camera models; whole numbers are the centres of pixels."""
+    pixels = []
+    for x, y, z in (POINTS - CENTRE) @ ROTATION.T:
+        u, v = x / z, y / z
+        r2 = u * u + v * v
+        bend = k1 * r2 + k2 * r2**2 + k3 * r2**3
+        du = u * bend + t2 * (r2 + 2 * u * u) + 2 * t1 * u * v
+        dv = v * bend + t1 * (r2 + 2 * v * v) + 2 * t2 * u * v
+        pixels.append((500 * (u + du) + WIDTH / 2 + 10.5, 500 * (v + dv) + HEIGHT / 2 - 3.75))
+    return np.array(pixels) + 0.5  # from the corner of the first pixel
+
+
+@pytest.mark.parametrize("version", [(1, 0, 0), (1, 2, 0), (1, 2, 1), (1, 2, 2), (1, 2, 3), (1, 2, 14)])
+def test_alicevision_cameras_see_points_of_the_mesh_of_their_version(tmp_path, version):
+    found = read_poses(alicevision(tmp_path / "cameras.sfm", version))
+    assert (found.program, list(found.cameras)) == ("AliceVision", ["/scan/IMG_0001.JPG"])
+    points = POINTS @ TURNED if version >= (1, 2, 3) else POINTS
+    assert_sees(found.cameras["/scan/IMG_0001.JPG"], alicevision_pixels(-0.11, 0.06, 0.02), points)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ({"type": "pinhole", "distortionParams": ""}, ()),
+        ({"type": "radial1", "distortionParams": ["0.07"]}, (0.07,)),
+        ({"type": "pinhole", "distortionType": "radialk1", "distortionParams": ["0.07"]}, (0.07,)),
+        ({"type": "pinhole", "distortionType": "none", "undistortionType": "none", "distortionParams": ""}, ()),
+        (
+            {"type": "brown", "distortionParams": ["0.07", "-0.03", "0.01", "0.004", "-0.003"]},
+            (0.07, -0.03, 0.01, 0.004, -0.003),
+        ),
+    ],
+)
+def test_all_of_alicevisions_distortions_that_are_read_bend_as_its_models_do(tmp_path, kind, values):
+    found = read_poses(alicevision(tmp_path / "a.json", (1, 2, 2), kind))
+    assert_sees(found.cameras["/scan/IMG_0001.JPG"], alicevision_pixels(*values))
+
+
+def test_views_without_a_pose_or_in_a_rig_are_named_as_such(tmp_path):
+    found = read_poses(alicevision(tmp_path / "a.sfm"))
+    with pytest.raises(CaptureError, match="'/scan/IMG_0002.JPG' was not aligned"):
+        found.name_of("IMG_0002.JPG", "here")
+    rig = {"rigId": "1", "subPoseId": "0", "isPoseIndependant": "false", "poseId": "21"}
+    assert "rig" in read_poses(alicevision(tmp_path / "b.sfm", view=rig)).unusable["/scan/IMG_0002.JPG"]
+    alone = {"poseId": "21", "intrinsicId": "77"}
+    assert "no intrinsics" in read_poses(alicevision(tmp_path / "c.sfm", view=alone)).unusable["/scan/IMG_0002.JPG"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"intrinsics": {"type": "fisheye4"}}, "intrinsics of type 'fisheye4', which is not read"),
+        ({"intrinsics": {"type": "equidistant"}}, "'equidistant', which is not read"),
+        ({"intrinsics": {"type": "pinhole", "distortionType": "3deradial4"}}, "'3deradial4', which is not read"),
+        ({"intrinsics": {"undistortionType": "3declassicld"}}, "'3declassicld', which is not read"),
+        ({"intrinsics": {"pixelRatio": "1.5"}}, "oblong pixels"),
+        ({"intrinsics": {"distortionParams": ["1"]}}, "intrinsics 31: distortionParams must be 3 numbers"),
+        ({"intrinsics": {"focalLength": "NaN"}}, "focalLength must be a finite number"),
+        ({"intrinsics": {"focalLength": None}}, "focalLength must be a number"),
+        ({"intrinsics": {"focalLength": "-1"}}, "size and focal length must be above 0"),
+        ({"intrinsics": {"sensorWidth": "0"}}, "sensorWidth must be above 0"),
+        ({"intrinsics": {"principalPoint": ["1"]}}, "principalPoint must be 2 numbers"),
+        ({"pose": {"rotation": ["0"] * 9}}, "pose 21: its rotation is none"),
+        ({"pose": {"rotation": ["1"] * 8}}, "rotation must be 9 numbers"),
+        ({"pose": {"center": ["1", "inf", "2"]}}, "center must be a finite number"),
+        ({"poses": [{"poseId": "21"}]}, "pose 21: has no transform"),
+        ({"poses": [{}]}, "an entry has no poseId"),
+        ({"poses": "many"}, "its poses are no list"),
+        ({"version": ["1"]}, "version must be 3 numbers"),
+        ({"view": {"path": "/scan/IMG_0001.JPG"}}, "is there twice"),
+        ({"poses": []}, "none of its cameras can be used: '/scan/IMG_0001.JPG' was not aligned"),
+    ],
+)
+def test_a_broken_alicevision_file_is_told_in_one_line(tmp_path, given, words):
+    more = {key: given[key] for key in ("poses",) if key in given}
+    path = alicevision(tmp_path / "a.sfm", **{**given, **more} if "version" not in given else {})
+    if "version" in given:
+        path.write_text(json.dumps({**json.loads(path.read_text()), **given}))
+    with pytest.raises(CaptureError) as caught:
+        read_poses(path)
+    assert words in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("{", "is cut short or no JSON"), ("[" * 99999, "no JSON"), ("[]", "no views"), ("{}", "views")]
+)
+def test_what_is_no_alicevision_file_is_told(tmp_path, text, words):
+    (tmp_path / "a.sfm").write_text(text)
+    with pytest.raises(CaptureError, match=words):
+        read_poses(tmp_path / "a.sfm")
+
+
+# ---- worlds and pictures
+
+
+def a_camera(tmp_path, model="FULL_OPENCV"):
+    return read_poses(colmap(tmp_path, model, row(COLMAP_LENSES[model]))).cameras["IMG_0001.JPG"]
+
+
+def test_a_camera_of_a_moved_world_sees_the_moved_points_where_it_saw_them(tmp_path):
+    camera = a_camera(tmp_path)
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = SCALE * ROTATION, SHIFT
+    assert_sees(
+        moved(camera, similarity(world, "here")),
+        colmap_pixels("FULL_OPENCV", COLMAP_LENSES["FULL_OPENCV"]),
+        SCALE * POINTS @ ROTATION.T + SHIFT,
+    )
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.diag([1, 1, 2, 1]), np.diag([1, 1, -1, 1]), np.diag([1, 1, 1, 2]), np.full((4, 4), np.nan), np.zeros((4, 4))],
+)
+def test_a_matrix_that_does_more_than_turn_move_and_scale_is_refused(matrix):
+    with pytest.raises(CaptureError, match="^here: cameras_matrix"):
+        similarity(matrix, "here: cameras_matrix")
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+@pytest.mark.parametrize("factor", [1, 0.5])
+def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it(tmp_path, orientation, factor):
+    from irpso_addon.capture.exif import upright
+
+    camera = a_camera(tmp_path)
+    # A picture as it is stored whose two channels say where its pixels' centres are; turned as any picture is.
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    told = upright(np.stack([x, y], axis=-1), orientation)
+    height, width = (int(side * factor) for side in told.shape[:2])
+    shown = of_picture(camera, width, height, orientation, "here")
+    assert (shown.width, shown.height) == (width, height)
+    pixels, _ = shown.project(POINTS)
+    stored, _ = camera.project(POINTS)
+    # Between pixel centres, beyond the frame as well: the turn is affine.
+    centres = (pixels / factor - 0.5)[:, None, :]
+    step = np.array([told[0, 1] - told[0, 0], told[1, 0] - told[0, 0]])
+    np.testing.assert_allclose((told[0, 0] + centres @ step)[:, 0], stored, atol=1e-9)
+
+
+def test_a_program_that_turned_the_picture_itself_is_taken_at_its_word(tmp_path):
+    camera = a_camera(tmp_path)
+    assert of_picture(camera, WIDTH, HEIGHT, 6, "here") == camera
+
+
+@pytest.mark.parametrize(("size", "orientation", "words"), [((600, 480), 1, "uncropped"), ((640, 480), 2, "mirrored")])
+def test_a_cropped_or_mirrored_picture_is_refused(tmp_path, size, orientation, words):
+    with pytest.raises(CaptureError, match=f"^here: .*{words}"):
+        of_picture(a_camera(tmp_path), *size, orientation, "here")
+
+
+def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):
+    images = [f"{n} {POSE} 7 {name}" for n, name in enumerate(["a/1.jpg", "b/1.jpg", "b/2.jpg"], 1)]
+    found = read_poses(colmap(tmp_path, images=images))
+    assert found.name_of("b/1.jpg", "here") == "b/1.jpg" and found.name_of("2.png", "here") == "b/2.jpg"
+    with pytest.raises(CaptureError, match="'1.jpg' may be any of 'a/1.jpg', 'b/1.jpg' of .*; give camera its whole"):
+        found.name_of("1.jpg", "here")
