@@ -128,8 +128,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "",
         f"Two of its {huge['tiles']} tiles, {huge['solved']} texels of {huge['observations']} observations: images read"
         f" and projected in {huge['read'][0]:.0f} s ({huge['read'][1]:.0f} s of work), solved in"
-        f" {huge['solve'][0]:.0f} s ({huge['solve'][1]:.0f} s of work), peak {huge['peak']:.2f} GiB. All tiles would take about"
-        f" {work / 3600:.1f} hours of work on this machine.",
+        f" {huge['solve'][0]:.0f} s ({huge['solve'][1]:.0f} s of work), peak {huge['peak']:.2f} GiB."
+        f" All tiles would take about {work / 3600:.1f} hours of work on this machine.",
     ]
 
 
