@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..maps.read import read_parameter
+from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.schedule import Schedule, load_schedule
 
@@ -42,8 +43,13 @@ def schedule_from_options(options: Namespace) -> Schedule:
     return schedule.replaced(**changes)
 
 
-def known_from_options(texts: Sequence[str], model: ReflectanceModel) -> dict[str, np.ndarray]:
-    """Return the maps of --known NAME=VALUE: (H, W, components) from a file, or (components,) from numbers."""
+def known_from_options(
+    texts: Sequence[str], model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE
+) -> dict[str, np.ndarray]:
+    """Return the maps of --known NAME=VALUE: (H, W, components) from a file, or (components,) from numbers.
+
+    tiles: the UDIM tiles of the domain, which each have a file, as in normal=normal.<UDIM>.exr.
+    """
     known = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -54,7 +60,7 @@ def known_from_options(texts: Sequence[str], model: ReflectanceModel) -> dict[st
         parameter = model.parameter(name.strip())
         numbers = _numbers(value)
         known[parameter.name] = (
-            read_parameter(Path(value.strip()), parameter)
+            read_parameter(Path(value.strip()), parameter, tiles)
             if numbers is None
             else _known_numbers(f"--known {text}", numbers, parameter)
         )

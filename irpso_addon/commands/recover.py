@@ -18,12 +18,14 @@ from ..geometry.domain import Domain, subset
 from ..geometry.frames import from_blender, to_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import empty_blend, mesh_object, open_blend
+from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.read import read_maps
 from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
+from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.history import History
@@ -63,6 +65,9 @@ class _Job:
     held_out: list[int]
     folder: Path
     resolution: tuple[int, int]
+    subject: object | None
+    mesh: MeshData | None
+    name: str
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -72,7 +77,7 @@ def run(options: Namespace) -> dict:
     job = _check(options)
     probe.probe()
     context.ensure()
-    subject, mesh = _subject(options)
+    subject, mesh = job.subject, job.mesh
     plan = _plan(options, job, covered_texels(job.capture, mesh, job.resolution))
     if options.dry_run:
         if not options.quiet and not options.json:
@@ -104,7 +109,8 @@ def run(options: Namespace) -> dict:
     pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
     written = maps
     if mesh is not None:
-        written = replace(maps, values=turned_normals(job.model, maps.values, mesh, domain.bake, to_blender))
+        values = turned_normals(job.model, maps.values, mesh, domain.bake, to_blender)
+        written = replace(maps, values=values, tiles=mesh.tiles)
     write_maps(written, job.folder, report, pictures)
     _write_material(written, job, subject, mesh)
     (job.folder / CHECKPOINT).unlink(missing_ok=True)
@@ -127,25 +133,36 @@ def _check(options: Namespace) -> _Job:
         raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
     if options.resolution and not options.blend:
         raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
+    if options.slots and not options.blend:
+        raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
     if options.resume and not (folder / CHECKPOINT).is_file():
         raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
-    known = known_from_options(options.known, model)
-    truth = read_maps(options.ground_truth, model) if options.ground_truth else None
+    subject, mesh, name = _subject(options)
+    tiles = ONE_SQUARE if mesh is None else mesh.tiles
+    known = known_from_options(options.known, model, tiles)
+    truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     capture = read_capture(options.capture, decode, options.colour_space)
     held_out = index_list("--hold-out", options.hold_out, len(capture.observations))
     if len(capture.observations) - len(held_out) < 3:
         raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
-    return _Job(capture, model, schedule, known, truth, held_out, folder, resolution)
+    resolution = resolution if mesh is None else mesh.domain_size(*resolution)
+    return _Job(
+        capture, model, schedule, known, truth, held_out, folder, resolution, subject, mesh, name or capture.name
+    )
 
 
-def _subject(options: Namespace) -> tuple[object | None, MeshData | None]:
+def _subject(options: Namespace) -> tuple[object | None, MeshData | None, str]:
+    """Return the object, its mesh, and the name for what is recovered of it; of a card the capture knows that."""
     if not options.blend:
         empty_blend()
-        return None, None
+        return None, None, ""
     with unseen_reports():
         open_blend(options.blend)
     subject = mesh_object(options.object)
-    return subject, extract_mesh(subject)
+    if options.slots is None:
+        return subject, extract_mesh(subject), subject.name
+    slots = slots_of_text(options.slots, slot_names(subject))
+    return subject, extract_mesh(subject, slots), material.slots_subject(subject, slots)
 
 
 def _plan(options: Namespace, job: _Job, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
@@ -212,24 +229,19 @@ def _solve(recovery: AnyRecovery, history: History, job: _Job, options: Namespac
 
 def _try_material(job: _Job, subject: object | None) -> None:
     """Have what refuses the material do so before hours of work, and before any file."""
-    material.check_material(job.model, _subject_name(job, subject))
+    material.check_material(job.model, job.name)
     if subject is not None:
         material.check_object(subject)
 
 
 def _write_material(maps: Maps, job: _Job, subject: object | None, mesh: MeshData | None) -> None:
-    name = _subject_name(job, subject)
     uv_map = "" if mesh is None else material.other_uv_map(subject, mesh.uv_map)
-    made = material.build_material(maps, name, uv_map=uv_map)
+    made = material.build_material(maps, job.name, uv_map=uv_map)
     if subject is None:
-        subject = material.card_object(name, *maps.covered.shape)
-    material.apply_material(subject, made)
+        subject = material.card_object(job.name, *maps.covered.shape)
+    material.apply_material(subject, made, () if mesh is None else mesh.solved_slots)
     with unseen_reports():
         material.save_blend(job.folder / BLEND)
-
-
-def _subject_name(job: _Job, subject: object | None) -> str:
-    return subject.name if subject is not None else job.capture.name
 
 
 def _settings(options: Namespace) -> dict:

@@ -27,7 +27,6 @@ from .progress import ProgressBar, unseen_reports
 def run(options: Namespace) -> dict:
     """Render every camera under every light and write the capture. Raises InputError."""
     model = load_model(options.model)
-    values = complete_maps(read_maps(options.maps, model), model)
     size = size_option("--size", options.size)
     lights = _lights(options)
     if Path(options.output).exists() and (not Path(options.output).is_dir() or any(Path(options.output).iterdir())):
@@ -37,6 +36,7 @@ def run(options: Namespace) -> dict:
     with unseen_reports():
         open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
+    values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
     cameras = _cameras(options.camera, size)
     bar = ProgressBar("render", options.quiet or options.json)
     bakes = [bake_camera(mesh, camera) for camera in cameras]

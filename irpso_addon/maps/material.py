@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from ..errors import InputError
 from ..files import replacing_file
 from ..reflectance.model import ReflectanceModel
 from . import two_lobe
+from .displacement import METHOD, displacement
+from .height import Height
 from .nodes import OwnNodes, set_input
 from .result import Maps
 from .tables import MapTable, map_tables
@@ -27,12 +30,19 @@ _MATTE = {"Roughness": 1.0, "Specular IOR Level": 0.0}
 _CHANNELS = ("Red", "Green", "Blue")
 
 
-def build_material(maps: Maps, subject: str, images_folder: str | Path | None = None, uv_map: str = ""):
+def build_material(
+    maps: Maps,
+    subject: str,
+    images_folder: str | Path | None = None,
+    uv_map: str = "",
+    height: Height | None = None,
+):
     """Return the bpy material of a subject, made or brought up to date, with its maps as images.
 
     images_folder: where pictures are kept; None packs them. uv_map: the mesh's UV map; "" takes the active one.
     The model's table [material] chooses the ``shader``: "principled", "two_lobe", or anything else for image nodes
     connected to the sockets of a Principled BSDF that the parameters name. Nodes the user added are left as they are.
+    height: displaces the surface, where the mesh is fine enough to show it.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
     """
     import bpy
@@ -44,11 +54,16 @@ def build_material(maps: Maps, subject: str, images_folder: str | Path | None = 
     try:
         with OwnNodes(material.node_tree) as nodes:
             surface, sockets = build(nodes, maps.model)
-            images = material_images(maps, subject, None if images_folder is None else Path(images_folder).resolve())
+            folder = None if images_folder is None else Path(images_folder).resolve()
+            images = material_images(maps, subject, folder)
             sources = _map_nodes(nodes, tables, images, uv_map)
             for name, socket in sockets.items():
                 nodes.link(sources[name], socket)
-            nodes.link(surface, nodes.node("output", "ShaderNodeOutputMaterial", (620, 0)).inputs["Surface"])
+            output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
+            nodes.link(surface, output.inputs["Surface"])
+            if height is not None:
+                nodes.link(displacement(nodes, maps, height, subject, folder, uv_map), output.inputs["Displacement"])
+                material.displacement_method = METHOD
     except InputError:
         if former is None:
             bpy.data.materials.remove(material)
@@ -66,6 +81,22 @@ def subject_name(name: str, origin: str) -> str:
     taken = {made[TAG]: made.get(ORIGIN, origin) for made in bpy.data.materials if TAG in made}
     numbered = (name if number == 0 else f"{name}.{number:03d}" for number in itertools.count())
     return next(free for free in numbered if taken.get(free, origin) == origin)
+
+
+def slots_subject(obj, slots: Sequence[int]) -> str:
+    """Return the name for what is recovered of some slots of an object: its own, and those of their materials.
+
+    A material that was made so before gives the name that it was made of.
+    """
+    names = []
+    for slot in slots:
+        held = obj.material_slots[slot].material
+        tag = "" if held is None else held.get(TAG, "")
+        if tag.startswith(f"{obj.name} "):
+            names.append(tag.removeprefix(f"{obj.name} "))
+        else:
+            names.append(f"slot {slot}" if held is None or tag else held.name)
+    return f"{obj.name} {', '.join(dict.fromkeys(names))}"
 
 
 def check_material(model: ReflectanceModel, subject: str) -> None:
@@ -103,12 +134,17 @@ def other_uv_map(obj, name: str) -> str:
     return "" if name == marked else name
 
 
-def apply_material(obj, material) -> None:
-    """Put the material into the object's active slot, or into a first one; faces keep the slots they have.
+def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
+    """Put the material into these slots of an object; faces keep the slots they have, other slots their materials.
 
+    Without ``slots`` it is put into the active one, unless another has it already; an object without slots gets one.
     Raises InputError as ``check_object`` does.
     """
     check_object(obj)
+    if slots and obj.material_slots:
+        for slot in slots:
+            obj.material_slots[slot].material = material
+        return
     if material.name in obj.material_slots and obj.material_slots[material.name].material == material:
         return
     if obj.material_slots:
