@@ -18,7 +18,10 @@ from .types import Capture, Light, Observation
 
 @dataclass(frozen=True)
 class Shot:
-    """One observation as written. vector: as in the file, of any length. where: the file and place that says so."""
+    """One observation as written. vector, axis: as in the file, of any length. where: the file and place that says so.
+
+    axis, cone, cosine: as Light's.
+    """
 
     name: str
     image: ImageRef
@@ -27,13 +30,16 @@ class Shot:
     intensity: tuple[float, ...] = (1.0, 1.0, 1.0)
     distant: bool = True
     camera: int = 0
+    axis: tuple[float, ...] | None = None
+    cone: float | None = None
+    cosine: bool = False
 
 
 @dataclass(frozen=True)
 class ViewDraft:
     """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
 
-    where: the file and place that says so.
+    placed: whether it stands anywhere but at the world's origin, looking down. where: the file and place that says so.
     """
 
     name: str
@@ -41,6 +47,7 @@ class ViewDraft:
     where: str
     size: tuple[int, int] | None = None
     mask: ImageRef | None = None
+    placed: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,10 +117,13 @@ class _Reader:
 def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
     vector, intensity = np.asarray(shot.vector, float), np.asarray(shot.intensity, float)
     length = np.linalg.norm(vector)
+    axis = np.asarray(shot.axis or (), float)
     if not np.isfinite(vector).all():
         fault = f"{shot.where}: the light is not a number; write three finite numbers", "light_nan"
     elif shot.distant and length == 0:
         fault = f"{shot.where}: the light direction is zero; write the direction toward the light", "light_zero"
+    elif shot.axis is not None and (not np.isfinite(axis).all() or not axis.any()):
+        fault = f"{shot.where}: light_axis is no direction; write where the light shines to", "light_zero"
     elif not np.isfinite(intensity).all():
         fault = f"{shot.where}: the intensity is not a number; write one or three finite numbers", "intensity"
     elif (intensity < 0).any() or not intensity.any():
@@ -121,7 +131,10 @@ def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
         fault = f"{shot.where}: the intensity is {what}; write what the light gives, or take the image out", "intensity"
     else:
         direction = vector / length if shot.distant else vector
-        return Light(tuple(map(float, direction)), tuple(map(float, intensity)), shot.distant)
+        towards = None if shot.axis is None else tuple(map(float, axis / np.linalg.norm(axis)))
+        return Light(
+            tuple(map(float, direction)), tuple(map(float, intensity)), shot.distant, towards, shot.cone, shot.cosine
+        )
     faults.append(CaptureError(*fault))
     return None
 

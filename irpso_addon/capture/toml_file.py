@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from .camera import Camera
+from .distortion import NAMES
+from .images import ImageRef
+from .picture import COLOUR_SPACES
 from .problems import CaptureError
 
-CAMERA_KEYS = {"fov_degrees", "focal_length_px", "orthographic", "world_width", "principal_point"}
+CAMERA_KEYS = {"fov_degrees", "focal_length_px", "orthographic", "world_width", "principal_point", "distortion"}
 _SQUARE_WORLD = 2.0  # the width of Blender's default plane
 
 
@@ -62,6 +66,28 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> list[dict[str, Any]]:
+    """Return the tables [[key]]; CaptureError where they are none, or missing though ``needed``."""
+    found = table.get(key, [])
+    if not isinstance(found, list) or not (found or not needed) or not all(isinstance(row, dict) for row in found):
+        raise CaptureError(f"{path}: has no [[{key}]]; add one such table for each {key}", key)
+    return found
+
+
+def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef:
+    """Return the image that ``image``, ``part``, ``layer`` (or ``mask``, ``mask_part``, ``mask_layer``) name."""
+    prefix = "mask_" if key == "mask" else ""
+    part, layer = row.get(f"{prefix}part"), row.get(f"{prefix}layer")
+    if part is not None and (not isinstance(part, str | int) or isinstance(part, bool)):
+        raise CaptureError(f"{where}: {prefix}part must be the name or the number of a part", "value")
+    if layer is not None and not isinstance(layer, str):
+        raise CaptureError(f"{where}: {prefix}layer must be a text", "value")
+    space = row.get("colour_space", "auto")
+    if space not in COLOUR_SPACES:
+        raise CaptureError(f"{where}: colour_space must be one of {', '.join(COLOUR_SPACES)}", "value")
+    return ImageRef(path.parent / text(row, key, where), part, layer, space)
+
+
 def camera_maker(table: dict[str, Any], where: str, matrix=None):
     """Return (width, height) → Camera of the keys CAMERA_KEYS; without any, an orthographic camera 2 units wide.
 
@@ -84,6 +110,7 @@ def camera_maker(table: dict[str, Any], where: str, matrix=None):
         raise CaptureError(f"{where}: fov_degrees must be below 180", "value")
     focal = _focal(table, where) if "focal_length_px" in table else None
     centre = vector(table, "principal_point", 2, where) if "principal_point" in table else None
+    distortion = _distortion(table["distortion"], orthographic, where) if "distortion" in table else ()
 
     def make(width: int, height: int) -> Camera:
         middle = centre or (width / 2, height / 2)
@@ -94,9 +121,19 @@ def camera_maker(table: dict[str, Any], where: str, matrix=None):
         else:
             camera = Camera.from_fov(width, height, 90.0, matrix)
         scale = focal or camera.scale
-        return Camera(width, height, scale, middle, camera.matrix, camera.perspective)
+        return Camera(width, height, scale, middle, camera.matrix, camera.perspective, distortion)
 
     return make
+
+
+def _distortion(value: Any, orthographic: bool, where: str) -> tuple[float, ...]:
+    if orthographic:
+        raise CaptureError(f"{where}: distortion is of perspective cameras; take it out or give fov_degrees", "camera")
+    if not isinstance(value, list) or not 0 < len(value) <= len(NAMES) or not all(map(is_number, value)):
+        raise CaptureError(f"{where}: distortion must be a list of up to 8 numbers: {', '.join(NAMES)}", "value")
+    if not all(map(math.isfinite, value)):
+        raise CaptureError(f"{where}: distortion must hold finite numbers only", "value")
+    return tuple(map(float, value))
 
 
 def _focal(table: dict[str, Any], where: str) -> tuple[float, float]:

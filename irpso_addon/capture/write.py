@@ -13,7 +13,7 @@ from .camera import Camera
 from .exr import write_exr
 from .problems import CaptureError
 from .table import FORMAT, TABLE
-from .types import Capture
+from .types import Capture, Light
 
 _IMAGES = "images.exr"
 
@@ -68,7 +68,17 @@ def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: 
         yield f'part = "{stem}"' if single_file else f'image = "{stem}.exr"'
         yield f"light_{'direction' if light.distant else 'position'} = {_list(light.vector)}"
         yield f"light_intensity = {_list(light.intensity)}"
+        yield from _emission(light)
         yield f'camera = "camera {observation.camera + 1}"'
+
+
+def _emission(light: Light) -> Iterator[str]:
+    if light.axis is not None:
+        yield f"light_axis = {_list(light.axis)}"
+    if light.cone is not None:
+        yield f"light_cone_degrees = {_number(light.cone)}"
+    if light.cosine:
+        yield "light_cosine = true"
 
 
 def _camera(camera: Camera) -> Iterator[str]:
@@ -85,6 +95,8 @@ def _camera(camera: Camera) -> Iterator[str]:
         yield "orthographic = true"
         yield f"world_width = {_number(camera.width / camera.scale[0])}"
     yield f"principal_point = {_list(camera.centre)}"
+    if camera.distortion:
+        yield f"distortion = {_list(camera.distortion)}"
 
 
 def _number(value: float) -> str:

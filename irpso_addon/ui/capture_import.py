@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
@@ -68,8 +67,7 @@ def capture_at(path: Path) -> Path:
 
 def subject_of(draft: Draft) -> str:
     """Return "MESH" where cameras have places, as around an object, "CARD" where one camera looks straight down."""
-    cameras = [view.make(1, 1) for view in draft.views]
-    return "CARD" if len(cameras) == 1 and np.array_equal(cameras[0].matrix, np.eye(4)) else "MESH"
+    return "CARD" if len(draft.views) == 1 and not draft.views[0].placed else "MESH"
 
 
 def asked_of(settings) -> tuple[str, ...]:

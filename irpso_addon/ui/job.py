@@ -218,7 +218,8 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
     lights = tuple((observation.light, observation.camera) for observation in capture.observations)
     cameras = tuple(
-        (c.width, c.height, *c.scale, *c.centre, c.matrix.tobytes(), c.perspective) for c in capture.cameras
+        (c.width, c.height, *c.scale, *c.centre, c.matrix.tobytes(), c.perspective, c.distortion)
+        for c in capture.cameras
     )
     shape = None
     if mesh is not None:
