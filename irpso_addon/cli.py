@@ -101,6 +101,11 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards"
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--normals", metavar="A,B", help="more normal maps: object, world, directx")
+    add.add_argument("--height", action="store_true", help="write the relief as well, by integrating the normals")
+    add.add_argument(
+        "--displacement", action="store_true", help="have the material displace the surface by it (implies --height)"
+    )
     add.add_argument(
         "--resume", action="store_true", help="go on from the checkpoint that an interrupted run left in OUT"
     )

@@ -15,6 +15,7 @@ from ..capture.types import Capture
 from ..errors import InputError
 from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
+from ..geometry.extras import Extras, extra_maps, normals_of_text
 from ..geometry.frames import from_blender, to_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import empty_blend, mesh_object, open_blend
@@ -22,6 +23,7 @@ from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..maps import material
 from ..maps.blender_images import decode
+from ..maps.height import Height
 from ..maps.read import read_maps
 from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
@@ -68,6 +70,7 @@ class _Job:
     subject: object | None
     mesh: MeshData | None
     name: str
+    extras: Extras
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -111,8 +114,11 @@ def run(options: Namespace) -> dict:
     if mesh is not None:
         values = turned_normals(job.model, maps.values, mesh, domain.bake, to_blender)
         written = replace(maps, values=values, tiles=mesh.tiles)
-    write_maps(written, job.folder, report, pictures)
-    _write_material(written, job, subject, mesh)
+    extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
+    if height is not None:
+        report["height"] = height.described()
+    write_maps(written, job.folder, report, pictures, extras)
+    _write_material(written, job, subject, mesh, height if job.extras.displacement else None)
     (job.folder / CHECKPOINT).unlink(missing_ok=True)
     if not options.quiet and not options.json:
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
@@ -139,6 +145,8 @@ def _check(options: Namespace) -> _Job:
         raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
     subject, mesh, name = _subject(options)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
+    extras = Extras(normals_of_text("--normals", options.normals), options.height, options.displacement)
+    extras.check(model)
     known = known_from_options(options.known, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     capture = read_capture(options.capture, decode, options.colour_space)
@@ -147,7 +155,18 @@ def _check(options: Namespace) -> _Job:
         raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
     resolution = resolution if mesh is None else mesh.domain_size(*resolution)
     return _Job(
-        capture, model, schedule, known, truth, held_out, folder, resolution, subject, mesh, name or capture.name
+        capture,
+        model,
+        schedule,
+        known,
+        truth,
+        held_out,
+        folder,
+        resolution,
+        subject,
+        mesh,
+        name or capture.name,
+        extras,
     )
 
 
@@ -234,9 +253,11 @@ def _try_material(job: _Job, subject: object | None) -> None:
         material.check_object(subject)
 
 
-def _write_material(maps: Maps, job: _Job, subject: object | None, mesh: MeshData | None) -> None:
+def _write_material(
+    maps: Maps, job: _Job, subject: object | None, mesh: MeshData | None, height: Height | None
+) -> None:
     uv_map = "" if mesh is None else material.other_uv_map(subject, mesh.uv_map)
-    made = material.build_material(maps, job.name, uv_map=uv_map)
+    made = material.build_material(maps, job.name, uv_map=uv_map, height=height)
     if subject is None:
         subject = material.card_object(job.name, *maps.covered.shape)
     material.apply_material(subject, made, () if mesh is None else mesh.solved_slots)
