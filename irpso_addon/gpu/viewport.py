@@ -76,7 +76,8 @@ class Drawing:
 
     def __init__(self) -> None:
         context.ensure()
-        self._line = self._plain = self._square = None
+        self._line = self._plain = None
+        self._squares: dict[tuple[float, float], Surface] = {}  # by the part of the picture that is on it
 
     def draw_flat(
         self,
@@ -86,14 +87,19 @@ class Drawing:
         second: Any = None,
         split: float = 0.5,
         opacity: float = 1.0,
+        part: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        """Draw a picture in a rectangle of the region, and ``second`` right of a fraction of the region's width."""
-        if self._square is None:
+        """Draw a picture in a rectangle of the region, and ``second`` right of a fraction of the region's width.
+
+        part: from where to where of the picture's width is drawn, 0…1.
+        """
+        if part not in self._squares:
             corners = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]], np.float32).reshape(2, 3, 2)
-            self._square = Surface(np.concatenate([corners, np.zeros((2, 3, 1))], axis=-1), corners)
+            uvs = corners * (part[1] - part[0], 1) + (part[0], 0)
+            self._squares[part] = Surface(np.concatenate([corners, np.zeros((2, 3, 1))], axis=-1), uvs)
         place = np.diag([size_px[0], size_px[1], 1.0, 1.0])
         place[:2, 3] = lower_left_px
-        self._square.draw(picture, _pixels(), place, second, split, None, opacity, depth=False)
+        self._squares[part].draw(picture, _pixels(), place, second, split, None, opacity, depth=False)
 
     def draw_lines(
         self,
@@ -139,9 +145,10 @@ class Drawing:
 
     def close(self) -> None:
         """Free the shaders."""
-        if self._square is not None:
-            self._square.close()
-        self._line = self._plain = self._square = None
+        for square in self._squares.values():
+            square.close()
+        self._squares.clear()
+        self._line = self._plain = None
 
     def _draw_strokes(
         self,

@@ -142,6 +142,8 @@ def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
     """
     check_object(obj)
     if slots and obj.material_slots:
+        if (last := max(slots)) >= len(obj.material_slots):
+            raise InputError(f"object '{obj.name}' has no material slot {last} any more; give it back its slots")
         for slot in slots:
             obj.material_slots[slot].material = material
         return

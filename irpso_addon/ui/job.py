@@ -16,8 +16,10 @@ from ..geometry.build import card_steps, mesh_steps
 from ..geometry.domain import Domain
 from ..geometry.frames import from_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
+from ..geometry.slots import slot_names, slots_of_text
 from ..maps import material
 from ..maps.encode import linear_from_srgb, srgb_from_linear
+from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.plan import Plan
 from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
@@ -28,6 +30,7 @@ from .card_place import free_place
 from .scene_capture import capture_of
 from .schedule_settings import schedule_of
 from .settings import model_of
+from .tiled_images import tile_images
 
 _MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
 
@@ -63,12 +66,13 @@ class Job:
     def loading(self) -> Generator[None, None, Domain]:
         """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
         # What a plan refuses, it refuses before the images are read.
-        coverage = covered_texels(self.capture, self.mesh, (self.resolution, self.resolution))
+        size = (self.resolution,) * 2 if self.mesh is None else self.mesh.domain_size(*(self.resolution,) * 2)
+        coverage = covered_texels(self.capture, self.mesh, size)
         plan = self.plan(coverage)
         scratch = self.scratch if plan.stack_on == "scratch" else None
         if self.mesh is None:
             return (yield from card_steps(self.capture, scratch=scratch))
-        return (yield from mesh_steps(self.capture, self.mesh, self.resolution, self.resolution, scratch=scratch))
+        return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch))
 
     def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
         """Return the recovery that is planned. Raises InputError, ShaderError."""
@@ -124,36 +128,50 @@ def make_job(context) -> Job:
     if len(capture.observations) < 3:
         raise InputError(f"capture '{capture.name}' has fewer than 3 observations; a normal needs 3 lights")
     obj = subject_object(context) if settings.subject == "MESH" else None
-    mesh = None
+    mesh = slots = None
     if obj is not None:
         material.check_object(obj)
-        mesh = extract_mesh(obj)
+        slots = wanted_slots(settings, obj)
+        mesh = extract_mesh(obj, slots)
     origin = _MESH if obj is not None else str(capture.source or context.scene.name)
-    name = material.subject_name(obj.name if obj is not None else capture.name, origin)
+    name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
+    name = material.subject_name(name, origin)
     material.check_material(model, name)
-    size = (settings.resolution,) * 2 if mesh is not None else capture.masks[0].shape
+    size = capture.masks[0].shape
+    if mesh is not None:
+        size = mesh.domain_size(settings.resolution, settings.resolution)[::-1]
+    tiles = ONE_SQUARE if mesh is None else mesh.tiles
     return Job(
         capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
-        schedule, settings.seed, _given(settings, model, size), settings.resolution, wanted.entry, wanted.memory,
+        schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh),
     )  # fmt: skip
 
 
-def _given(settings, model: ReflectanceModel, size: tuple[int, int]) -> dict[str, np.ndarray]:
+def wanted_slots(settings, obj) -> tuple[int, ...] | None:
+    """Return the material slots that are asked for, None for all. Raises InputError."""
+    if settings.slots == "ALL" or len(obj.material_slots) < 2:
+        return None
+    if settings.slots == "ACTIVE":
+        return (obj.active_material_index,)
+    return slots_of_text(settings.slot_list, slot_names(obj))
+
+
+def _given(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
     """Return the maps of the parameters that are not to be recovered."""
     items = {item.name: item for item in settings.parameters}
     return {
-        parameter.name: _given_map(items[parameter.name], parameter, size)
+        parameter.name: _given_map(items[parameter.name], parameter, size, tiles)
         for parameter in model.parameters
         if parameter.name in items and not items[parameter.name].recover
     }
 
 
-def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]) -> np.ndarray:
     low, high = np.float32(parameter.range)  # Blender keeps 0.02 as 0.0199999996
     if item.image is not None:
-        return image_map(item.image, parameter, size)
+        return image_map(item.image, parameter, size, tiles)
     if parameter.is_normal:
         return np.float32((0, 0, 1))
     values = item.color if parameter.components == 3 else [item.value] * parameter.components
@@ -163,12 +181,19 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     return values
 
 
-def image_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+def image_map(image, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE) -> np.ndarray:
     """Return (H, W, components) of a Blender image, in the parameter's own units.
 
     A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Of what is no colour the numbers of the file are
-    meant, though Blender takes every PNG for sRGB until told otherwise.
+    meant, though Blender takes every PNG for sRGB until told otherwise. tiles: the UDIM tiles of the domain, which a
+    tiled image must have.
     """
+    with tile_images(image, tiles) as parts:
+        size = size[0], size[1] // len(tiles)
+        return np.concatenate([_picture_map(part, parameter, size) for part in parts], axis=1)
+
+
+def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     height, width = size
     if not image.has_data and not image.size[0]:
         raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
@@ -224,5 +249,6 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     shape = None
     if mesh is not None:
         arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)
-        shape = hash((*(array.tobytes() for array in arrays), settings.resolution))
+        solved = None if mesh.solved is None else mesh.solved.tobytes()
+        shape = hash((*(array.tobytes() for array in arrays), settings.resolution, mesh.tiles, solved))
     return stamps, lights, cameras, shape

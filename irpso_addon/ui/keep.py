@@ -34,7 +34,7 @@ def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     if running.mesh is None:
         return maps, maps
     values = turned_normals(maps.model, maps.values, running.mesh, running.domain.bake, to_blender)
-    return maps, replace(maps, values=values)
+    return maps, replace(maps, values=values, tiles=running.tiles)
 
 
 def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _keep(context, running: session.Session) -> str:
         if former is None:
             put_card(subject, running.job.place)
         _show(context, subject, new=former is None)
-    material.apply_material(subject, made)
+    material.apply_material(subject, made, () if running.mesh is None else running.mesh.solved_slots)
     count = len(map_tables(maps.model))
     where = f"in {folder}" if folder else "packed into the file"
     return f"Material '{made.name}' on '{subject.name}', with {count} maps {where}"

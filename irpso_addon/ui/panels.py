@@ -149,6 +149,13 @@ class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
         column.prop(settings, "object")
         if settings.object is None and (active := subject_object(context)) is not None:
             column.label(text=f"Active: {active.name}", icon="OBJECT_DATA", translate=False)
+        chosen = subject_object(context)
+        if chosen is not None and len(chosen.material_slots) > 1:
+            column.prop(settings, "slots")
+            if settings.slots == "ACTIVE" and (made := chosen.active_material) is not None:
+                column.label(text=f"Active: {made.name}", icon="MATERIAL", translate=False)
+            if settings.slots == "NAMED":
+                column.prop(settings, "slot_list", text="Names")
         column.prop(settings, "resolution")
 
 

@@ -18,6 +18,7 @@ from ..geometry.domain import Domain
 from ..gpu import context
 from ..maps.material import find_card
 from ..maps.result import Maps
+from ..maps.udim import ONE_SQUARE
 from ..solver.display import Display
 from ..solver.memory import free_memory
 from ..solver.planning import AnyRecovery, untiled
@@ -29,7 +30,11 @@ from .job import Job
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
-_SETTINGS = {"--memory": "Memory Budget", "--resolution": "Resolution"}  # as the engine's errors call them
+_SETTINGS = {
+    "--memory": "Memory Budget",
+    "--resolution": "Resolution",
+    "--slots": "Slots",
+}  # as the engine's errors call them
 _KEPT_SHARE = 0.1  # of the memory that is free, for what was prepared: a second run need not wait for that either
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
 
@@ -91,6 +96,11 @@ class Session:
     def mesh(self):
         """The mesh as it was when the recovery began, None for a card."""
         return self.job.mesh
+
+    @property
+    def tiles(self) -> tuple[int, ...]:
+        """The UDIM tiles that stand side by side in the domain, from the left."""
+        return ONE_SQUARE if self.mesh is None else self.mesh.tiles
 
     @property
     def progress(self) -> Progress | None:

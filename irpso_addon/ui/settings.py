@@ -33,6 +33,11 @@ _SUBJECTS = (
     ("MESH", "Mesh", "Recover the maps of a mesh, in its UV map"),
     ("CARD", "Flat Card", "Recover the maps of a flat surface: the photographs' own pixels"),
 )
+_SLOTS = (
+    ("ALL", "All", "All material slots of the mesh together: they share one set of maps and get one material"),
+    ("ACTIVE", "Active", "Only the faces of the active material slot; the others still hide and shade them"),
+    ("NAMED", "Chosen", "Only the faces of the slots named below; the others still hide and shade them"),
+)
 _SHOWN = (
     ("PARAMETER", "Map", "A recovered map"),
     ("ERROR", "Error", "How far the render is from the photographs: blue is close, red is far"),
@@ -204,8 +209,13 @@ class Settings(bpy.types.PropertyGroup):
         name="Object", description="The mesh whose maps are recovered; empty takes the active one",
         type=bpy.types.Object, poll=_is_mesh,
     )  # fmt: skip
+    slots: EnumProperty(name="Slots", description="Which material slots are recovered", items=_SLOTS, default="ALL")
+    slot_list: StringProperty(
+        name="Slots", description="Names of material slots, or their numbers from 0, separated by commas"
+    )
     resolution: IntProperty(
-        name="Resolution", description="Texels along a side of the mesh's maps; a card's maps have the images' size",
+        name="Resolution", description="Texels along a side of the mesh's maps, of each UDIM tile where there are"
+        " several; a card's maps have the images' size",
         subtype="PIXEL", min=1, max=_LARGEST_SIDE, soft_min=64, soft_max=4096, default=512,
     )  # fmt: skip
     model: EnumProperty(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...gpu.viewport import Drawing
 from ...maps.pictures import MARK_COLORS
 from ..session import Probe, Session
+from .flat import flat_place
 from .layout import Rectangle
 from .legend import PERCENT
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
@@ -52,21 +55,14 @@ def draw_rings(
         drawing.draw_points(np.array(points), np.array(colors), 3.5 * scale, perspective, depth=True)
 
 
-def draw_flat_rings(painter: Painter, area: Rectangle, running: Session) -> None:
-    """Draw the rings over a map that lies flat in an area."""
+def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Session) -> None:
+    """Draw the rings over a map that lies flat, a tile in each area."""
     shape = running.domain.shape
     for probe in running.probes:
-        at = flat_place(area, shape, probe.row, probe.column)[None]
+        at = flat_place(areas, shape, probe.row, probe.column)[None]
         painter.rings(at, HALO, _RING, 4.5)
         painter.rings(at, color_of(probe), _RING, 2.2)
         painter.dots(at, color_of(probe), 3)
-
-
-def flat_place(area: Rectangle, shape: tuple[int, int], row: int, column: int) -> np.ndarray:
-    """Return (2,) the pixel of a texel's centre in an area that holds the whole domain (H, W)."""
-    return np.array([
-        area.x + area.width * (column + 0.5) / shape[1], area.y + area.height * (row + 0.5) / shape[0]
-    ])  # fmt: skip
 
 
 def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from ...maps.textures import TAG as MAP_TAG
+from ...maps.udim import ONE_SQUARE, tile_place
 from .layout import Rectangle
 
 
@@ -13,18 +18,40 @@ def is_free(space) -> bool:
     return space.image is None or MAP_TAG in space.image
 
 
-def map_area(region, space, shape: tuple[int, int]) -> Rectangle:
-    """Return the rectangle of the region in which a domain of (H, W) texels lies, in pixels.
+def map_areas(region, space, shape: tuple[int, int], tiles: Sequence[int] = ONE_SQUARE) -> list[Rectangle]:
+    """Return the rectangles of the region in which the tiles of a domain of (H, W) texels lie, in pixels.
 
-    Under texture coordinates it is the unit square; else it is as wide as that and of the domain's own proportions.
+    The unit square's is as wide as that. Under texture coordinates it is as high too, else of the tile's own
+    proportions; UDIM tiles stand beside and above each other, as Blender shows those of an image.
     """
     left, bottom = region.view2d.view_to_region(0.0, 0.0, clip=False)
     right, top = region.view2d.view_to_region(1.0, 1.0, clip=False)
-    height, width = shape
+    height, width = shape[0], shape[1] / len(tiles)
     across = right - left
-    return Rectangle(left, bottom, across, top - bottom if space.show_uvedit else across * height / width)
+    up = top - bottom if space.show_uvedit else across * height / width
+    places = [tile_place(number) for number in tiles]
+    return [Rectangle(left + column * across, bottom + row * up, across, up) for column, row in places]
 
 
-def texture_place(area: Rectangle, x: float, y: float) -> tuple[float, float]:
-    """Return the texture coordinates at a pixel of the region."""
-    return (x - area.x) / area.width, (y - area.y) / area.height
+def bounds(areas: Sequence[Rectangle]) -> Rectangle:
+    """Return the rectangle that holds all of them."""
+    left, bottom = min(area.x for area in areas), min(area.y for area in areas)
+    right, top = max(area.right for area in areas), max(area.top for area in areas)
+    return Rectangle(left, bottom, right - left, top - bottom)
+
+
+def texture_place(areas: Sequence[Rectangle], x: float, y: float) -> np.ndarray | None:
+    """Return the place (2,) in the domain, 0…1, at a pixel of the region, None outside."""
+    for index, area in enumerate(areas):
+        if area.x <= x <= area.right and area.y <= y <= area.top:
+            return np.array([((x - area.x) / area.width + index) / len(areas), (y - area.y) / area.height])
+    return None
+
+
+def flat_place(areas: Sequence[Rectangle], shape: tuple[int, int], row: int, column: int) -> np.ndarray:
+    """Return (2,) the pixel of a texel's centre, where the areas together hold the whole domain (H, W)."""
+    width = shape[1] // len(areas)
+    area = areas[column // width]
+    return np.array([
+        area.x + area.width * (column % width + 0.5) / width, area.y + area.height * (row + 0.5) / shape[0]
+    ])  # fmt: skip

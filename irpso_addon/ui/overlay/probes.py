@@ -7,7 +7,7 @@ from bpy.props import IntProperty
 from .. import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
-from .surface import bounding_corners, stand, triangles_of
+from .surface import bounding_corners, is_solved, stand, triangles_of
 
 _REACH = 3  # texels from the click in which the nearest that is solved is taken
 _HELP = "Click the subject to watch the error of a texel; Esc or the right mouse button ends"
@@ -170,8 +170,8 @@ def _contains(item, x: int, y: int) -> bool:
 def _flat_texel(running, region, space, place: tuple[float, float]) -> tuple[int, int] | None:
     if not flat.is_free(space):
         return None
-    area = flat.map_area(region, space, running.domain.shape)
-    return texel_at(np.array(flat.texture_place(area, *place)), running.domain.shape)
+    uv = flat.texture_place(flat.map_areas(region, space, running.domain.shape, running.tiles), *place)
+    return None if uv is None else texel_at(uv, running.domain.shape)
 
 
 def _surface_texel(running, view, place: tuple[float, float], size: tuple[float, float]) -> tuple[int, int] | None:
@@ -181,7 +181,9 @@ def _surface_texel(running, view, place: tuple[float, float], size: tuple[float,
     origin, direction = inverse[:3, :3] @ origin + inverse[:3, 3], inverse[:3, :3] @ direction
     positions, uvs = triangles_of(running)
     hit = first_hit(origin, direction, positions)
-    return None if hit is None else texel_at(hit[1] @ uvs[hit[0]], running.domain.shape)
+    if hit is None or not is_solved(running, hit[0]):
+        return None
+    return texel_at(hit[1] @ uvs[hit[0]], running.domain.shape)
 
 
 CLASSES = (IRPSO_OT_probe, IRPSO_OT_probe_remove, IRPSO_OT_probe_clear)

@@ -126,11 +126,14 @@ class Stage:
         if not pictures:
             return
         painter = Painter(self.drawing, context.preferences.system.ui_scale)
-        area = flat.map_area(region, space, running.domain.shape)
+        areas = flat.map_areas(region, space, running.domain.shape, running.tiles)
         first, second = _pair(view, pictures)
-        self.drawing.draw_flat(first, (area.x, area.y), (area.width, area.height), second, view.split, view.opacity)
-        curves.draw_flat_rings(painter, area, running)
-        self._draw_split_line(painter, context, area)
+        for index, area in enumerate(areas):
+            part = index / len(areas), (index + 1) / len(areas)
+            size = area.width, area.height
+            self.drawing.draw_flat(first, (area.x, area.y), size, second, view.split, view.opacity, part)
+        curves.draw_flat_rings(painter, areas, running)
+        self._draw_split_line(painter, context, flat.bounds(areas))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         if _has_room(free, painter.scale):
             self._draw_legend(painter, context.scene, free)
@@ -288,7 +291,7 @@ class Stage:
         key = view.goal.session_uid, parameter.name
         if key not in self._truths:
             try:
-                self._truths[key] = image_map(view.goal, parameter, self.running.domain.shape)
+                self._truths[key] = image_map(view.goal, parameter, self.running.domain.shape, self.running.tiles)
             except InputError as error:
                 _log.warning("no goal is drawn: %s", error)
                 self._truths[key] = None

@@ -54,16 +54,24 @@ def blink_index() -> int:
 
 
 def make_surface(running: Session) -> Surface:
-    """Return the subject's triangles on the GPU, in the domain's frame."""
-    return Surface(*triangles_of(running))
+    """Return the subject's triangles that have texels on the GPU, in the domain's frame."""
+    positions, uvs = triangles_of(running)
+    if running.mesh is not None and running.mesh.solved is not None:
+        positions, uvs = positions[running.mesh.solved], uvs[running.mesh.solved]
+    return Surface(positions, uvs)
 
 
 def triangles_of(running: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (T, 3, 3) in the domain's frame and texture coordinates (T, 3, 2)."""
+    """Return positions (T, 3, 3) in the domain's frame and places in the domain (T, 3, 2), 0…1."""
     if running.mesh is not None:
         return running.mesh.positions, running.mesh.uvs
     corners = card_corners(running.domain.bake.position)
     return corners[_TWO_TRIANGLES].astype(np.float32), _CARD_UVS[_TWO_TRIANGLES]
+
+
+def is_solved(running: Session, triangle: int) -> bool:
+    """Return whether a triangle has texels: whether its material slot is recovered."""
+    return running.mesh is None or running.mesh.solved is None or bool(running.mesh.solved[triangle])
 
 
 def stand(running: Session, subject, corners: np.ndarray) -> Stand:
