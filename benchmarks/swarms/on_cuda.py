@@ -30,7 +30,8 @@ def _move(x, v, best, value, goal, seed, iteration, constants, number, reach):
 @cuda.jit
 def _aim(best, value, goal, found):
     """One block: each thread looks through every _BLOCK-th value, then halves of the block compare what they have."""
-    values, owners = cuda.shared.array(_BLOCK, float64), cuda.shared.array(_BLOCK, int32)
+    values = cuda.shared.array(_BLOCK, float64)  # a line each: the simulator knows them by their lines
+    owners = cuda.shared.array(_BLOCK, int32)
     t = cuda.threadIdx.x
     values[t], owners[t] = np.inf, 0
     for i in range(t, value.shape[0], _BLOCK):
