@@ -13,7 +13,7 @@ _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
 # Measured on the three bunnies and the icon with a fifth of the frames rolled by up to 4 px: true shifts of 2 px and
 # more gain 0.17 or more over staying, the largest false one 0.11; all true peaks stand 6 deviations out.
-_SHIFT_GAIN, _SHIFT_PEAK = 0.15, 6.0
+_SHIFT_GAIN, SHIFT_PEAK = 0.15, 6.0
 _PASS = 0.15  # cycles a pixel: the width of the low pass that keeps noise out of the correlation
 
 
@@ -68,31 +68,33 @@ def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
     features = np.empty(frames.shape, np.float32)
     for frame, out in zip(frames, features, strict=True):
         yield
-        out[:] = _edges(frame)
+        out[:] = edge_sizes(frame)
     total = features.sum(axis=0, dtype=np.float64)
     shifts = np.zeros((len(frames), 2), int)
     reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
     if len(frames) < 3 or reach < 1:
         return shifts
-    low_pass = np.exp(
-        -(np.fft.fftfreq(frames.shape[1])[:, None] ** 2 + np.fft.rfftfreq(frames.shape[2])[None] ** 2) / (2 * _PASS**2)
-    )
     for k, feature in enumerate(features):
         yield
-        cross = np.fft.rfft2(feature) * np.conj(np.fft.rfft2(total - feature))
-        size = np.abs(cross)
-        cross *= low_pass / np.maximum(size, 1e-3 * size.max() + 1e-30)
+        cross = whitened(np.fft.rfft2(feature) * np.conj(np.fft.rfft2(total - feature)), frames.shape[1:])
         field = np.fft.fftshift(np.fft.irfft2(cross, frames.shape[1:]))
         row, column = (side // 2 for side in field.shape)
         window = field[row - reach : row + reach + 1, column - reach : column + reach + 1]
         up, right = (int(v) - reach for v in np.unravel_index(window.argmax(), window.shape))
         peak, stay = window.max(), field[row, column]
-        if peak > 0 and peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= _SHIFT_PEAK * window.std():
+        if peak > 0 and peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= SHIFT_PEAK * window.std():
             shifts[k] = right, up
     return shifts
 
 
-def _edges(frame: np.ndarray) -> np.ndarray:
+def whitened(cross: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a cross spectrum, as of ``rfft2`` of frames of a shape (H, W), with sizes of 1 below a Gaussian pass."""
+    low_pass = np.exp(-(np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2) / (2 * _PASS**2))
+    size = np.abs(cross)
+    return cross * (low_pass / np.maximum(size, 1e-3 * size.max() + 1e-30))
+
+
+def edge_sizes(frame: np.ndarray) -> np.ndarray:
     """Return (H, W) float32: gradient size of log brightness, capped, of mean 0 and faded out toward the frame."""
     lit = np.maximum(frame, 0)
     logarithm = np.log(lit + 0.05 * np.percentile(lit, 90) + 1e-9)

@@ -1,22 +1,42 @@
-"""The orientation tag of photographs (EXIF 2.3, tag 274), and turning pixels upright by it."""
+"""The tags of photographs (EXIF 2.3): orientation and exposure; and turning pixels upright."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 
 _ORIENTATION, _BITS, _WIDTH, _HEIGHT, _SAMPLE_FORMAT = 274, 258, 256, 257, 339
-_SIZES = {1: 1, 3: 2, 4: 4}  # BYTE, SHORT, LONG
-_CODES = {1: "B", 3: "H", 4: "I"}
+_EXIF_DIRECTORY, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 33434, 33437, 34855
+_SIZES = {1: 1, 3: 2, 4: 4, 5: 8}  # BYTE, SHORT, LONG, RATIONAL
+_CODES = {1: "B", 3: "H", 4: "I", 5: "II"}
+_RATIONAL = 5
 
 
-def tiff_tags(data: bytes) -> dict[int, tuple[int, ...]]:
-    """Return the whole-number tags of the first directory of a TIFF structure; {} where it is none or is damaged."""
+@dataclass(frozen=True)
+class Exposure:
+    """How a photograph was exposed. seconds: above 0. f_number, iso: above 0, or None where the file does not tell."""
+
+    seconds: float
+    f_number: float | None = None
+    iso: float | None = None
+
+    @property
+    def amount(self) -> float:
+        """What a given radiance is multiplied by in the file, up to one factor a camera: seconds · ISO / 100 / N²."""
+        return self.seconds * (self.iso or 100.0) / 100 / (self.f_number or 1.0) ** 2
+
+
+def tiff_tags(data: bytes, directory: int | None = None) -> dict[int, tuple[float, ...]]:
+    """Return the numeric tags of a TIFF structure's directory at an offset, or of its first; {} where it is damaged.
+
+    Whole numbers are int, rationals float; a rational over 0 is left out.
+    """
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
     if order is None or len(data) < 8:
         return {}
-    (start,) = struct.unpack_from(order + "I", data, 4)
+    start = struct.unpack_from(order + "I", data, 4)[0] if directory is None else directory
     if start + 2 > len(data):
         return {}
     (count,) = struct.unpack_from(order + "H", data, start)
@@ -27,8 +47,13 @@ def tiff_tags(data: bytes) -> dict[int, tuple[int, ...]]:
         if not 0 < size <= 64:
             continue
         at = entry + 8 if size <= 4 else struct.unpack_from(order + "I", data, entry + 8)[0]
-        if at + size <= len(data):
-            tags[tag] = struct.unpack_from(f"{order}{number}{_CODES[kind]}", data, at)
+        if at + size > len(data):
+            continue
+        values = struct.unpack_from(order + _CODES[kind] * number, data, at)
+        if kind != _RATIONAL:
+            tags[tag] = values
+        elif all(values[1::2]):
+            tags[tag] = tuple(a / b for a, b in zip(values[::2], values[1::2], strict=True))
     return tags
 
 
@@ -49,13 +74,42 @@ def tiff_orientation(data: bytes) -> int:
 
 def jpeg_orientation(data: bytes) -> int:
     """Return the orientation, 1 to 8, of a JPEG file's EXIF block; 1 where there is none."""
+    return tiff_orientation(_jpeg_block(data))
+
+
+def exposure_of(data: bytes) -> Exposure | None:
+    """Return the exposure that a JPEG, PNG or TIFF file tells (a DNG and many raw files are TIFF); None without one."""
+    if data[:2] == b"\xff\xd8":
+        block = _jpeg_block(data)
+    elif data[:8] == b"\x89PNG\r\n\x1a\n":
+        block = _png_block(data)
+    else:
+        block = data
+    tags = tiff_tags(block)
+    if _EXIF_DIRECTORY in tags:
+        tags |= tiff_tags(block, tags[_EXIF_DIRECTORY][0])
+    seconds, f_number, iso = (tags.get(tag, (0,))[0] for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
+    return Exposure(float(seconds), float(f_number) or None, float(iso) or None) if seconds > 0 else None
+
+
+def _jpeg_block(data: bytes) -> bytes:
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] not in (0xDA, 0xD9):
         (length,) = struct.unpack_from(">H", data, at + 2)
         if data[at + 1] == 0xE1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            return tiff_orientation(data[at + 10 : at + 2 + length])
+            return data[at + 10 : at + 2 + length]
         at += 2 + length
-    return 1
+    return b""
+
+
+def _png_block(data: bytes) -> bytes:
+    at = 8
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        if data[at + 4 : at + 8] == b"eXIf":
+            return data[at + 8 : at + 8 + length]
+        at += 12 + length
+    return b""
 
 
 def upright(image: np.ndarray, orientation: int) -> np.ndarray:

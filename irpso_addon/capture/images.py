@@ -13,6 +13,7 @@ from .exr_header import ExrPart, is_exr, read_exr_header
 from .headers import read_header
 from .picture import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .problems import CaptureError
+from .raw import decode_raw, is_raw, raw_size
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,12 @@ class ImageStore:
             part = self._part(image)
             colour_channels(part, image.layer, str(image))
             return part.width, part.height
-        header = read_header(image.path)
         if image.part is not None or image.layer is not None:
+            read_header(image.path)  # what is no image at all is told first
             raise CaptureError(f"{image.path}: only an EXR file has parts and layers; take part and layer out", "layer")
+        if is_raw(image.path):
+            return raw_size(image.path)
+        header = read_header(image.path)
         if self.decoder is None:
             raise CaptureError(
                 f"{image.path}: is a {header.kind} file, and only EXR can be read without Blender; give read_capture"
@@ -60,7 +64,7 @@ class ImageStore:
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):
-            return samples_of_picture(self._picture(image), image.colour_space)
+            return samples_of_picture(self.picture(image), image.colour_space)
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha)
@@ -68,14 +72,17 @@ class ImageStore:
     def mask(self, image: ImageRef) -> np.ndarray:
         """Return an image as a mask, (H, W) bool."""
         if not is_exr(image.path):
-            return mask_of_picture(self._picture(image))
+            return mask_of_picture(self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         channels = self._pixels(image.path, part).channels
         names = rgb if alpha is None else [*rgb, alpha]
         return mask_of_picture(Picture(np.stack([channels[n].astype(np.float32) for n in names], axis=-1), 32))
 
-    def _picture(self, image: ImageRef) -> Picture:
+    def picture(self, image: ImageRef) -> Picture:
+        """Return the code values of an image that is no EXR, raw files developed without a curve."""
+        if is_raw(image.path):
+            return decode_raw(image.path)
         if self.decoder is None:
             self.size(image)  # raises, naming the remedy
         try:

@@ -16,6 +16,7 @@ import numpy as np
 from ..capture.exif import upright
 from ..capture.headers import read_header
 from ..capture.picture import Picture
+from ..capture.raw import decode_raw, is_raw
 from ..errors import InputError
 from ..files import replacing_file
 
@@ -25,11 +26,14 @@ _PNG_COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 def decode(path: Path | str) -> Picture:
     """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``capture.picture.Decoder``.
 
-    No colour curve is undone. Raises InputError where the file is missing, damaged or of another format.
+    No colour curve is undone. Raw files go to rawpy, which Blender does not bring.
+    Raises InputError where the file is missing, damaged or of another format.
     """
+    path = Path(path)
+    if is_raw(path):
+        return decode_raw(path)
     import bpy
 
-    path = Path(path)
     header = read_header(path)
     try:
         image = bpy.data.images.load(str(path.resolve()), check_existing=False)

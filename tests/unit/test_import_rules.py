@@ -16,22 +16,24 @@ PACKAGE = ROOT / "irpso_addon"
 
 # Part of the program -> the parts it may import, besides itself and the small helpers of BASE, which everyone may.
 BASE = {"errors", "paths", "files"}
-ENGINE = {"reflectance", "capture", "gpu", "maps", "geometry", "solver"}
+ENGINE = {"reflectance", "capture", "calibration", "gpu", "maps", "geometry", "solver"}
 ALLOWED = {
     "errors": set(),
     "paths": set(),
     "files": set(),
     "reflectance": set(),
     "capture": set(),
+    "calibration": {"capture"},
     "gpu": set(),
     "maps": {"reflectance", "capture"},
     "geometry": {"capture", "reflectance", "maps", "gpu"},
     "solver": {"geometry", "maps", "reflectance", "capture", "gpu"},
+    "exports": ENGINE,
     "cluster": ENGINE,
-    "ui": ENGINE,
+    "ui": ENGINE | {"exports"},
     "demo": ENGINE,
-    "commands": ENGINE | {"demo", "cluster"},
-    "cli": ENGINE | {"commands", "demo", "cluster"},
+    "commands": ENGINE | {"demo", "cluster", "exports"},
+    "cli": ENGINE | {"commands", "demo", "cluster", "exports"},
     "__main__": {"cli", "gpu"},
     "__init__": {"cli", "ui"},
 }
@@ -50,7 +52,9 @@ BLENDER = {
     "imbuf",
 }
 THIRD_PARTY = {"numpy", "OpenEXR"}
-WITHOUT_BLENDER = BASE | {"reflectance", "capture"}
+# An extra that the program works without: the one module that may import it, and only when it is asked for.
+OPTIONAL = {"rawpy": "capture/raw.py"}
+WITHOUT_BLENDER = BASE | {"reflectance", "capture", "calibration"}
 GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)
 
 
@@ -116,6 +120,9 @@ def broken_rules(source: str, path: Path) -> list[str]:
                 broken.append(where + f"import {top_name} where it is used; at module level only ui may")
             elif item.at_module_level and part == "gpu" and top_name == "bpy":
                 broken.append(where + "import bpy where it is used; at module level only ui may")
+        elif top_name in OPTIONAL:
+            if path.relative_to(PACKAGE).as_posix() != OPTIONAL[top_name] or item.at_module_level:
+                broken.append(where + f"{top_name} is an extra: import it in {OPTIONAL[top_name]}, where it is used")
         elif top_name not in sys.stdlib_module_names | THIRD_PARTY:
             broken.append(where + f"{top_name} is not a dependency of the program")
     return broken
@@ -176,6 +183,8 @@ def test_imports_go_down_only():
         ("gpu/a.py", "from ..capture.types import Light"),
         ("solver/a.py", "from irpso_addon.ui import panel"),
         ("geometry/a.py", "import scipy.ndimage"),
+        ("maps/a.py", "def f():\n    import rawpy"),
+        ("capture/raw.py", "import rawpy"),
         ("__init__.py", "from .cli import main"),
     ],
 )
@@ -188,6 +197,7 @@ def test_a_forbidden_import_is_found(file, source):
     [
         ("capture/deep/a.py", "from ...errors import InputError\nfrom ..types import Light\nimport numpy.linalg"),
         ("gpu/a.py", "import gpu\ndef f():\n    import bpy"),
+        ("capture/raw.py", "def f():\n    import rawpy"),
         ("ui/a.py", "import bpy\nfrom ..solver import recovery"),
         ("solver/a.py", "from __future__ import annotations\nfrom ..gpu import context\nimport math"),
         ("maps/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import bpy"),

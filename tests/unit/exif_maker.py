@@ -1,0 +1,67 @@
+"""EXIF blocks and raw files written byte by byte, for the tests."""
+
+import struct
+
+import numpy as np
+
+# XYZ of D65 to linear sRGB (IEC 61966-2-1): the matrix of a camera that sees in Rec. 709.
+XYZ_TO_REC709 = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+ASCII, BYTE, SHORT, LONG, RATIONAL, SRATIONAL = 2, 1, 3, 4, 5, 10
+
+
+def directory(tags, at, order="<"):
+    """Return a TIFF directory that lies at an offset: tags are (number, kind, values); rationals are pairs."""
+    codes = {BYTE: "B", ASCII: "B", SHORT: "H", LONG: "I", RATIONAL: "I", SRATIONAL: "i"}
+    entries, extra = b"", b""
+    beyond = at + 2 + 12 * len(tags) + 4
+    for number, kind, values in sorted(tags):
+        flat = [v for pair in values for v in pair] if kind in (RATIONAL, SRATIONAL) else list(values)
+        raw = struct.pack(f"{order}{len(flat)}{codes[kind]}", *flat)
+        if len(raw) > 4:
+            place = struct.pack(order + "I", beyond + len(extra))
+            extra += raw + b"\0" * (len(raw) % 2)
+        else:
+            place = raw.ljust(4, b"\0")
+        entries += struct.pack(order + "HHI", number, kind, len(values)) + place
+    return struct.pack(order + "H", len(tags)) + entries + bytes(4) + extra
+
+
+def exif(seconds=None, f_number=None, iso=None, order="<", orientation=1):
+    """Return an EXIF block (a TIFF structure) with the exposure in a directory of its own; rationals as pairs."""
+    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    first = [(274, SHORT, [orientation]), (34665, LONG, [8 + 2 + 24 + 4])]
+    tags = [(33434, RATIONAL, [seconds])] if seconds else []
+    tags += [(33437, RATIONAL, [f_number])] if f_number else []
+    tags += [(34855, SHORT, [iso])] if iso else []
+    return head + directory(first, 8, order) + directory(tags, 8 + 2 + 24 + 4, order)
+
+
+def with_exif(jpeg, block):
+    """Return the bytes of a JPEG file with an EXIF block as its first segment."""
+    segment = b"Exif\0\0" + block
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", 2 + len(segment)) + segment + jpeg[2:]
+
+
+def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None):
+    """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, red, green; green, blue, of a camera of Rec. 709."""
+    height, width = mosaic.shape
+    tags = [
+        (254, LONG, [0]), (256, LONG, [width]), (257, LONG, [height]), (258, SHORT, [16]), (259, SHORT, [1]),
+        (262, SHORT, [32803]), (271, ASCII, b"Test\0"), (272, ASCII, b"Camera\0"), (274, SHORT, [orientation]),
+        (277, SHORT, [1]), (278, LONG, [height]), (279, LONG, [2 * mosaic.size]), (33421, SHORT, [2, 2]),
+        (33422, BYTE, [0, 1, 1, 2]), (50706, BYTE, [1, 4, 0, 0]), (50708, ASCII, b"Test Camera\0"),
+        (50714, SHORT, [black]), (50717, SHORT, [white]), (50778, SHORT, [21]),
+        (50721, SRATIONAL, [(round(v * 10**4), 10**4) for v in XYZ_TO_REC709.ravel()]),
+        (50728, RATIONAL, [(round(v * 10**4), 10**4) for v in neutral]),
+    ]  # fmt: skip
+    tags += [(33434, RATIONAL, [seconds])] if seconds else []
+    start = 8 + len(directory([*tags, (273, LONG, [0])], 8))
+    body = directory([*tags, (273, LONG, [start])], 8)
+    return b"II*\0" + struct.pack("<I", 8) + body + mosaic.astype("<u2").tobytes()
+
+
+def bayer(rgb):
+    """Return (H, W) of what the photosites red, green; green, blue see of (H, W, 3)."""
+    mosaic = rgb[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = rgb[::2, ::2, 0], rgb[1::2, 1::2, 2]
+    return mosaic
