@@ -10,14 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
+from mathutils import Vector
 
 from ..capture.draft import Draft
 from ..capture.inspect import Finding, Report, inspect_steps
 from ..capture.read import read_draft
+from ..capture.types import Capture
 from ..errors import InputError
+from ..geometry.scene_capture import photographed_lights
+from ..geometry.scene_lights import too_wide
 from ..maps.blender_images import decode
+from .job import subject_object
 from .scene_capture import capture_of, capture_path
 from .settings import model_of
 
@@ -248,7 +254,17 @@ def _check_scene(scene) -> None:
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
-    _store_findings(settings, ())
+    place = _subject_place(settings, capture)
+    wide = (too_wide(obj, place) for obj in photographed_lights(scene))
+    _store_findings(settings, [Finding("warning", "light_wide", text) for text in wide if text])
+
+
+def _subject_place(settings, capture: Capture) -> np.ndarray:
+    """Return (3,) the middle of the mesh, or of a card, which lies one unit before its camera."""
+    obj = subject_object(bpy.context) if settings.subject == "MESH" else None
+    if obj is None:
+        return capture.cameras[0].position - capture.cameras[0].backward
+    return np.mean([obj.matrix_world @ Vector(corner) for corner in obj.bound_box], axis=0)
 
 
 class CaptureFiles(bpy.types.FileHandler):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -15,21 +15,21 @@ from ..capture.draft import Draft, build_capture
 from ..capture.headers import read_header
 from ..capture.images import ImageRef
 from ..capture.read import read_draft
-from ..capture.types import Capture, Light
+from ..capture.types import Capture
 from ..errors import InputError
+from ..geometry import scene_images
+from ..geometry.scene_capture import ASPECT, CAPTURE, in_order, natural
+from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
-from ..maps.lights import point_power, sun_strength
-from . import scene_images
 from .card_place import is_free
 from .job import subject_object
-from .scene_capture import ASPECT, CAPTURE, LIGHT_TYPES, capture_path, in_order, natural
+from .scene_capture import capture_path
+from .scene_objects import RESOLUTION, set_camera, set_light
 
-# Custom properties of own objects: "view 0", "light 12"; and a camera's image size (width, height).
-_ROLE, _RESOLUTION = "irpso_role", "irpso_resolution"
+_ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
 _CARD_DEPTH = 1.0  # where domain_from_card takes a card to lie, in world units from the camera
 _DOME = 2.0  # the dome's radius over the subject's
-_SENSOR = 36.0  # mm, Blender's own default
 _SMALL = 0.3  # of the dome's radius: how large cameras are drawn
 
 
@@ -100,47 +100,6 @@ def show_observation(scene, index: int) -> None:
         _set_resolution(scene, camera)
 
 
-def set_camera(obj, camera: Camera) -> None:
-    """Give a camera object the projection and place of a camera: ``geometry.scene.camera_from_object`` undoes it."""
-    data, (width, height) = obj.data, (camera.width, camera.height)
-    tall = camera.scale[0] / camera.scale[1]  # of a pixel, over its width
-    data.type = "PERSP" if camera.perspective else "ORTHO"
-    data.sensor_fit = "HORIZONTAL"
-    if camera.perspective:
-        data.sensor_width = max(_SENSOR, width / camera.scale[0])  # a lens is 1 mm or longer
-        data.lens = data.sensor_width * camera.scale[0] / width
-    else:
-        data.ortho_scale = width / camera.scale[0]
-    data.shift_x = (width / 2 - camera.centre[0]) / width
-    data.shift_y = (height / 2 - camera.centre[1]) * tall / width
-    obj[_RESOLUTION] = width, height
-    obj[ASPECT] = (max(1.0, 1 / tall), max(1.0, tall))
-    obj.rotation_mode = "QUATERNION"  # Euler angles lose half of the digits near a quarter turn
-    obj.matrix_world = Matrix(camera.matrix.tolist())
-
-
-def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) -> None:
-    """Make a light object that light: ``scene_capture.light_of`` undoes it. A distant one is put on a dome, for show.
-
-    centre, radius: of the dome, world units.
-    """
-    strongest = max(light.intensity)
-    obj.data.type = "SUN" if light.distant else "POINT"
-    data = obj.data  # its class has changed with its type
-    data.color = [value / strongest for value in light.intensity]
-    for name, value in (("exposure", 0.0), ("normalize", True), ("use_temperature", False)):
-        if hasattr(data, name):  # since Blender 4.5
-            setattr(data, name, value)
-    if light.distant:
-        data.energy, data.angle = sun_strength(strongest), 0.0
-    else:
-        data.energy, data.shadow_soft_size = point_power(strongest), 0.0
-    direction = Vector(light.vector)
-    obj.rotation_mode = "QUATERNION"
-    obj.rotation_quaternion = direction.to_track_quat("Z", "Y") if light.distant else (1, 0, 0, 0)
-    obj.location = Vector(centre) + radius * direction if light.distant else direction
-
-
 def place_card(card, camera: Camera) -> None:
     """Put a card object (``material.card_object``) where the camera's image covers it exactly."""
     reach = _CARD_DEPTH if camera.perspective else 1.0
@@ -204,7 +163,9 @@ def _dome(scene, capture: Capture) -> _Dome:
     if obj is not None:
         corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
     elif len(capture.cameras) == 1:
-        corners = capture.cameras[0].points(_CARD_DEPTH)[[0, 0, -1, -1], [0, -1, 0, -1]]
+        # Without distortion: a lens may show nothing in its corners.
+        plain = replace(capture.cameras[0], distortion=())
+        corners = plain.points(_CARD_DEPTH)[[0, 0, -1, -1], [0, -1, 0, -1]]
     else:
         near = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
         corners = np.array([(-near / 4,) * 3, (near / 4,) * 3])
@@ -223,7 +184,7 @@ def _set_background(data, image) -> None:
 def _set_resolution(scene, camera) -> None:
     """Give the scene the size and the pixels of a camera's photographs."""
     render = scene.render
-    render.resolution_x, render.resolution_y = camera[_RESOLUTION]
+    render.resolution_x, render.resolution_y = camera[RESOLUTION]
     render.resolution_percentage = 100
     render.pixel_aspect_x, render.pixel_aspect_y = camera[ASPECT]
 
@@ -343,7 +304,7 @@ class AssignImages(bpy.types.Operator):
         """Whether there are lights that can have images."""
         there = bool(_assignable(context))
         if not there:
-            cls.poll_message_set("The scene has no Sun and no Point light: add one for each photograph")
+            cls.poll_message_set("The scene has no lights: add one for each photograph")
         return there
 
     def invoke(self, context, event):

@@ -10,6 +10,7 @@ import irpso_addon
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture, write_exr
 from irpso_addon.capture.inspect import inspect_steps
 from irpso_addon.errors import InputError
+from irpso_addon.geometry import scene_lights
 from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import capture_import, scene_capture, scene_setup
@@ -253,7 +254,7 @@ def test_lights_are_read_where_they_stand_also_below_parents_and_hidden(scene, h
     light.parent, parent.rotation_euler = parent, (0, 0, np.pi / 2)
     light.hide_viewport = hidden
     bpy.context.view_layer.update()
-    found = scene_capture.light_of(light)
+    found = scene_lights.light_of(light)
     np.testing.assert_allclose(found.vector, (-0.64, 0.48, 0.6), atol=1e-6)
     np.testing.assert_allclose(found.intensity, (2.0, 1.0, 0.5), rtol=1e-6)
     # On a dome of radius 4 about (1, 2, 3), turned by the parent.
@@ -267,14 +268,14 @@ def test_strength_exposure_and_nodes_of_a_light_multiply(scene):
     light = add_light(scene, "Lamp", kind="POINT")
     light.data.energy, light.data.color, light.location = 4 * np.pi**2, (1.0, 0.5, 0.25), (1, 2, 3)
     bpy.context.view_layer.update()
-    np.testing.assert_allclose(scene_capture.light_of(light).intensity, (1, 0.5, 0.25), rtol=1e-6)
-    assert scene_capture.light_of(light).vector == (1, 2, 3)
+    np.testing.assert_allclose(scene_lights.light_of(light).intensity, (1, 0.5, 0.25), rtol=1e-6)
+    assert scene_lights.light_of(light).vector == (1, 2, 3)
     light.data.use_nodes = True
     light.data.node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.0
-    np.testing.assert_allclose(scene_capture.light_of(light).intensity, (3, 1.5, 0.75), rtol=1e-6)
+    np.testing.assert_allclose(scene_lights.light_of(light).intensity, (3, 1.5, 0.75), rtol=1e-6)
     if hasattr(light.data, "exposure"):
         light.data.exposure = 1.0
-        np.testing.assert_allclose(scene_capture.light_of(light).intensity, (6, 3, 1.5), rtol=1e-6)
+        np.testing.assert_allclose(scene_lights.light_of(light).intensity, (6, 3, 1.5), rtol=1e-6)
 
 
 # ---- the scene as a capture
@@ -447,8 +448,20 @@ def test_lights_get_images_in_the_order_of_their_numbers(scene, tmp_path):
     assert scene.objects["Lamp 10"].irpso.image.name == "shot10.png"
 
 
-def area(scene, tmp_path):
-    return add_light(scene, "Softbox", image_of(tmp_path / "b.png"), "AREA")
+def narrow_area(scene, tmp_path):
+    add_light(scene, "Softbox", image_of(tmp_path / "b.png"), "AREA").data.spread = np.radians(90)
+
+
+def soft_spot(scene, tmp_path):
+    add_light(scene, "Spot", image_of(tmp_path / "b.png"), "SPOT").data.spot_blend = 1.0
+
+
+def square_spot(scene, tmp_path):
+    add_light(scene, "Spot", image_of(tmp_path / "b.png"), "SPOT").data.use_square = True
+
+
+def stretched_spot(scene, tmp_path):
+    add_light(scene, "Spot", image_of(tmp_path / "b.png"), "SPOT").scale = (1, 2, 1)
 
 
 def dark(scene, tmp_path):
@@ -499,7 +512,10 @@ def nothing(scene, tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (area, "light 'Softbox' is of type AREA; make it a Sun"),
+        (narrow_area, "light 'Softbox' has a Spread of 90°, which is not read; set it to 180°"),
+        (soft_spot, "light 'Spot' has its full strength nowhere; lower Blend"),
+        (square_spot, "light 'Spot' has a cone that is not round; turn Square off"),
+        (stretched_spot, "light 'Spot' has a cone that is not round"),
         (dark, "light 'Off' gives no light"),
         (without_camera, "light 'Key' has no camera"),
         (missing_file, "image 'a.png' of light 'Key' is not there"),

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import bpy
 import numpy as np
 
 from ..capture.images import ImageRef, ImageStore
@@ -38,7 +38,7 @@ class Photograph:
     mask: Callable[[], np.ndarray]
 
 
-def open_photograph(image, owner: str, store: ImageStore, colour_space: str = "auto") -> Photograph:
+def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str = "auto") -> Photograph:
     """Return a ``bpy.types.Image`` as a photograph; its pixels are read when they are asked for.
 
     owner: what it belongs to, for errors, as in "light 'Sun'". Files, packed ones as well, are read by the program's
@@ -64,8 +64,10 @@ def open_photograph(image, owner: str, store: ImageStore, colour_space: str = "a
     return Photograph(size, where, lambda: store.samples(reference), lambda: store.mask(reference))
 
 
-def file_of(image) -> Path:
+def file_of(image: Any) -> Path:
     """Return the path of an image's file, whether anything is there or not."""
+    import bpy
+
     return Path(bpy.path.abspath(image.filepath, library=image.library))
 
 
@@ -116,6 +118,8 @@ def _packed(image, where: str, space: str) -> Photograph:
 @contextmanager
 def _unpacked(image, where: str) -> Iterator[Path]:
     """Yield the path of a packed image's bytes in a temporary file."""
+    import bpy
+
     if image.packed_file is None:
         raise InputError(f"{where} was unpacked meanwhile; start again")
     with tempfile.TemporaryDirectory(prefix="irpso-", dir=bpy.app.tempdir) as folder:
@@ -125,6 +129,8 @@ def _unpacked(image, where: str) -> Iterator[Path]:
 
 
 def _image_of(uid: int, where: str):
+    import bpy
+
     for image in bpy.data.images:
         if image.session_uid == uid:
             return image

@@ -1,0 +1,141 @@
+"""The capture that a Blender scene itself is: its own cameras, its lights, and the photographs that they have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.images import ImageStore
+from ..capture.types import Capture, Observation
+from ..errors import InputError
+from ..maps.blender_images import decode
+from .scene import camera_from_object
+from .scene_images import Photograph, open_photograph
+from .scene_lights import light_of
+
+# Custom properties of objects that the user interface made: their capture's name, and what Blender has no place for:
+# a camera's own pixel aspect (x, y) and its lens distortion.
+CAPTURE, ASPECT, DISTORTION = "irpso_capture", "irpso_pixel_aspect", "irpso_distortion"
+_SETTINGS = "irpso"  # where the user interface keeps an object's image and camera
+
+
+def scene_steps(scene: Any, colour_space: str = "auto") -> Generator[None, None, Capture]:
+    """Yield before each piece of work, and return the capture of a scene: its lights that have an image, by name.
+
+    Each light is seen by its own camera or the scene's; a camera's own image is its mask. colour_space: as for
+    read_capture. Raises InputError naming the object and the remedy.
+    """
+    import bpy
+
+    bpy.context.view_layer.update()  # else what a script has just added is not in it
+    lights = photographed_lights(scene)
+    if not lights:
+        raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
+    store = ImageStore(decode)
+    seen_by: dict[str, list[tuple[Any, Photograph]]] = {}
+    vectors = {}
+    for obj in lights:
+        yield
+        vectors[obj.name] = light_of(obj)
+        photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
+        seen_by.setdefault(_camera_object(obj, scene).name, []).append((obj, photograph))
+    names = sorted(seen_by, key=natural)
+    cameras, masks = [], []
+    for name in names:
+        yield
+        camera = bpy.data.objects[name]
+        cameras.append(_camera(camera, *_common_size(seen_by[name], name), scene))
+        masks.append(_mask(camera, cameras[-1], store))
+    photographs = {obj.name: (names.index(name), p) for name, pairs in seen_by.items() for obj, p in pairs}
+    observations = tuple(
+        Observation(name, _reader(photographs[name][1]), light, photographs[name][0]) for name, light in vectors.items()
+    )
+    return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks))
+
+
+def setting(obj: Any, name: str) -> Any:
+    """Return the image or the camera that an object was given, None without; also where no interface is registered."""
+    if hasattr(obj, _SETTINGS):
+        return getattr(getattr(obj, _SETTINGS), name)
+    # Since Blender 5.0 what add-ons register is kept apart from custom properties.
+    kept = obj.bl_system_properties_get() if hasattr(obj, "bl_system_properties_get") else obj
+    group = None if kept is None else kept.get(_SETTINGS)
+    return None if group is None else group.get(name)
+
+
+def photographed_lights(scene: Any) -> list:
+    """Return the light objects that have an image, in the order of their names; numbers in them count as numbers."""
+    return [obj for obj in in_order(scene) if obj.type == "LIGHT" and setting(obj, "image") is not None]
+
+
+def in_order(scene: Any) -> list:
+    """Return a scene's objects in the order of names; those of excluded collections only of another scene."""
+    import bpy
+
+    context = bpy.context
+    objects = context.view_layer.objects if context.scene == scene else scene.objects
+    return sorted(objects, key=lambda obj: natural(obj.name))
+
+
+def natural(name: str) -> list:
+    """Return a key that sorts "light 2" before "light 10"."""
+    return [int(word) if word.isdecimal() else word.lower() for word in re.split(r"(\d+)", name)]
+
+
+def _name(scene: Any, lights: list) -> str:
+    """Return the capture's name: that of the files that the lights were made from, else the scene's."""
+    names = {obj.get(CAPTURE) for obj in lights}
+    return names.pop() if len(names) == 1 and None not in names else scene.name
+
+
+def _reader(photograph: Photograph):
+    return lambda: photograph.read().rgba
+
+
+def _camera_object(light: Any, scene: Any) -> Any:
+    camera = setting(light, "camera") or scene.camera
+    if camera is None:
+        raise InputError(f"light '{light.name}' has no camera and the scene has none; set the one that took its image")
+    return camera
+
+
+def _camera(obj: Any, width: int, height: int, scene: Any) -> Camera:
+    aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
+    return replace(
+        camera_from_object(obj, width, height, tuple(aspect)), distortion=tuple(map(float, obj.get(DISTORTION, ())))
+    )
+
+
+def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int, int]:
+    sizes = [photograph.size for _, photograph in pairs]
+    # The size that most have: then the error tells of an odd one.
+    expected = max(set(sizes), key=sizes.count)
+    for _, photograph in pairs:
+        if photograph.size != expected:
+            width, height = photograph.size
+            raise InputError(
+                f"{photograph.where} is {width} × {height}, others of camera '{camera}' are {expected[0]} ×"
+                f" {expected[1]}; all images of a camera must be of one size, unscaled and uncropped"
+            )
+    return expected
+
+
+def _mask(obj: Any, camera: Camera, store: ImageStore) -> np.ndarray:
+    image = setting(obj, "image")
+    if image is None:
+        return np.ones((camera.height, camera.width), bool)
+    photograph = open_photograph(image, f"camera '{obj.name}'", store, "linear")
+    if photograph.size != (camera.width, camera.height):
+        raise InputError(
+            f"{photograph.where}, its mask, is {photograph.size[0]} × {photograph.size[1]}, its photographs are"
+            f" {camera.width} × {camera.height}; save it at their size"
+        )
+    mask = photograph.mask()
+    if not mask.any():
+        raise InputError(f"{photograph.where}, its mask, is empty; paint what is to be solved white")
+    return mask
