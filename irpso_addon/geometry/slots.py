@@ -32,12 +32,16 @@ def slots_of_text(text: str, names: tuple[str, ...]) -> tuple[int, ...]:
         elif part.isdecimal() and int(part) < len(names):
             found.add(int(part))
         else:
-            there = ", ".join(f"{index} '{name}'" for index, name in enumerate(names))
             raise InputError(
                 f"{OPTION} {text}: there is no slot '{part}'; "
-                + (f"the slots are {there}" if names else "the object has no material slots: leave it away")
+                + (f"the slots are {listed(names)}" if names else "the object has no material slots: leave it away")
             )
     return tuple(sorted(found))
+
+
+def listed(names: tuple[str, ...]) -> str:
+    """Return slots with their numbers, for people."""
+    return ", ".join(f"{index} '{name}'" for index, name in enumerate(names))
 
 
 def overlapping_slots(materials: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[int, ...]:

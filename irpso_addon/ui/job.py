@@ -16,7 +16,7 @@ from ..geometry.build import card_steps, mesh_steps
 from ..geometry.domain import Domain
 from ..geometry.frames import from_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
-from ..geometry.slots import slot_names, slots_of_text
+from ..geometry.slots import listed, slot_names, slots_of_text
 from ..maps import material
 from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..maps.udim import ONE_SQUARE
@@ -107,6 +107,8 @@ def missing(context) -> str:
             return "No mesh: choose the object whose maps are to be recovered, or make it active"
         if not obj.data.uv_layers:
             return f"'{obj.name}' has no UV map: unwrap it first"
+        if settings.slots == "NAMED" and len(obj.material_slots) > 1 and not settings.slot_list.strip():
+            return f"No slot is chosen: name those to be recovered, of {listed(slot_names(obj))}"
     if settings.parameters and not any(item.recover for item in settings.parameters):
         return "Nothing to recover: tick at least one map"
     return ""
