@@ -74,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser("irpso", description="Recovers materials from photographs.", epilog=_EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_recover(commands)
+    _add_export(commands)
     _add_render(commands)
     _add_inspect(commands)
     _add_demo(commands)
@@ -84,7 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _add_recover(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("recover", help="capture to maps and material", epilog=_EPILOG)
-    add.add_argument("capture", help="folder, .lp file or capture.toml")
+    add.add_argument("capture", help="folder, .lp file, capture.toml, or .blend whose lights have their photographs")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result")
     add.add_argument(
         "--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card"
@@ -124,6 +125,18 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
     add.add_argument("--iterations", type=int, metavar="N", help="of every stage")
     add.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the random numbers (default 0)")
     add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
+
+
+def _add_export(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("export", help="a finished result for other programs", epilog=_EPILOG)
+    add.add_argument("result", help="folder that recover wrote")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder, or a .glb or .ptm file")
+    add.add_argument("--format", required=True, choices=("gltf", "openlime", "ptm", "textures"), help="what is written")
+    add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
+                     help="names and normals of textures (default blender)")  # fmt: skip
+    add.add_argument("--object", metavar="NAME", help="the mesh object of gltf, where several have recovered materials")
+    add.add_argument("--model", metavar="M", help="the model's .toml, where it is no longer where the report says")
+    _add_common(add)
 
 
 def _add_render(commands: argparse._SubParsersAction) -> None:

@@ -1,0 +1,48 @@
+"""``export RESULT``: a finished result in the formats that other programs read."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from typing import Any
+
+from ..errors import InputError
+from ..exports.formats import export
+from ..exports.gltf import result_object
+from ..exports.result import Result, read_result
+from ..geometry.scene import open_blend
+from ..gpu import context, probe
+from .progress import unseen_reports
+
+
+def run(options: Namespace) -> dict:
+    """Read the result's folder and write it in the format that is asked for. Raises InputError."""
+    result = read_result(options.result, options.model)
+    if options.format == "ptm":
+        probe.probe()
+        context.ensure()
+    found = export(result, options.format, options.output, options.convention, lambda: _subject(result, options.object))
+    if not options.quiet and not options.json:
+        sys.stdout.write(_summary(found))
+    return found
+
+
+def _subject(result: Result, name: str | None) -> Any:
+    if result.blend is None:
+        raise InputError(f"{result.folder}: holds no material.blend, whose mesh gltf is of; recover again")
+    with unseen_reports():
+        open_blend(str(result.blend))
+    return result_object(name)
+
+
+def _summary(found: dict[str, Any]) -> str:
+    lines = [f"written to {found['output']}"]
+    for name, value in found.items():
+        if isinstance(value, dict):
+            numbers = {**value, **value.get("ward_error", {})}
+            shown = {"mean": "error of the lobe", "psnr_db": "PSNR in dB"}
+            lines += [
+                f"{name}: {text} {numbers[key]:.4g}" for key, text in shown.items() if numbers.get(key) is not None
+            ]
+    lines += [f"warning: {text}" for text in found.get("warnings", ())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,44 @@
+"""The formats by name, for the command line and the panel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..maps.write import check_output_folder
+from .gltf import write_gltf
+from .openlime import write_openlime
+from .place import file_stem
+from .ptm import write_ptm
+from .result import Result
+from .textures import write_textures
+
+FORMATS = {  # name: (title, what is written)
+    "gltf": ("glTF", "One .glb file: the mesh with the maps, for web viewers and game engines"),
+    "openlime": ("OpenLIME", "Pictures of a BRDF layer under a Ward lobe, for OpenLIME's viewer"),
+    "ptm": ("PTM", "Polynomial texture map: what RTI viewers show under any light"),
+    "textures": ("Textures", "PNG under the names that another program expects"),
+}
+_SUFFIXES = {"gltf": ".glb", "ptm": ".ptm"}
+
+
+def export(result: Result, kind: str, out: str | Path, convention: str, subject: Callable[[], Any]) -> dict[str, Any]:
+    """Write a result in a format and return what there is to say of it.
+
+    out: a folder, or of gltf and ptm a file. convention: of texture sets. subject: gives the object of the open file
+    that gltf is of, and is called for that alone. Raises InputError; then nothing has been written.
+    """
+    if kind not in FORMATS:
+        raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")
+    if kind == "openlime":
+        return write_openlime(result, out)
+    if kind == "textures":
+        return write_textures(result, out, convention)
+    path = Path(out)
+    if path.suffix.lower() == _SUFFIXES[kind]:
+        check_output_folder(path.parent)
+    else:
+        path = check_output_folder(out) / f"{file_stem(result.name)}{_SUFFIXES[kind]}"
+    return write_ptm(result, path) if kind == "ptm" else write_gltf(result, path, subject())

@@ -1,0 +1,193 @@
+"""One lobe in place of another: GGX or Beckmann, one or two, as the Ward or GGX lobe that a format has.
+
+The candidate that leaves the least squared difference of radiance over all lights, by solid angle, is taken (Ngan,
+Durand & Matusik 2005, Experimental Analysis of BRDF Models). The inner products of all lobes with all candidates are
+tabulated once, so that every texel is fitted by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .surface import F0_HALF, Lobe, Surface
+
+_VIEWS = (0.0, 30.0, 60.0)  # degrees off the normal, where any may come
+_VIEW_STEP = 10.0  # degrees between the tables where a texel's view is known
+_SLOPES, _TURNS = 48, 8  # half vectors: tangents of their angle, logarithmically, and azimuths over half a turn
+_WIDTHS = 64  # of the tables
+_BLOCK = 1 << 14  # texels fitted at a time
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The lobe in place of a surface's own. alpha: (H, W) its width. scale: (H, W) times f0, its strength.
+
+    error: (H, W) the root of the squared difference of radiance that is left, relative to that of the lobe itself.
+    """
+
+    alpha: np.ndarray
+    scale: np.ndarray
+    error: np.ndarray
+
+
+def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
+    """Return the Ward lobes nearest to a surface's, of widths between two limits; their albedo is scale · f0.
+
+    Every texel is seen from straight above, so its own normal says at which angle the lobe has to be right: there it
+    takes what Ward's lobe has not, Fresnel's rise and the cosines of a microfacet's, into its albedo.
+    """
+    widths = np.geomspace(lowest, highest, _WIDTHS)
+    angle = np.degrees(np.arccos(np.clip(surface.normal[..., 2], 0, 1)))
+    step = np.minimum(np.rint(angle / _VIEW_STEP), 80 / _VIEW_STEP)
+    found = np.zeros((3, *surface.f0.shape))
+    for number in np.unique(step):
+        here = step == number
+        found[:, here] = _fit(_texels(surface, here), _ward, widths, (number * _VIEW_STEP,))
+    return Fit(*found)
+
+
+def fit_ggx(surface: Surface) -> Fit:
+    """Return the single GGX lobes nearest to a surface's; their reflectance at normal incidence is scale · f0."""
+    if len(surface.lobes) == 1 and surface.lobes[0].distribution == "GGX":
+        alpha = surface.lobes[0].alpha
+        return Fit(alpha, np.ones_like(alpha), np.zeros_like(alpha))
+    everywhere = np.ones(surface.f0.shape, bool)
+    found = _fit(_texels(surface, everywhere), _ggx, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
+    return Fit(*found.reshape(3, *surface.f0.shape))
+
+
+def _texels(surface: Surface, here: np.ndarray) -> list[Lobe]:
+    """Return the lobes of some texels, as flat arrays."""
+    return [Lobe(lobe.weight[here], lobe.alpha[here], lobe.distribution) for lobe in surface.lobes]
+
+
+@dataclass(frozen=True)
+class _Configurations:
+    """K pairs of light and view: cosines to the normal, between half vector and normal or view, and the weights."""
+
+    light: np.ndarray
+    view: np.ndarray
+    half: np.ndarray
+    between: np.ndarray
+    weight: np.ndarray
+
+
+def _configurations(views: tuple[float, ...]) -> _Configurations:
+    tangents = np.geomspace(1e-3, 10.0, _SLOPES)
+    around = (np.arange(_TURNS) + 0.5) * np.pi / _TURNS
+    view_angle, tangent, phi = np.meshgrid(np.radians(views), tangents, around, indexing="ij")
+    theta = np.arctan(tangent)
+    between = np.sin(view_angle) * np.sin(theta) * np.cos(phi) + np.cos(view_angle) * np.cos(theta)
+    light = 2 * between * np.cos(theta) - np.cos(view_angle)
+    # dω of the light is 4 v·h that of the half vector; equal steps of log tan θ are dθ = sin θ cos θ.
+    weight = 4 * between * np.sin(theta) ** 2 * np.cos(theta)
+    seen = (light > 1e-3) & (between > 1e-3)
+    return _Configurations(light[seen], np.cos(view_angle)[seen], np.cos(theta)[seen], between[seen], weight[seen])
+
+
+def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str) -> np.ndarray:
+    """Return (…, K) radiance of lobes of widths (…), relative to f0: Cook & Torrance 1982 with Smith's masking."""
+    alpha = np.asarray(alpha, np.float64)[..., None]
+    slope = (1 - k.half**2) / k.half**2 / alpha**2
+    if distribution == "GGX":
+        density = 1 / (np.pi * alpha**2 * k.half**4 * (1 + slope) ** 2)
+    else:
+        density = np.exp(-slope) / (np.pi * alpha**2 * k.half**4)
+    masked = 1 / (1 + _smith(k.light, alpha, distribution) + _smith(k.view, alpha, distribution))
+    fresnel = 1 + (1 / F0_HALF - 1) * (1 - k.between) ** 5
+    return density * masked * fresnel / (4 * k.view)
+
+
+def _smith(cosine: np.ndarray, alpha: np.ndarray, distribution: str) -> np.ndarray:
+    """Return Λ of Walter et al. 2007: of GGX exactly, of Beckmann by their rational approximation (Eq. 15)."""
+    slope = np.sqrt(1 - cosine**2) / cosine * alpha
+    if distribution == "GGX":
+        return (np.sqrt(1 + slope**2) - 1) / 2
+    a = 1 / np.maximum(slope, 1e-9)
+    return np.where(a < 1.6, (1 - 1.259 * a + 0.396 * a**2) / (3.535 * a + 2.181 * a**2), 0.0)
+
+
+def _ggx(k: _Configurations, alpha: np.ndarray) -> np.ndarray:
+    return _microfacet(k, alpha, "GGX")
+
+
+def _ward(k: _Configurations, alpha: np.ndarray) -> np.ndarray:
+    """Return (…, K) radiance of isotropic Ward lobes of albedo 1 and widths (…) (Ward 1992, Eq. 5a)."""
+    alpha = np.asarray(alpha, np.float64)[..., None]
+    slope = (1 - k.half**2) / k.half**2 / alpha**2
+    return np.exp(-slope) * np.sqrt(k.light / k.view) / (4 * np.pi * alpha**2)
+
+
+def _fit(
+    lobes: list[Lobe],
+    candidate: Callable[[_Configurations, np.ndarray], np.ndarray],
+    widths: np.ndarray,
+    views: tuple[float, ...],
+) -> np.ndarray:
+    """Return (3, N) width, scale and error of the candidates nearest to N texels' lobes, seen from some angles."""
+    if not lobes:
+        return np.stack([widths[-1:], np.zeros(1), np.zeros(1)])
+    k = _configurations(views)
+    rows = np.sqrt(k.weight)
+    grid = np.geomspace(1e-3, 1.0, 2 * _WIDTHS)
+    tables = [_microfacet(k, grid, lobe.distribution) * rows for lobe in lobes]
+    tried = candidate(k, widths) * rows
+    own = np.einsum("jk,jk->j", tried, tried)
+    crosses = [table @ tried.T for table in tables]
+    places = [_place(lobe.alpha, grid) for lobe in lobes]
+    weights = [lobe.weight.astype(np.float64) for lobe in lobes]
+    found = np.zeros((3, len(weights[0])))
+    for start in range(0, len(weights[0]), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        product = sum(
+            w[block, None] * _between(cross, p, block) for w, cross, p in zip(weights, crosses, places, strict=True)
+        )
+        found[:, block] = _best(product, own, _energy(tables, weights, places, block), widths)
+    return found
+
+
+def _place(alpha: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the grid's cell of each width, and how far along it."""
+    at = np.interp(np.log(np.maximum(alpha, grid[0])), np.log(grid), np.arange(len(grid)))
+    low = np.minimum(at.astype(int), len(grid) - 2)
+    return low, at - low
+
+
+def _between(table: np.ndarray, place: tuple[np.ndarray, np.ndarray], block: slice) -> np.ndarray:
+    low, part = place[0][block], place[1][block, None]
+    return table[low] * (1 - part) + table[low + 1] * part
+
+
+def _energy(lobes: list, weights: list, places: list, block: slice) -> np.ndarray:
+    """Return the squared norm of each texel's mixture of lobes."""
+    total = 0.0
+    for i, first in enumerate(lobes):
+        for j, second in enumerate(lobes):
+            table = first @ second.T
+            (a, s), (b, t) = places[i], places[j]
+            a, s, b, t = a[block], s[block], b[block], t[block]
+            mixed = (table[a, b] * (1 - s) + table[a + 1, b] * s) * (1 - t)
+            mixed += (table[a, b + 1] * (1 - s) + table[a + 1, b + 1] * s) * t
+            total = total + weights[i][block] * weights[j][block] * mixed
+    return total
+
+
+def _best(product: np.ndarray, own: np.ndarray, energy: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return width, scale and relative error (3, N) of the best candidates, refined by a parabola over log width."""
+    score = product**2 / own
+    best = np.clip(score.argmax(axis=1), 1, len(widths) - 2)
+    row = np.arange(len(best))
+    left, middle, right = (score[row, best + d] for d in (-1, 0, 1))
+    bend = left - 2 * middle + right
+    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1), np.sign(right - left))
+    at = best + np.clip(shift, -1, 1)
+    low = np.minimum(at.astype(int), len(widths) - 2)
+    part = at - low
+    width = np.exp(np.log(widths)[low] * (1 - part) + np.log(widths)[low + 1] * part)
+    scale = (product / own)[row, low] * (1 - part) + (product / own)[row, low + 1] * part
+    peak = score[row, low] * (1 - part) + score[row, low + 1] * part
+    error = np.sqrt(np.maximum(1 - np.maximum(peak, middle) / np.maximum(energy, 1e-30), 0))
+    return np.stack([width, scale, error])

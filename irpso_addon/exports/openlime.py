@@ -1,0 +1,87 @@
+"""OpenLIME's BRDF layer: kd, ks, normals and gloss, under a Ward lobe, and the layer's options as JSON.
+
+As OpenLIME's LayerBRDF and ShaderBRDF have it (CNR-ISTI): the view is (0, 0, 1); radiance is (kd / π + ks · ward) n·l,
+times ``brightness``; ward is exp(−tan²θ / α²) / (4 π α² √(n·l n·v)); and by the ``alphaLimits`` (a, b),
+α = (1 − gloss (g(a) − g(b)) − g(b))⁴ where g(α) = 1 − α^¼. A grey normal is none, and is drawn transparent.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..maps.blender_images import encode_png
+from ..maps.encode import encode_normal
+from ..maps.report import plain, quantiles
+from ..maps.udim import split_maps, tile_stem
+from . import pixels
+from .lobes import Fit, fit_ward
+from .place import filled_folder
+from .result import Result
+from .surface import Surface, surface_of
+
+_EXPONENT = 4  # of OpenLIME's gloss
+# Its shader draws nothing where (α n·h)² is below 1e-5; and lobes wider than 1 are none.
+_LOWEST, _HIGHEST = 0.005, 1.0
+_OUTSIDE = 0.5
+_GAMMA = 2.2
+
+
+def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
+    """Write pictures of 8 bits and info.json into a folder, a set for each UDIM tile; return what the fit left.
+
+    The shape of a layer's options is that of info.json: ``new OpenLIME.Layer(info)``. Raises InputError where the model
+    has no lobes that are known, or the folder cannot be written.
+    """
+    tiles, report = result.maps.tiles, {}
+    with filled_folder(folder) as place:
+        for number, maps in split_maps(result.maps):
+            surface = surface_of(maps)
+            fit = fit_ward(surface, _LOWEST, _HIGHEST)
+            limits = _limits(fit.alpha[maps.covered])
+            names = {}
+            for channel, image in _images(surface, fit, limits, maps).items():
+                names[channel] = f"{tile_stem(channel, number, tiles)}.png"
+                encode_png(place / names[channel], image, bits=8)
+            height, width = maps.covered.shape
+            info = {
+                "type": "brdf", "layout": "image", "channels": names, "colorspaces": {"kd": "srgb", "ks": "srgb"},
+                "alphaLimits": limits, "brightness": math.pi, "gamma": _GAMMA, "width": width, "height": height,
+            }  # fmt: skip
+            stem = tile_stem("info", number, tiles)
+            (place / f"{stem}.json").write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
+            lit = maps.covered & (fit.scale * surface.f0 > 0)
+            report[stem] = {"alphaLimits": limits, "ward_error": plain(quantiles(fit.error[lit]))}
+    return {"output": str(folder), **report}
+
+
+def _limits(alpha: np.ndarray) -> list[float]:
+    """Return the widths that gloss spans, a little apart where all are the same."""
+    low, high = (float(alpha.min()), float(alpha.max())) if alpha.size else (_LOWEST, _HIGHEST)
+    return [round(low * 0.999, 6), round(max(high, 1.01 * low) * 1.001, 6)]
+
+
+def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, np.ndarray]:
+    metallic = surface.metallic[..., None]
+    f0 = surface.f0[..., None] * (1 - metallic) + surface.base_color * metallic
+    kd = surface.base_color * (1 - metallic)
+    if surface.layered:
+        kd = kd * (1 - f0)  # what the layer reflects the base does not get: at normal incidence, where little changes
+    normals = np.where(maps.covered[..., None], encode_normal(surface.normal), _OUTSIDE)
+    return {
+        "kd": pixels.colour(kd, maps),
+        "ks": pixels.colour(f0 * fit.scale[..., None], maps),
+        "normals": normals,
+        "gloss": pixels.packed(maps, gloss_of(fit.alpha, limits)),
+    }
+
+
+def gloss_of(alpha: np.ndarray, limits: list[float]) -> np.ndarray:
+    """Return gloss, 0…1, of Ward widths: 0 at the upper limit, 1 at the lower."""
+    root = 1 / _EXPONENT
+    matte, glossy = 1 - limits[1] ** root, 1 - limits[0] ** root
+    return np.clip((1 - np.asarray(alpha) ** root - matte) / (glossy - matte), 0, 1)

@@ -1,0 +1,127 @@
+"""Polynomial texture maps: what a material looks like under any light, as six coefficients to a texel and colour.
+
+The format is that of Malzbender & Gelb 2001, Polynomial Texture Map (.ptm) File Format, version 1.2: six lines of text
+hold version, format, width, height, scales and biases; then, for red, green and blue in turn, six bytes a pixel, the
+lowest row first. A coefficient is (byte − bias) · scale, and a channel of the picture, 0…255, is a₀ lu² + a₁ lv² +
+a₂ lu lv + a₃ lu + a₄ lv + a₅ under a light whose direction is (lu, lv, …). Viewers show that as it is, so what is
+fitted is encoded as sRGB and clipped, like a photograph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..files import replacing_file
+from ..geometry.domain import GeometryBake
+from ..maps.encode import srgb_from_linear
+from ..maps.result import Maps
+from ..maps.udim import split_maps, tile_stem
+from ..solver.forward import Renderer
+from .result import Result
+
+_LIGHTS = 64
+_WIDEST = 80.0  # degrees off the normal
+_TERMS = 6
+
+
+def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:
+    """Write NAME.ptm, one for each UDIM tile, and return the PSNR (dB) of what it shows of what it is fitted to.
+
+    The result's own shader renders it, so every model can be written. Raises InputError or GpuUnavailableError.
+    """
+    path, report = Path(path), {}
+    for number, maps in split_maps(result.maps):
+        file = path.with_name(f"{tile_stem(path.stem, number, result.maps.tiles)}.ptm")
+        lights = even_lights(_LIGHTS, _WIDEST)
+        basis = polynomial(lights)
+        renderer = _renderer(maps, lights)
+        try:
+            coefficients = _fitted(renderer, basis)
+            codes, scale, bias = quantised(coefficients)
+            shown = (codes - bias) * scale
+            report[file.name] = {"lights": _LIGHTS, "psnr_db": round(_psnr(renderer, basis, shown, maps.covered), 2)}
+        finally:
+            renderer.close()
+        with replacing_file(file) as partial:
+            partial.write_bytes(ptm_bytes(codes, scale, bias))
+    return {"output": str(path), **report}
+
+
+def even_lights(count: int, widest: float) -> np.ndarray:
+    """Return (count, 3) directions on a spiral, even over the disc of (lu, lv), up to ``widest`` degrees aside."""
+    radius = np.sin(np.radians(widest)) * np.sqrt((np.arange(count) + 0.5) / count)
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - radius**2)], axis=-1)
+
+
+def polynomial(lights: np.ndarray) -> np.ndarray:
+    """Return (K, 6) the terms of Malzbender, Gelb & Wolters 2001, Eq. 1, of light directions (K, 3)."""
+    u, v = lights[:, 0], lights[:, 1]
+    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
+def quantised(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bytes (H, W, 3, 6), scales (6,) and whole biases (6,) of coefficients (H, W, 3, 6)."""
+    low, high = (getattr(coefficients, which)(axis=(0, 1, 2)).astype(np.float64) for which in ("min", "max"))
+    # One step is kept for what rounding the bias shifts.
+    scale = np.where(high > low, (high - low) / 254, 1.0)
+    bias = np.rint(-low / scale)
+    return np.clip(np.rint(coefficients / scale) + bias, 0, 255).astype(np.uint8), scale, bias.astype(np.int64)
+
+
+def ptm_bytes(codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> bytes:
+    """Return the file of bytes (H, W, 3, 6), row 0 at the bottom, with their scales and biases."""
+    height, width = codes.shape[:2]
+    scales, biases = " ".join(f"{value:.9g}" for value in scale), " ".join(str(int(value)) for value in bias)
+    head = f"PTM_1.2\nPTM_FORMAT_RGB\n{width}\n{height}\n{scales}\n{biases}\n"
+    return head.encode("ascii") + np.moveaxis(codes, 2, 0).tobytes()
+
+
+def _renderer(maps: Maps, lights: np.ndarray) -> Renderer:
+    """Return the renderer of the maps on a flat card that is seen from straight above."""
+    height, width = maps.covered.shape
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    bake = GeometryBake(
+        position=np.stack([x, y, np.zeros_like(x)], axis=-1).astype(np.float32),
+        normal=np.tile(np.float32([0, 0, 1]), (height, width, 1)),
+        tangent=np.tile(np.float32([1, 0, 0, 1]), (height, width, 1)),
+        coverage=maps.covered,
+        uv=np.stack([x, y], axis=-1).astype(np.float32),
+    )
+    values = {
+        p.name: np.broadcast_to(
+            np.asarray(maps.values.get(p.name, p.default), np.float32), (height, width, p.components)
+        )
+        for p in maps.model.parameters
+    }
+    count = len(lights)
+    table = np.concatenate([lights, np.zeros((count, 1))], axis=1)
+    views = np.tile([0.0, 0.0, 1.0, 0.0], (count, 1))
+    return Renderer(bake, maps.model, values, table, np.ones((count, 3)), views, card=True)
+
+
+def _pictures(renderer: Renderer, count: int) -> Iterator[np.ndarray]:
+    for k in range(count):
+        yield 255 * np.minimum(srgb_from_linear(renderer.render(k)[..., :3]), 1)
+
+
+def _fitted(renderer: Renderer, basis: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3, 6) least-squares coefficients."""
+    solve = np.linalg.pinv(basis)
+    total = 0.0
+    for k, picture in enumerate(_pictures(renderer, len(basis))):
+        total = total + picture[..., None] * solve[:, k].astype(np.float32)
+    return total
+
+
+def _psnr(renderer: Renderer, basis: np.ndarray, shown: np.ndarray, covered: np.ndarray) -> float:
+    """Return the PSNR of what a viewer shows, clipped to 0…255, over the covered texels and all lights."""
+    squared = 0.0
+    for k, picture in enumerate(_pictures(renderer, len(basis))):
+        difference = np.clip(shown @ basis[k], 0, 255) - picture
+        squared += float((difference[covered] ** 2).mean()) / len(basis)
+    return float(10 * np.log10(255**2 / max(squared, 1e-12)))

@@ -1,0 +1,98 @@
+"""A finished result, from its folder or from a session: what every export starts from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.exr import read_exr
+from ..errors import InputError
+from ..maps.height import Height
+from ..maps.read import read_maps
+from ..maps.result import Maps
+from ..maps.udim import ONE_SQUARE, tile_stem
+from ..maps.write import REPORT
+from ..reflectance.model import load_model
+
+_BLEND = "material.blend"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Maps as they are written (normals in Blender's tangent space), a name, and what else there is.
+
+    height: the relief, None where none was asked for. folder: of the result, None while it is in memory alone.
+    """
+
+    name: str
+    maps: Maps
+    height: Height | None = None
+    folder: Path | None = None
+
+    @property
+    def blend(self) -> Path | None:
+        """The .blend with the material, where there is one."""
+        return self.folder / _BLEND if self.folder is not None and (self.folder / _BLEND).is_file() else None
+
+
+def read_result(folder: str | Path, model: str | None = None) -> Result:
+    """Return the result that ``recover`` or the panel's export wrote into a folder.
+
+    model: as ``recover`` takes it; None takes the one that the report names. Raises InputError where the folder holds
+    no finished result, or the model's file is not where it was.
+    """
+    folder = Path(folder)
+    report = _report(folder)
+    settings = report.get("settings")
+    named = settings.get("model") if isinstance(settings, dict) else None
+    try:
+        table = load_model(model or named or report.get("model", ""))
+    except InputError as error:
+        raise InputError(f"{error}; --model says where it is now") from error
+    tiles = _tiles(report)
+    values = read_maps(folder, table, tiles)
+    covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
+    maps = Maps(table, values, covered, tiles=tiles)
+    return Result(folder.resolve().name, maps, _height(folder, report, maps), folder)
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{folder}: holds no {REPORT}; give the folder that recover wrote with -o") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder / REPORT}: cannot be read ({error}); recover again") from error
+    if not isinstance(report, dict):
+        raise InputError(f"{folder / REPORT}: is no report of a result; recover again")
+    return report
+
+
+def _tiles(report: dict[str, Any]) -> tuple[int, ...]:
+    """Return the UDIM tiles by the names of the files that hold everything."""
+    files = [str(name).split(".") for name in report.get("files", ())]
+    numbers = sorted(int(parts[1]) for parts in files if len(parts) == 3 and parts[0] == "maps" and parts[2] == "exr")
+    return tuple(numbers) or ONE_SQUARE
+
+
+def _coverage(path: Path) -> np.ndarray:
+    channels = read_exr(path).get("coverage")
+    if channels is None:
+        raise InputError(f"{path}: has no part 'coverage'; recover again")
+    return next(iter(channels.values())) > 0
+
+
+def _height(folder: Path, report: dict[str, Any], maps: Maps) -> Height | None:
+    stems = [tile_stem("height", tile, maps.tiles) for tile in maps.tiles]
+    described = report.get("height")
+    if not isinstance(described, dict) or not all((folder / f"{stem}.exr").is_file() for stem in stems):
+        return None
+    parts = [next(iter(next(iter(read_exr(folder / f"{stem}.exr").values())).values())) for stem in stems]
+    values = np.concatenate(parts, axis=1)
+    if values.shape != maps.covered.shape:
+        raise InputError(f"{folder}: its height is of another size than its maps; recover again")
+    return Height(values, maps.covered, str(described.get("unit")), int(described.get("steps", 0)))

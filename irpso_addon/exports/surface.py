@@ -1,0 +1,123 @@
+"""What a result's maps mean, whatever the model is called: a diffuse base under one lobe or two.
+
+A model says it by what its parameters drive in Blender: sockets of a Principled BSDF, or of the two-lobe group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..maps.result import Maps
+from ..reflectance.model import Parameter
+
+_IOR = 1.5  # Principled's own, whose reflectance at normal incidence is 0.04
+F0_HALF = 0.04  # of the Specular IOR Level 0.5
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """One specular lobe of H×W texels. weight, alpha: (H, W). distribution: "GGX" or "BECKMANN", of width alpha."""
+
+    weight: np.ndarray
+    alpha: np.ndarray
+    distribution: str
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A material in the field's own terms, (H, W, …) float32, row 0 at the bottom, margins not filled.
+
+    base_color: (H, W, 3) linear. normal: (H, W, 3) unit, OpenGL. lobes: their weights add up to 1, or there are none.
+    f0: (H, W) the dielectric's reflectance at normal incidence. metallic: (H, W), 0 where the model knows none.
+    layered: whether the base loses what the lobes reflect, as under Principled.
+    """
+
+    base_color: np.ndarray
+    normal: np.ndarray
+    lobes: tuple[Lobe, ...]
+    f0: np.ndarray
+    metallic: np.ndarray
+    layered: bool
+
+
+def surface_of(maps: Maps) -> Surface:
+    """Return what maps mean. Raises InputError for a model whose shader is neither Principled nor the two lobes."""
+    shader = maps.model.material.get("shader")
+    if shader == "two_lobe":
+        return _two_lobes(maps)
+    if shader == "principled" and _named(maps, "Base Color") is not None:
+        return _principled(maps)
+    raise InputError(
+        f'model {maps.model.name}: says neither shader = "principled" nor "two_lobe" in [material], so what its maps'
+        " mean to another program is not known; export it as textures or ptm"
+    )
+
+
+def _principled(maps: Maps) -> Surface:
+    shape = maps.covered.shape
+    settings = maps.model.material.get("settings", {})
+    ior = float(settings.get("IOR", _IOR))
+    matte = not settings and _named(maps, "Roughness") is None
+    level = _map(maps, "Specular IOR Level", 0.0 if matte else settings.get("Specular IOR Level", 0.5))
+    f0 = 2 * level * ((ior - 1) / (ior + 1)) ** 2
+    roughness = _map(maps, "Roughness", settings.get("Roughness", 0.5))
+    lobe = Lobe(np.ones(shape, np.float32), np.maximum(roughness, 1e-3) ** 2, "GGX")
+    metallic = _map(maps, "Metallic", settings.get("Metallic", 0.0))
+    lobes = () if matte else (lobe,)
+    return Surface(_color(maps), _normal(maps), lobes, f0.astype(np.float32), metallic, layered=True)
+
+
+def _two_lobes(maps: Maps) -> Surface:
+    shape = maps.covered.shape
+    material = maps.model.material
+    distribution = material.get("distribution", "BECKMANN")
+    width = material.get("roughness", "alpha" if distribution == "BECKMANN" else "perceptual")
+    first = _map(maps, "Weight", 0.5)
+    lobes = []
+    for number, weight in ((1, first), (2, 1 - first)):
+        alpha = _map(maps, f"Roughness {number}", 0.5)
+        lobes.append(Lobe(weight, alpha**2 if width == "perceptual" else alpha, distribution))
+    f0 = np.full(shape, material.get("f0", 0.028), np.float32)
+    return Surface(_color(maps), _normal(maps), tuple(lobes), f0, np.zeros(shape, np.float32), layered=False)
+
+
+def _named(maps: Maps, socket: str) -> Parameter | None:
+    """Return the parameter that drives a socket; one without a socket of its own is known by its name."""
+    by_name = socket.lower().replace(" ", "_")
+    aliases = {"roughness_1": "r1", "roughness_2": "r2", "weight": "w"}
+    for parameter in maps.model.parameters:
+        if parameter.socket == socket or (not parameter.socket and parameter.name == aliases.get(by_name, by_name)):
+            return parameter
+    return None
+
+
+def _map(maps: Maps, socket: str, otherwise: float) -> np.ndarray:
+    """Return (H, W) float32 of the parameter that drives a socket, or a number everywhere."""
+    parameter = _named(maps, socket)
+    if parameter is None:
+        return np.full(maps.covered.shape, otherwise, np.float32)
+    return _values(maps, parameter)[..., 0]
+
+
+def _color(maps: Maps) -> np.ndarray:
+    parameter = _named(maps, "Base Color")
+    if parameter is None or parameter.components != 3:
+        raise InputError(f"model {maps.model.name}: has no colour of three components that drives Base Color")
+    return _values(maps, parameter)
+
+
+def _normal(maps: Maps) -> np.ndarray:
+    parameter = next((p for p in maps.model.parameters if p.is_normal), None)
+    if parameter is None:
+        return np.broadcast_to(np.float32([0, 0, 1]), (*maps.covered.shape, 3))
+    return _values(maps, parameter)
+
+
+def _values(maps: Maps, parameter: Parameter) -> np.ndarray:
+    """Return (H, W, components) float32, a parameter without a map being at its default."""
+    shape = (*maps.covered.shape, parameter.components)
+    value = np.asarray(maps.values.get(parameter.name, parameter.default), np.float32)
+    return value.reshape(shape) if value.size == np.prod(shape) else np.broadcast_to(value.reshape(-1), shape)

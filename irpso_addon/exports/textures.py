@@ -1,0 +1,139 @@
+"""Plain texture sets, under the names that other programs expect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..maps.blender_images import encode_png
+from ..maps.report import plain, quantiles
+from ..maps.result import Maps
+from ..maps.tables import encoded_values, map_tables, map_values
+from ..maps.udim import split_maps, tile_part, tile_stem
+from . import pixels
+from .lobes import fit_ggx
+from .place import file_stem, filled_folder
+from .result import Result
+from .surface import Surface, surface_of
+
+_SPECULAR_OF_F0 = 0.5 / 0.04  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
+
+
+@dataclass(frozen=True)
+class _Set:
+    """The pictures of one tile, as one lobe has them."""
+
+    maps: Maps
+    surface: Surface
+    roughness: np.ndarray
+    specular: np.ndarray
+    height: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Texture:
+    """One file of a set: what follows the name, its pixels in 0…1 (None where there are none), and its bits."""
+
+    suffix: str
+    pixels: Callable[[_Set], np.ndarray | None]
+    bits: int = 8
+
+
+_BASE = _Texture("_BaseColor", lambda s: pixels.colour(s.surface.base_color, s.maps))
+_ROUGHNESS = _Texture("_Roughness", lambda s: pixels.packed(s.maps, s.roughness))
+_METALLIC = _Texture("_Metallic", lambda s: pixels.packed(s.maps, s.surface.metallic))
+_SPECULAR = _Texture("_Specular", lambda s: pixels.packed(s.maps, s.specular))
+_NORMAL = _Texture("_Normal", lambda s: pixels.normal(s.surface.normal, s.maps), 16)
+_HEIGHT = _Texture("_Height", lambda s: s.height, 16)
+
+
+def _orm(s: _Set) -> np.ndarray:
+    """Occlusion, of which nothing is known, roughness and metallic."""
+    return pixels.packed(s.maps, 1.0, s.roughness, s.surface.metallic)
+
+
+def _mask_map(s: _Set) -> np.ndarray:
+    """Metallic, occlusion, the detail's mask, and smoothness, as Unity's HDRP has them."""
+    return pixels.packed(s.maps, s.surface.metallic, 1.0, 1.0, 1 - s.roughness)
+
+
+def _directx(s: _Set) -> np.ndarray:
+    return pixels.normal(s.surface.normal, s.maps, directx=True)
+
+
+# What stands before the name, and the files, for each program.
+CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
+    "blender": ("", (_BASE, _NORMAL, _ROUGHNESS, _METALLIC, _SPECULAR, _Texture("_ORM", _orm), _HEIGHT)),
+    "unreal": (
+        "T_",
+        (
+            _Texture("_BC", _BASE.pixels), _Texture("_N", _directx, 16), _Texture("_ORM", _orm),
+            _Texture("_S", _SPECULAR.pixels), _Texture("_H", _HEIGHT.pixels, 16),
+        ),
+    ),
+    "unity": (
+        "",
+        (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _Texture("_MaskMap", _mask_map), _HEIGHT),
+    ),
+    "substance": (
+        "",
+        (
+            _BASE, _Texture("_Normal_OpenGL", _NORMAL.pixels, 16), _Texture("_Normal_DirectX", _directx, 16),
+            _ROUGHNESS, _METALLIC, _Texture("_SpecularLevel", _SPECULAR.pixels), _HEIGHT,
+        ),
+    ),
+}  # fmt: skip
+
+
+def write_textures(result: Result, folder: str | Path, convention: str = "blender") -> dict[str, Any]:
+    """Write a set of PNG into a folder, UDIM tiles as NAME_BaseColor.1001.png, and return their names and the fit.
+
+    convention: "blender", "unreal", "unity" or "substance". A model of two lobes is given the one GGX lobe nearest to
+    them; of one whose shader is not known, each map is written as it is. Raises InputError.
+    """
+    if convention not in CONVENTIONS:
+        raise InputError(f"texture sets are made for {', '.join(CONVENTIONS)}, not for '{convention}'")
+    prefix, textures = CONVENTIONS[convention]
+    stem = prefix + file_stem(result.name)
+    report: dict[str, Any] = {}
+    names = []
+    with filled_folder(folder) as place:
+        for index, (number, maps) in enumerate(split_maps(result.maps)):
+            try:
+                pictures, error = _pictures(result, maps, index, textures)
+            except InputError:
+                pictures, error = _as_they_are(maps), None
+            for suffix, (image, bits) in pictures.items():
+                names.append(f"{tile_stem(stem + suffix, number, result.maps.tiles)}.png")
+                encode_png(place / names[-1], image, bits=bits)
+            if error is not None:
+                report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
+    return {"output": str(folder), "files": names, **report}
+
+
+def _pictures(
+    result: Result, maps: Maps, index: int, textures: tuple[_Texture, ...]
+) -> tuple[dict[str, tuple[np.ndarray, int]], np.ndarray | None]:
+    surface = surface_of(maps)
+    fit = fit_ggx(surface)
+    height = None
+    if result.height is not None:
+        height = tile_part(result.height.as_map().encoded, index, len(result.maps.tiles))
+    specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
+    made = _Set(maps, surface, np.sqrt(fit.alpha), specular, height)
+    drawn = {texture.suffix: (texture.pixels(made), texture.bits) for texture in textures}
+    pictures = {suffix: picture for suffix, picture in drawn.items() if picture[0] is not None}
+    return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
+
+
+def _as_they_are(maps: Maps) -> dict[str, tuple[np.ndarray, int]]:
+    """Return the model's own maps under their names, in capitals."""
+    return {
+        "_" + table.name.title().replace("_", ""): (encoded_values(table, map_values(table, maps)), 16)
+        for table in map_tables(maps.model)
+    }
