@@ -39,6 +39,8 @@ def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
     Every texel is seen from straight above, so its own normal says at which angle the lobe has to be right: there it
     takes what Ward's lobe has not, Fresnel's rise and the cosines of a microfacet's, into its albedo.
     """
+    if not surface.lobes:
+        return _none(surface.f0.shape)
     widths = np.geomspace(lowest, highest, _WIDTHS)
     angle = np.degrees(np.arccos(np.clip(surface.normal[..., 2], 0, 1)))
     step = np.minimum(np.rint(angle / _VIEW_STEP), 80 / _VIEW_STEP)
@@ -51,12 +53,19 @@ def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
 
 def fit_ggx(surface: Surface) -> Fit:
     """Return the single GGX lobes nearest to a surface's; their reflectance at normal incidence is scale · f0."""
+    if not surface.lobes:
+        return _none(surface.f0.shape)
     if len(surface.lobes) == 1 and surface.lobes[0].distribution == "GGX":
         alpha = surface.lobes[0].alpha
         return Fit(alpha, np.ones_like(alpha), np.zeros_like(alpha))
     everywhere = np.ones(surface.f0.shape, bool)
     found = _fit(_texels(surface, everywhere), _ggx, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
     return Fit(*found.reshape(3, *surface.f0.shape))
+
+
+def _none(shape: tuple[int, ...]) -> Fit:
+    """Return what stands in for no lobe at all: a rough one of no strength."""
+    return Fit(np.ones(shape), np.zeros(shape), np.zeros(shape))
 
 
 def _texels(surface: Surface, here: np.ndarray) -> list[Lobe]:
@@ -128,8 +137,6 @@ def _fit(
     views: tuple[float, ...],
 ) -> np.ndarray:
     """Return (3, N) width, scale and error of the candidates nearest to N texels' lobes, seen from some angles."""
-    if not lobes:
-        return np.stack([widths[-1:], np.zeros(1), np.zeros(1)])
     k = _configurations(views)
     rows = np.sqrt(k.weight)
     grid = np.geomspace(1e-3, 1.0, 2 * _WIDTHS)
