@@ -43,6 +43,10 @@ def read_draft(path: Path | str, colour_space: str = "auto") -> Draft:
         return table.draft_of_table(path, colour_space)
     if path.suffix.lower() == ".lp":
         return rti.draft_of_lp(path, colour_space)
+    if path.suffix.lower() == ".blend":
+        raise CaptureError(
+            f"{path}: a scene is looked over in Blender, with Capture From: This Scene; recover takes it", "kind"
+        )
     if path.name in (diligent.FILENAMES, diligent.DIRECTIONS):
         return diligent.draft_of_folder(path.parent, colour_space)
     raise CaptureError(f"{path}: is no capture; {_REMEDY}", "kind")

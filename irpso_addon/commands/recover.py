@@ -19,6 +19,7 @@ from ..geometry.extras import Extras, extra_maps, normals_of_text
 from ..geometry.frames import from_blender, to_blender, turned_normals
 from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import empty_blend, mesh_object, open_blend
+from ..geometry.scene_capture import capture_of_open_file
 from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..maps import material
@@ -130,6 +131,7 @@ def _check(options: Namespace) -> _Job:
     source = Path(options.capture)
     if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
         raise InputError(f"{folder}: holds the capture, whose images a result could replace; choose another with -o")
+    options.blend = _blend_of(options)
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
     schedule = schedule_from_options(options)
@@ -149,7 +151,7 @@ def _check(options: Namespace) -> _Job:
     extras.check(model)
     known = known_from_options(options.known, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
-    capture = read_capture(options.capture, decode, options.colour_space)
+    capture = _capture(options)
     held_out = index_list("--hold-out", options.hold_out, len(capture.observations))
     if len(capture.observations) - len(held_out) < 3:
         raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
@@ -168,6 +170,28 @@ def _check(options: Namespace) -> _Job:
         name or capture.name,
         extras,
     )
+
+
+def _blend_of(options: Namespace) -> str | None:
+    """Return the file with the mesh: a capture that is a scene of Blender's holds it itself."""
+    if not _is_scene(options.capture):
+        return options.blend
+    if options.blend and Path(options.blend).resolve() != Path(options.capture).resolve():
+        raise InputError(
+            f"--blend {options.blend}: the capture is a scene, which has the mesh in it; leave --blend out"
+        )
+    return options.capture
+
+
+def _capture(options: Namespace) -> Capture:
+    """Return the capture; that of a scene's own cameras and lights is the file that was opened for the mesh."""
+    if _is_scene(options.capture):
+        return capture_of_open_file(options.colour_space)
+    return read_capture(options.capture, decode, options.colour_space)
+
+
+def _is_scene(path: str) -> bool:
+    return Path(path).suffix.lower() == ".blend"
 
 
 def _subject(options: Namespace) -> tuple[object | None, MeshData | None, str]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.images import ImageStore
+from ..capture.steps import run_steps
 from ..capture.types import Capture, Observation
 from ..errors import InputError
 from ..maps.blender_images import decode
@@ -56,6 +57,13 @@ def scene_steps(scene: Any, colour_space: str = "auto") -> Generator[None, None,
         Observation(name, _reader(photographs[name][1]), light, photographs[name][0]) for name, light in vectors.items()
     )
     return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks))
+
+
+def capture_of_open_file(colour_space: str = "auto") -> Capture:
+    """Return the capture that the scene of the open file is. Raises InputError as ``scene_steps`` does."""
+    import bpy
+
+    return run_steps(scene_steps(bpy.context.scene, colour_space))
 
 
 def setting(obj: Any, name: str) -> Any:

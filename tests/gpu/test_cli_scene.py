@@ -1,0 +1,110 @@
+"""``recover SCENE.blend``: a scene's own cameras and lights, with their photographs, are a capture."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+
+import irpso_addon
+from irpso_addon.capture.exr import write_exr
+from irpso_addon.geometry.scene_capture import capture_of_open_file
+from irpso_addon.maps import lights as units
+from irpso_addon.maps.read import read_maps
+from irpso_addon.reflectance.model import load_model
+from tests.cli_maker import dome_lights, run_cli
+
+pytestmark = pytest.mark.bpy_only
+SIZE = 16
+
+
+def photograph(path, albedo, points, light, kind):
+    """Write what a Lambertian card at z = 0, facing up, looks like under a light 1 strong at distance 1."""
+    away = points - light
+    distance = np.linalg.norm(away, axis=-1)
+    shade = light[2] / distance**3
+    if kind == "SUN":
+        shade = np.full(points.shape[:2], light[2] / np.linalg.norm(light))
+    if kind == "AREA":  # it looks at the origin
+        shade = shade * (away @ -light) / distance / np.linalg.norm(light)
+    radiance = (albedo * shade[..., None]).astype(np.float32)
+    write_exr(path, {"": {c: radiance[..., i] for i, c in enumerate("RGB")}})
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    """The folder of a .blend with a card, a camera and twelve lights with their photographs; the albedo."""
+    folder = tmp_path_factory.mktemp("scene")
+    irpso_addon.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.name = "Desk"
+    bpy.ops.mesh.primitive_plane_add(size=2)
+    bpy.context.object.name = "Card"
+    camera = bpy.data.objects.new("Above", bpy.data.cameras.new("Above"))
+    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 2.0, (0, 0, 5)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    x, y = np.meshgrid(*[(np.arange(SIZE) + 0.5) / SIZE * 2 - 1] * 2)
+    points = np.stack([x, y, 0 * x], axis=-1)
+    albedo = np.stack([0.3 + 0.2 * x, 0.5 - 0.1 * y, 0.4 + 0.1 * x * y], axis=-1)
+    for k, direction in enumerate(dome_lights(12, widest=40)):
+        kind = ("SUN", "POINT", "SPOT")[k % 3]
+        place = 4 * direction
+        data = bpy.data.lights.new(f"Lamp {k}", kind)
+        data.energy = {"SUN": units.sun_strength, "AREA": units.area_power}.get(kind, units.point_power)(1.0)
+        lamp = bpy.data.objects.new(f"Lamp {k}", data)
+        scene.collection.objects.link(lamp)
+        if kind == "SPOT":
+            data.spot_size, data.spot_blend = np.radians(80), 0.0
+        elif kind == "AREA":
+            data.size = 0.2
+        lamp.location, lamp.rotation_mode = place, "QUATERNION"
+        lamp.rotation_quaternion = Vector(direction).to_track_quat("Z", "Y")
+        photograph(folder / f"{k}.exr", albedo, points, place, kind)
+        lamp.irpso.image = bpy.data.images.load(str(folder / f"{k}.exr"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "desk.blend"))
+    irpso_addon.unregister()
+    return folder, albedo
+
+
+def test_a_scene_is_read_where_no_interface_is_registered(card):
+    folder, _ = card
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "desk.blend"))
+    assert not hasattr(bpy.context.scene.objects["Lamp 0"], "irpso")
+    capture = capture_of_open_file()
+    assert capture.name == "Desk" and len(capture.observations) == 12
+    assert [o.light.cone is not None for o in capture.observations[:3]] == [False, False, True]
+
+
+def test_recover_takes_a_scene_for_its_capture(card):
+    folder, albedo = card
+    code, out, err = run_cli(
+        "recover", folder / "desk.blend", "--model", "lambert", "--resolution", SIZE, "--iterations", 30,
+        "-o", folder / "out", "--quiet", "--json",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    assert json.loads(out.splitlines()[-1])["texels"] >= 14 * 14
+    found = read_maps(folder / "out", load_model("lambert"))
+    inner = slice(2, -2)
+    np.testing.assert_allclose(found["base_color"][inner, inner], albedo[inner, inner], rtol=0.01)
+    assert found["normal"][inner, inner, 2].min() > 0.9995
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(["--blend", "other.blend"], "the capture is a scene, which has the mesh in it"), ([], "no light of this scene")],
+)
+def test_a_scene_that_cannot_be_recovered_is_told(tmp_path, options, words):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_plane_add(size=2)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    code, _, err = run_cli("recover", tmp_path / "a.blend", *options, "-o", tmp_path / "out")
+    assert code == 2 and words in err and len(err.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
+
+
+def test_inspect_sends_scenes_to_blender(tmp_path):
+    (tmp_path / "a.blend").touch()
+    code, out, err = run_cli("inspect", tmp_path / "a.blend")
+    assert code == 2 and "looked over in Blender" in out + err
