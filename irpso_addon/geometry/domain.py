@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from .seams import SeamMap, tile_seams
+
 
 @dataclass(frozen=True)
 class GeometryBake:
@@ -46,7 +48,8 @@ class Domain:
     camera, xyz and 0 for the direction toward an orthographic one. origin: global (x, y) of texel (0, 0): random
     numbers are keyed by it, so that a tile of a domain is solved as the whole would be. halo: texels along each
     side of a tile that belong to its neighbours: they are read but never moved. card: whether the domain is the
-    image itself rather than a UV square.
+    image itself rather than a UV square. seams: which texels are neighbours across UV seams; where None, as on a
+    card, those beside a texel are.
     """
 
     bake: GeometryBake
@@ -57,6 +60,7 @@ class Domain:
     origin: tuple[int, int] = (0, 0)
     halo: tuple[int, int, int, int] = (0, 0, 0, 0)  # left, right, bottom, top
     card: bool = True
+    seams: SeamMap | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,7 +110,8 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
     """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
 
     The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
-    of the halo's corner. The arrays are views, not copies. Raises ValueError where the tile leaves the domain.
+    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the annex of its
+    seams. Raises ValueError where the tile leaves the domain.
     """
     rows, columns = domain.shape
     if not (width > 0 and height > 0 and halo >= 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
@@ -121,6 +126,7 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
         stack=domain.stack[:, *part],
         origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),
         halo=(left, right, bottom, top),
+        seams=None if domain.seams is None else tile_seams(domain.seams, domain, (x0, y0, width, height), halo),
     )
     if "solvable" in vars(domain):  # found already
         vars(result)["solvable"] = domain.solvable[part]

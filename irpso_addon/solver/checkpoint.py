@@ -48,6 +48,8 @@ def identity(
     bake = domain.bake
     observed = (domain.stack, domain.lights, domain.intensities, domain.views)
     shape = (bake.position, bake.normal, bake.tangent, bake.coverage)
+    if domain.seams is not None:
+        shape += (domain.seams.place, domain.seams.of, domain.seams.target)
     return {
         "model": model.name,
         "preset": dataclasses.asdict(schedule),

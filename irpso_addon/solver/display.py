@@ -17,10 +17,11 @@ from ..gpu.passes import Kernel, Output, Pass
 from ..maps.false_color import COLORS, UNCOVERED
 from ..reflectance.model import Parameter, ReflectanceModel
 from . import kernels
+from .packing import level_size
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .pyramid import Pyramid
 from .recovery import Progress, Recovery
-from .state import observation_defines
+from .state import kernel_defines
 from .unknowns import build_unknowns
 
 _KEPT = 4  # pictures: two areas, each with two beside one another
@@ -60,7 +61,7 @@ class Display:
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
         self._recovery, self._known = recovery, frozenset(known)
         domain = recovery.domain
-        self._defines = observation_defines(domain.lights, domain.views, domain.card)
+        self._defines = kernel_defines(domain)
         self._size: tuple[int, int] | None = None
         self._begin()
 
@@ -116,7 +117,7 @@ class Display:
 
     def _follow(self, lent: Mapping[str, Any]) -> None:
         """Begin anew where the recovery has come to another level, whose textures have other sizes."""
-        size = lent["u_packed"].width, lent["u_packed"].height
+        size = level_size(lent, self._defines)
         if size != self._size:
             self.close()
             self._size = size

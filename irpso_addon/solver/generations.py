@@ -140,11 +140,11 @@ class RunningGenerations(Phase):
         self.textures.ensure()
         return self.reader.read(self.textures.bests[-1])[..., 0]
 
-    def take_halo(self, values: np.ndarray) -> None:
-        """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) places, and (M, n), as the bests of the texels that belong to other tiles."""
         self.textures.ensure()
         packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
-        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values)
+        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values, annex)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
         targets = self.textures.bests[: self.codec.blocks]
         self.passes.take_halo.run(targets, {**given, **self._domain.textures}, self.constants())

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from ..geometry.seams import SeamMap
 from ..gpu import textures
+
+
+def level_size(lent: Mapping[str, Any], defines: Mapping[str, int]) -> tuple[int, int]:
+    """Return (W, H) of the domain whose packing is lent, with the defines of its kernels."""
+    border = 2 * defines.get("SEAMS", 0)
+    return lent["u_packed"].width - border, lent["u_packed"].height - border
 
 
 class Packing:
     """Which place of a packed grid holds which texel of a domain, row by row.
 
-    solved: (H, W) bool. width, height: of the packed grid; its last places may be empty. A domain that is solved
-    everywhere is its own packing.
+    solved: (H, W) bool. seams: of the domain, whose annex comes after its texels. width, height: of the packed grid;
+    its last places may be empty. A domain that is solved everywhere, and has no annex, is its own packing.
     """
 
-    def __init__(self, solved: np.ndarray):
-        self.shape = solved.shape
+    def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
+        self.shape, self.seams = solved.shape, seams
         self._rows, self._columns = np.nonzero(solved)
-        count = len(self._rows)
-        self.width = solved.shape[1] if solved.all() else max(1, math.isqrt(max(count - 1, 0)) + 1)
+        self.annex = 0 if seams is None else len(seams.annex)
+        count = len(self._rows) + self.annex
+        self._whole = bool(solved.all()) and not self.annex
+        self.width = solved.shape[1] if self._whole else max(1, math.isqrt(max(count - 1, 0)) + 1)
         self.height = max(1, -(-count // self.width))
-        self._padding = self.width * self.height - count
-        self._whole = bool(solved.all())
 
-    def pack(self, array: np.ndarray) -> np.ndarray:
-        """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself."""
-        return array if self._whole else self._grid(array[self._rows, self._columns])
+    def pack(self, array: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself.
+
+        annex: (M, …) of the annex's texels, or what broadcasts to it.
+        """
+        return array if self._whole else self._grid(array[self._rows, self._columns], annex)
 
     def pack_layers(self, array: np.ndarray) -> np.ndarray:
         """Return (K, h, w, C) of (K, H, W, C), a copy."""
@@ -52,13 +63,43 @@ class Packing:
         return {name: textures.upload(array) for name, array in self.arrays().items()}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return u_place (x, y of a packed texel) and u_packed (its inverse), (…, 2) float32."""
-        places = self._grid(np.stack([self._columns, self._rows], axis=-1).astype(np.float32))
+        """Return u_place (x, y of a packed texel) and u_packed (its inverse), float32 of two channels.
+
+        With seams they have four, as shaders/common/packing.glsl says.
+        """
+        places = np.stack([self._columns, self._rows], axis=-1).astype(np.float32)
         index = np.arange(len(self._rows))
         inverse = np.full((*self.shape, 2), -1, np.float32)
         inverse[self._rows, self._columns] = np.stack([index % self.width, index // self.width], axis=-1)
-        return {"u_place": places, "u_packed": inverse}
+        if self.seams is not None:
+            return self._with_seams(self.seams, places, inverse)
+        return {"u_place": self._grid(places), "u_packed": inverse}
 
-    def _grid(self, values: np.ndarray) -> np.ndarray:
-        padded = np.concatenate([values, np.zeros((self._padding, *values.shape[1:]), values.dtype)])
-        return padded.reshape(self.height, self.width, *values.shape[1:])
+    def _with_seams(self, seams: SeamMap, places: np.ndarray, inverse: np.ndarray) -> dict[str, np.ndarray]:
+        island = seams.island[self._rows, self._columns]
+        own = self._grid(np.concatenate([places, island[:, None], 0 * island[:, None]], axis=-1, dtype=np.float32), -1)
+        height, width = self.shape
+        numbers = np.full(height * width + self.annex, -1)
+        numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
+        numbers[height * width :] = len(self._rows) + np.arange(self.annex)
+        target = numbers[seams.target]
+        held = np.flatnonzero(target >= 0)
+        place, target = seams.place[held] + seams.reach, target[held]
+        flat = place[:, 1].astype(np.int64) * (width + 2 * seams.reach) + place[:, 0]
+        begins = np.diff(flat, prepend=-1) != 0
+        following = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
+        chain = np.stack([target % self.width, target // self.width, seams.of[held], following], axis=-1)
+        rows = -(-len(chain) // self.width)
+        chains = np.full((rows, self.width, 4), -1, np.float32)
+        chains.reshape(-1, 4)[: len(chain)] = chain
+        border = ((seams.reach, seams.reach), (seams.reach, seams.reach), (0, 0))
+        packed = np.concatenate([inverse, seams.island[..., None], np.full((height, width, 1), -1)], axis=-1)
+        packed = np.pad(packed.astype(np.float32), border, constant_values=-1)
+        packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)
+        # The chains stand in rows of their own, the first one last, which is found without the packing's size.
+        return {"u_place": np.concatenate([own, chains[::-1]]), "u_packed": packed}
+
+    def _grid(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+        rest = np.zeros((self.width * self.height - len(self._rows), *values.shape[1:]), values.dtype)
+        rest[: self.annex] = annex
+        return np.concatenate([values, rest]).reshape(self.height, self.width, *values.shape[1:])

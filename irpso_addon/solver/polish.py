@@ -17,7 +17,7 @@ from .polish_kernels import build_polish_passes
 from .reader import Reader
 from .resolve import ResolvedPolish
 from .schedule import Polish, Schedule
-from .state import HALO, SOLVED, DomainTextures, Estimates, MadeInSteps, texel_states
+from .state import HALO, SOLVED, DomainTextures, Estimates, MadeInSteps, packed_states, texel_states
 
 SPREAD = -2  # in place of a start: what the neighbours offer
 BEST = -1  # in place of a start: the best so far, its damping and all
@@ -169,12 +169,12 @@ class RunningPolish(Phase):
         packed = np.concatenate([textures.download(t) for t in self._estimates.resolved], axis=-1)
         return self._domain.packing.unpack(packed[..., : self._components], np.nan)
 
-    def take_halo(self, values: np.ndarray) -> None:
-        """Take (H, W, n) materials as the best ones of the texels that belong to neighbouring tiles."""
+    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) materials, and (M, n), as the best ones of the texels that belong to other tiles."""
         self._ensure()
         packing = self._domain.packing
-        theirs = packing.pack(texel_states(self._domain.domain)) == HALO
-        given = packing.pack(values)
+        theirs = packed_states(self._domain.domain, packing) == HALO
+        given = packing.pack(values, annex)
         given = np.pad(given, ((0, 0), (0, 0), (0, 4 * self._estimates.count - given.shape[-1])))
         for i in range(self._estimates.count):
             part = np.where(theirs[..., None], given[..., 4 * i : 4 * i + 4], self._reader.read(self.best[i]))

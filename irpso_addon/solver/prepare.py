@@ -50,7 +50,7 @@ class Prepared:
         """Return it with what goes to the GPU."""
         if self.stack is not None:
             return self
-        packing = Packing(domain.solvable)
+        packing = Packing(domain.solvable, domain.seams)
         stack = np.zeros((domain.observations, packing.height * packing.width, 4), np.float32)
 
         def work(start: int, texels: Texels) -> None:

@@ -17,7 +17,7 @@ from .prior_kernels import DEVIATION, FIRST_ROUND, NOISE, build_prior_passes, ev
 from .reader import Reader
 from .resolve import ResolvedPrior
 from .schedule import Schedule
-from .state import HALO, DomainTextures, Estimates, MadeInSteps, texel_states
+from .state import HALO, DomainTextures, Estimates, MadeInSteps, packed_states
 
 
 class PriorTextures(MadeInSteps):
@@ -158,12 +158,12 @@ class RunningPrior(Phase):
         packed = [self._reader.read(texture) for texture in (self.textures.noise, *self.textures.belief)]
         return self._domain.packing.unpack(np.concatenate(packed, axis=-1), np.nan)
 
-    def take_halo(self, values: np.ndarray) -> None:
-        """Take (H, W, n) for the texels that belong to neighbouring tiles; others are left alone."""
+    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n), and (M, n), for the texels that belong to other tiles; others are left alone."""
         self.textures.ensure()
         packing, held = self._domain.packing, self.textures
-        theirs = packing.pack(texel_states(self._domain.domain))[..., None] == HALO
-        given = packing.pack(values)
+        theirs = packed_states(self._domain.domain, packing)[..., None] == HALO
+        given = packing.pack(values, annex)
         merged = [
             textures.upload(np.where(theirs, given[..., 4 * i : 4 * i + 4], self._reader.read(texture)))
             for i, texture in enumerate((held.noise, *held.belief))

@@ -211,10 +211,13 @@ class Recovery:
         self._finish_iteration()
         return self._running().halo()
 
-    def set_halo(self, values: np.ndarray) -> None:
-        """Take (H, W, n) of what neighbouring tiles have found at their texels; others are left alone."""
+    def set_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) of what neighbouring tiles have found at their texels; others are left alone.
+
+        annex: (M, n) of the texels that the domain's seams name in their annex.
+        """
         self._finish_iteration()
-        self._running().take_halo(values)
+        self._running().take_halo(values, annex)
 
     @property
     def reach(self) -> int:

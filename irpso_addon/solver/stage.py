@@ -123,11 +123,11 @@ class RunningStage(Phase):
         self.swarm.ensure()
         return self._domain.packing.unpack(self.reader.read(self.swarm.global_fitness)[..., 0], np.nan)
 
-    def take_halo(self, bests: np.ndarray) -> None:
-        """Take (H, W, n) places as the bests of the texels that belong to neighbouring tiles."""
+    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n) places, and (M, n), as the bests of the texels that belong to other tiles."""
         self.swarm.ensure()
         packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
-        packed[..., : self.codec.dimensions] = self._domain.packing.pack(bests)
+        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values, annex)
         given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
         self.passes.take_halo.run(self.swarm.global_best, {**given, **self._domain.textures}, self.constants())
 

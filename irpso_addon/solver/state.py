@@ -38,7 +38,7 @@ class DomainTextures:
     ):
         self.domain, self.packing = domain, packing
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
-        self.defines = observation_defines(domain.lights, domain.views, domain.card)
+        self.defines = kernel_defines(domain)
         arrays = arrays or domain_arrays(domain, packing, scale)
         self.textures = {name: textures.upload(array) for name, array in arrays.items()}
         self.textures["u_observation_table"] = upload_observations(domain.lights, domain.intensities, domain.views)
@@ -52,9 +52,10 @@ class DomainTextures:
 
 def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
     """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
-    position, normal, tangent, state = (
-        packing.pack(a) for a in (domain.bake.position, domain.bake.normal, domain.bake.tangent, texel_states(domain))
-    )
+    bake, seams = domain.bake, domain.seams
+    normal = packing.pack(bake.normal, 0.0 if seams is None else seams.annex_normal)
+    tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.annex_tangent)
+    position, state = packing.pack(bake.position), packed_states(domain, packing)
     return {**geometry_arrays(position, normal, tangent, state, scale), **packing.arrays()}
 
 
@@ -82,6 +83,12 @@ def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.n
     return textures.upload(np.stack([lights, np.pad(intensities, ((0, 0), (0, 1))), views]).astype(np.float32))
 
 
+def kernel_defines(domain: Domain) -> dict[str, int]:
+    """Return what kernels over a domain are compiled with: ``observation_defines``, and SEAMS where it has some."""
+    defines = observation_defines(domain.lights, domain.views, domain.card)
+    return defines if domain.seams is None else {**defines, "SEAMS": domain.seams.reach}
+
+
 def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, int]:
     """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
     defines = {"CARD": 1} if card else {}
@@ -101,6 +108,11 @@ def texel_states(domain: Domain) -> np.ndarray:
     inside[bottom : height - top, left : width - right] = True
     state[~inside & (state == SOLVED)] = HALO
     return state
+
+
+def packed_states(domain: Domain, packing: Packing) -> np.ndarray:
+    """Return (h, w) float32 states of packed texels: those of an annex are solved by other tiles."""
+    return packing.pack(texel_states(domain), HALO)
 
 
 class Estimates:

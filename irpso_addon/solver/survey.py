@@ -137,9 +137,9 @@ class RunningSurvey(Phase):
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
         return self._inner.halo()
 
-    def take_halo(self, values: np.ndarray) -> None:
-        """Take (H, W, n) for the texels that belong to neighbouring tiles; others are left alone."""
-        self._inner.take_halo(values)
+    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n), and (M, n), for the texels that belong to other tiles; others are left alone."""
+        self._inner.take_halo(values, annex)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration."""

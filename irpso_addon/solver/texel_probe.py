@@ -14,11 +14,12 @@ from ..gpu.passes import Kernel, Output, Pass
 from ..reflectance.model import Parameter, ReflectanceModel
 from . import kernels
 from .generations import RunningGenerations
+from .packing import level_size
 from .pyramid import Pyramid
 from .recovery import Recovery
 from .resolve import survey_model
 from .stage import RunningStage
-from .state import UNFIT, observation_defines
+from .state import UNFIT, kernel_defines
 from .survey import RunningSurvey
 
 _AT = {"u_column": "INT", "u_row": "INT"}
@@ -65,7 +66,7 @@ class TexelProbe:
             raise InputError("the recovery runs in tiles, of which no texel can be watched; lower the resolution")
         self._recovery = recovery
         domain = recovery.domain
-        self._defines = observation_defines(domain.lights, domain.views, domain.card)
+        self._defines = kernel_defines(domain)
         self._texel: Pass | None = None
         self._row: Any = None
         self._swarm: _SwarmProbe | None = None
@@ -98,8 +99,8 @@ class TexelProbe:
         height, width = self._recovery.domain.shape
         if not (0 <= row < height and 0 <= column < width):
             raise InputError(f"texel ({row}, {column}): the domain has {height} rows and {width} columns, from 0")
-        level = lent["u_packed"]
-        return {"u_column": column * level.width // width, "u_row": row * level.height // height}
+        level = level_size(lent, self._defines)
+        return {"u_column": column * level[0] // width, "u_row": row * level[1] // height}
 
     def _read_texel(self, lent: Mapping[str, Any], at: dict[str, int]) -> np.ndarray | None:
         """Return the components of the estimate, padded to whole texels, then the error and three more numbers."""

@@ -19,12 +19,12 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
+from .meetings import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, rectangle
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .recovery import NOTE, Progress, Recovery, full_map, named
 from .schedule import Schedule, refuse_levels
 
-Box = tuple[int, int, int, int]  # x0, y0, width, height
-Part = tuple[slice, slice]  # rows, columns
+Told = tuple[Meeting, np.ndarray, np.ndarray]  # values of the halo's texels, and of the annex's
 
 
 class _TileRecovery(Recovery):
@@ -55,7 +55,7 @@ class _Tile:
     """A tile, and where its recovery is.
 
     domain: with its halo. solved: texels of its own. state: of the recovery while that is not on the device; files:
-    where it lies, if not in memory. strips: what other tiles have told of the texels of this one's halo, with places;
+    where it lies, if not in memory. strips: what other tiles have told of the texels of this one's halo and annex;
     coming: the same of the iteration that the burst under way leads to.
     """
 
@@ -69,15 +69,13 @@ class _Tile:
     reached: bool = False
     state: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
-    strips: dict[int, tuple[Part, np.ndarray]] = field(default_factory=dict)
-    coming: dict[int, tuple[Part, np.ndarray]] = field(default_factory=dict)
+    strips: dict[int, Told] = field(default_factory=dict)
+    coming: dict[int, Told] = field(default_factory=dict)
 
     @property
     def own(self) -> Part:
         """Its own texels, without the halo, in its own arrays."""
-        left, right, bottom, top = self.domain.halo
-        height, width = self.domain.shape
-        return slice(bottom, height - top), slice(left, width - right)
+        return own_of(self.domain)
 
 
 class TiledRecovery:
@@ -112,8 +110,8 @@ class TiledRecovery:
         self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         _check_boxes(boxes, domain)
         prepared = prepare.prepare(domain, model, schedule, pack=False)
-        self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[_part(box)].any()]
-        self._meetings = _meetings(self._tiles)
+        self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
+        self._meetings = meetings_of([(part.box, part.domain) for part in self._tiles])
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
         self._active = 0  # the tile that was used last
         self._told = False  # whether strips are those of the iteration that all tiles are at
@@ -169,7 +167,7 @@ class TiledRecovery:
         deviations: dict[str, np.ndarray] = {}
         for number in self._order():
             part, found = self._tiles[number], self._recovery(number).maps(confidence)
-            texels = _part(part.box)
+            texels = part_of(part.box)
             residual[texels] = found.residual[part.own]
             for name, value in found.values.items():
                 values[name][texels] = value[part.own]
@@ -338,8 +336,8 @@ class TiledRecovery:
         if recovery.reach > self._halo:
             raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
         found = recovery.halo()
-        for other, source, target in self._meetings[number]:
-            self._tiles[other].coming[number] = target, found[source].copy()
+        for meeting in self._meetings[number]:
+            self._tiles[meeting.other].coming[number] = meeting, found[meeting.here].copy(), found[meeting.seen]
 
     def _all_told(self) -> None:
         """Let what has been told be heard: every tile is at one iteration now."""
@@ -354,15 +352,16 @@ class TiledRecovery:
             return
         size = next(iter(part.strips.values()))[1].shape[-1]
         values = np.full((*part.domain.shape, size), np.nan, np.float32)
-        for target, strip in part.strips.values():
-            values[target] = strip
-        recovery.set_halo(values)
+        annex = np.full((annex_of(part.domain), size), np.nan, np.float32)
+        for meeting, strip, seen in part.strips.values():
+            values[meeting.there], annex[meeting.annex] = strip, seen
+        recovery.set_halo(values, annex)
 
     def _tile(self, box: Box, prepared: prepare.Prepared) -> _Tile:
         domain = tile(self.domain, *box, halo=self._halo)
-        around = _rectangle(box, domain.halo)
+        around = rectangle(box, domain.halo)
         known = {name: value[around] for name, value in self._known.items()}
-        solved = int(np.count_nonzero(self.domain.solvable[_part(box)]))
+        solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
         return _Tile(box, domain, prepared.part(*around), known, solved)
 
     def _identity(self) -> dict[str, Any]:
@@ -373,40 +372,10 @@ class TiledRecovery:
 _EVALUATIONS = "tiles_evaluations"  # the name in a checkpoint of how many each tile has made
 
 
-def _part(box: Box) -> Part:
-    x0, y0, width, height = box
-    return slice(y0, y0 + height), slice(x0, x0 + width)
-
-
 def _check_boxes(boxes: Sequence[Box], domain: Domain) -> None:
     """Raise ValueError where a solvable texel lies in no box or in several."""
     count = np.zeros(domain.shape, np.uint8)
     for box in boxes:
-        count[_part(box)] += 1
+        count[part_of(box)] += 1
     if not (count[domain.solvable] == 1).all():
         raise ValueError("tiles: every solvable texel must lie in one of them, and in one only")
-
-
-def _meetings(tiles: Sequence[_Tile]) -> list[list[tuple[int, Part, Part]]]:
-    """Return for each tile which others have texels of its own in their halo: (number, where here, where there)."""
-    meetings: list[list[tuple[int, Part, Part]]] = [[] for _ in tiles]
-    for number, part in enumerate(tiles):
-        for other, there in enumerate(tiles):
-            own, around = _part(part.box), _rectangle(there.box, there.domain.halo)
-            shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(own, around, strict=True)]
-            if number == other or any(s.start >= s.stop for s in shared):
-                continue
-            here = _rectangle(part.box, part.domain.halo)
-            source, target = (
-                tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, rectangle, strict=True))
-                for rectangle in (here, around)
-            )
-            meetings[number].append((other, source, target))
-    return meetings
-
-
-def _rectangle(box: Box, halo: tuple[int, int, int, int]) -> Part:
-    """Return where a tile lies in the whole domain with the halo that it has there."""
-    x0, y0, width, height = box
-    left, right, bottom, top = halo
-    return slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right)

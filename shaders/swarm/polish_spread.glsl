@@ -63,14 +63,14 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(own, c);
     Frame f = frame_at(texel);
-    ivec2 place = place_of(texel);
+    ivec3 place = surface_place_of(texel);
     Material tried[OFFERS];
     float sum[OFFERS];
     bool there[OFFERS];
     for (int p = 0; p < OFFERS; p++) {
         int side = p % 4;
         ivec2 by = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
-        ivec2 other = packed_at(place + by);
+        ivec2 other = neighbour_at(place, by);
         there[p] = other.x >= 0;
         tried[p] = own;
         sum[p] = 0.0;

@@ -17,11 +17,11 @@ bool texel_kernel(ivec2 texel)
 {
     vec4 own = texelFetch(u_noise, texel, 0);
     if (state_at(texel) == TEXEL_SOLVED) {
-        ivec2 place = place_of(texel);
+        ivec3 place = surface_place_of(texel);
         float sum = 0.0;
         float freedom = 0.0;
         for (int t = 0; t < TAPS; t++) {
-            ivec2 other = packed_at(place + tap_at(t));
+            ivec2 other = neighbour_at(place, tap_at(t));
             if (other.x >= 0) {
                 vec4 noise = texelFetch(u_noise, other, 0);
                 float n = freedom_of(noise);

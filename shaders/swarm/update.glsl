@@ -76,7 +76,7 @@ void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8
 void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 {
     direction += direction >= 4 ? 1 : 0;
-    ivec2 other = packed_at(place_of(texel) + ivec2(direction % 3 - 1, direction / 3 - 1));
+    ivec2 other = neighbour_at(surface_place_of(texel), ivec2(direction % 3 - 1, direction / 3 - 1));
     if (other.x >= 0) {
         read_neighbour(other, texel, f, x);
     }

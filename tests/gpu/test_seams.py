@@ -1,0 +1,143 @@
+"""Recoveries over UV seams: neighbours on the surface are neighbours, in tiles as in the whole."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.gpu import context, textures
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.generations import RunningGenerations
+from irpso_addon.solver.need import recovery_need
+from irpso_addon.solver.packing import Packing
+from irpso_addon.solver.recovery import Recovery
+from irpso_addon.solver.resolve import resolve
+from irpso_addon.solver.schedule import Polish, load_schedule
+from irpso_addon.solver.state import DomainTextures, Estimates
+from irpso_addon.solver.tiled import TiledRecovery
+from tests import swarm_oracle as oracle
+from tests.seam_subjects import sheet
+from tests.swarm_subjects import SHORT, make_domain, unit, with_radiance
+
+LAMBERT = load_model("lambert")
+TWO_LOBES = load_model("cook_torrance_two_lobe")
+REACH = 2
+
+
+def observed(subject, observations=8, seed=3, holes=0.0, model="lambert"):
+    """Return the domain of a sheet that is lit, and seen from above; with holes some texels are never seen."""
+    rng = np.random.default_rng(seed)
+    domain = subject.domain()
+    shape = domain.shape
+    lit = make_domain(*shape, observations=observations, holes=False, rng_seed=seed)
+    truth = {
+        "base_color": rng.uniform(0.2, 0.9, (*shape, 3)),
+        "normal": unit(rng.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)),
+        "r1": rng.uniform(0.1, 0.2, (*shape, 1)),
+        "r2": rng.uniform(0.4, 0.6, (*shape, 1)),
+        "w": rng.uniform(0.3, 0.7, (*shape, 1)),
+    }
+    stack = lit.stack.copy()
+    stack[..., 3] *= domain.bake.coverage & (rng.uniform(size=shape) >= holes)
+    domain = replace(domain, stack=stack, lights=lit.lights, intensities=lit.intensities, views=lit.views)
+    return with_radiance(domain, model, truth)
+
+
+@pytest.mark.parametrize("turn, search", [
+    ("turned by 90°", "hemisphere"), ("mirrored", "hemisphere"), ("past the square's edge", "hemisphere"),
+    ("mirrored, turned, three times as large", "cartesian"),
+])  # fmt: skip
+def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_between_frames(turn, search):
+    context.ensure()
+    subject = sheet(turn)
+    domain = observed(subject, holes=0.1)
+    schedule = load_schedule("standard").replaced(
+        neighbourhood=2 * REACH + 1, normal=search, search=["normal"], linear="search", survey_iterations=0, c3=0.3
+    )
+    stage = resolve(schedule, LAMBERT, set())[0]
+    packing = Packing(domain.solvable, domain.seams)
+    held = DomainTextures(domain, packing, packing.pack_layers(domain.stack), packing.pack(np.ones(domain.shape)))
+    values = {p.name: np.zeros((*domain.shape, p.components)) for p in LAMBERT.parameters}
+    estimates = Estimates(LAMBERT, {name: packing.pack(value) for name, value in values.items()})
+    problem = oracle.Problem(domain, LAMBERT, stage, schedule, values, np.ones(domain.shape), 1)
+    g = np.random.default_rng(5).uniform(0.2, 0.8, (*domain.shape, 4))
+    phase = RunningGenerations(stage, LAMBERT, schedule, 1, held, estimates, "fragment")
+    phase.textures.ensure()
+    phase.textures.bests[0] = textures.upload(packing.pack(g))
+    inputs = {**phase.textures.read_bindings(), **estimates.bindings(), **held.textures}
+    phase.passes.mean.run(phase.textures.mean, inputs, phase.constants())
+    found = packing.unpack(textures.download(phase.textures.mean[0]))
+    phase.close()
+
+    frame, solvable = oracle.frames(domain.bake), domain.solvable
+    checked = 0
+    for y, x in np.argwhere(solvable)[::2]:
+        window, sure, crossed = [], True, False
+        for by in [(i, j) for j in range(-REACH, REACH + 1) for i in range(-REACH, REACH + 1)]:
+            there = subject.neighbour((x, y), by)
+            # What lies less than half a texel past the sheet's own border may be taken for what lies within it.
+            sure &= there is not None or subject.outside((x, y), by) >= 0.5
+            if there is not None and solvable[there[1], there[0]]:
+                crossed |= subject.part_at(there) != subject.part_at((x, y))
+                n = g[there[1], there[0]]
+                turned = by != (0, 0)
+                window.append(oracle._in_frame(problem, n, frame[there[1], there[0]], frame[y, x]) if turned else n)
+        if sure and crossed:
+            checked += 1
+            count = problem.dimensions
+            np.testing.assert_allclose(found[y, x, :count], np.mean(window, axis=0)[:count], atol=2e-6)
+    assert checked > 10
+
+
+BOXES = {
+    "cutting both parts": [(0, 0, 11, 16), (11, 0, 51, 16), (0, 16, 30, 34), (30, 16, 32, 34)],
+    "a part each": [(0, 0, 20, 50), (20, 0, 42, 50)],
+}
+
+
+def everything(maps):
+    """Return all arrays of maps as bytes."""
+    arrays = {**maps.values, "residual": maps.residual}
+    return {name: np.ascontiguousarray(array).tobytes() for name, array in arrays.items()}
+
+
+def whole_of(domain, model, schedule):
+    """Return the maps' bytes of a recovery of the whole domain."""
+    with Recovery(domain, model, schedule, 1, entry="fragment") as recovery:
+        recovery.step()
+        return everything(recovery.maps(confidence=False))
+
+
+def tiled(domain, model, schedule, boxes, on_device=None):
+    """Return a recovery of it in tiles, which see each other across the cut."""
+    halo = recovery_need(model, schedule, (), domain.observations).reach
+    options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
+    recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
+    assert sum(len(part.domain.seams.annex) for part in recovery._tiles) > 20
+    return recovery
+
+
+def test_tiles_that_take_turns_and_stop_midway_see_the_bests_across_a_cut(tmp_path):
+    schedule = SHORT.replaced(iterations=30, neighbour_every=2, neighbourhood=5)
+    domain = observed(sheet("mirrored and turned"), holes=0.1)
+    whole = whole_of(domain, LAMBERT, schedule)
+    assert whole_of(replace(domain, seams=None), LAMBERT, schedule) != whole
+    with tiled(domain, LAMBERT, schedule, "cutting both parts", on_device=1) as recovery:
+        recovery.step(iterations=3)
+        recovery.save(tmp_path / "run")
+    with tiled(domain, LAMBERT, schedule, "cutting both parts", on_device=1) as recovery:
+        recovery.load(tmp_path / "run")
+        recovery.step()
+        assert everything(recovery.maps(confidence=False)) == whole
+
+
+def test_tiles_spread_and_pool_across_a_cut_as_the_whole_does():
+    schedule = load_schedule("standard").replaced(
+        iterations=2, c3=0.3, survey_iterations=0, prior_rounds=2, prior_scales=2,
+        polish=Polish(iterations=2, starts=False, rounds=1, round_iterations=1),
+    )  # fmt: skip
+    domain = observed(sheet("mirrored and turned"), holes=0.1, model="cook_torrance_two_lobe")
+    whole = whole_of(domain, TWO_LOBES, schedule)
+    with tiled(domain, TWO_LOBES, schedule, "a part each") as recovery:
+        recovery.step()
+        assert everything(recovery.maps(confidence=False)) == whole

@@ -1,0 +1,111 @@
+"""Seam maps against sheets cut in two, of which every neighbour on the surface is known."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.seams import seam_edges, seam_map, seams_of
+from tests.geometry_oracle import joined, mesh_from_corners
+from tests.seam_subjects import LEFT, START, TURNS, sheet
+
+
+def looked_up(seams, texel, by):
+    """Return the texel (x, y) that a seam map tells, None where there is none: what shaders do, written plainly."""
+    place, island = (texel[0] + by[0], texel[1] + by[1]), seams.island[texel[1], texel[0]]
+    height, width = seams.shape
+    if 0 <= place[0] < width and 0 <= place[1] < height and seams.island[place[1], place[0]] == island:
+        return place
+    entry = np.flatnonzero((seams.place == place).all(axis=1) & (seams.of == island))
+    assert len(entry) <= 1
+    return tuple(int(c) for c in np.divmod(seams.target[entry[0]], width)[::-1]) if len(entry) else None
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_past_a_cut_lies_what_the_sheet_has_there_however_the_part_is_placed(turn):
+    subject = sheet(turn)
+    seams = subject.domain().seams
+    assert len(np.unique(seams.island)) == 3 and subject.bake.coverage[subject.bake.coverage].size > 200
+    crossed = 0
+    for x, y in np.argwhere(subject.bake.coverage.T)[::9]:
+        for by in [(1, 0), (-1, 0), (0, 1), (0, -1), (2, 1), (-2, -1), (3, -3), (-5, 4), (7, 0), (0, -9), (-12, 3)]:
+            wanted = subject.neighbour((x, y), by)
+            found = looked_up(seams, (x, y), by)
+            if wanted is None and found is not None:  # no farther off than a larger texel's rounding
+                assert subject.outside((x, y), by) < 0.5
+                continue
+            assert found == wanted, (x, y, by)
+            crossed += wanted is not None and subject.part_at(wanted) != subject.part_at((x, y))
+    assert crossed > 20
+
+
+def test_islands_that_lie_side_by_side_are_no_neighbours_and_a_border_of_the_surface_has_none():
+    def strip(x0, z):
+        p = np.array([[[0, 0, z], [8, 0, z], [8, 16, z]], [[0, 0, z], [8, 16, z], [0, 16, z]]], float)
+        normals = np.zeros((2, 3, 3)) + (0, 0, 1)
+        return mesh_from_corners(p, normals, np.zeros((2, 3, 4)) + (1, 0, 0, 1), (p[..., :2] + (x0, 4)) / 32)
+
+    mesh = joined(strip(4, 0.0), strip(12, 9.0))  # the second one begins where the first one ends
+    edges, islands = seam_edges(mesh, 32, 32)
+    assert islands.tolist() == [0, 0, 1, 1] and (edges.other == -1).all() and len(edges.start) == 8
+    triangle = np.full((32, 32), -1)
+    triangle[4:20, 4:12], triangle[4:20, 12:20] = 0, 2
+    seams = seams_of(mesh, triangle)
+    assert not len(seams.place)
+    assert looked_up(seams, (11, 8), (1, 0)) is None and looked_up(seams, (11, 8), (-1, 0)) == (10, 8)
+    assert looked_up(seams, (12, 8), (-1, 0)) is None
+
+
+def test_corners_that_differ_by_rounding_are_one_and_an_edge_of_three_triangles_is_a_border():
+    p = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 0], [1, 0, 0], [1, 1, 0]]], float)
+    uv = p[..., :2] * 0.5 + 0.25
+    uv[1] += 1e-5
+    frames = np.zeros((2, 3, 3)) + (0, 0, 1), np.zeros((2, 3, 4)) + (1, 0, 0, 1)
+    flat = mesh_from_corners(p, *frames, uv)
+    edges, islands = seam_edges(flat, 64, 64)
+    assert islands.tolist() == [0, 0] and len(edges.start) == 4
+    edges, islands = seam_edges(flat, 4096, 4096)
+    assert islands.tolist() == [0, 1] and (edges.other >= 0).sum() == 2
+    third = mesh_from_corners([[[0, 1, 0], [1, 0, 0], [0.5, 0.5, 1]]], *(f[:1] for f in frames), uv[:1] + 0.2)
+    edges, islands = seam_edges(joined(flat, third), 64, 64)
+    assert len(np.unique(islands)) > 1 and (edges.other == -1).all()
+
+
+def test_at_half_the_size_the_same_texels_lie_across_a_cut():
+    subject = sheet("turned by 180°")
+    seams = subject.domain().seams
+    coarse = seam_map(seams.edges.halved(), seams.island[::2, ::2])
+    left = coarse.of == coarse.island[START[1] // 2 + 1, START[0] // 2 + 1]
+    middle = 2 * (coarse.place[left] + 0.5)
+    wanted = (middle - START - (LEFT, 0)) @ subject.turn.T + subject.origin
+    assert left.sum() > 30 and (~left).sum() > 30
+    np.testing.assert_allclose(2 * coarse.at[left], wanted, atol=0.02)
+
+
+@pytest.mark.parametrize("turn", ["mirrored and turned", "past the square's edge"])
+def test_a_tile_sees_across_seams_what_the_whole_does(turn):
+    subject = sheet(turn)
+    whole = subject.domain(reach=6)
+    reached, met = 3, 0
+    for box in ((0, 0, 20, 20), (20, 0, 42, 20), (0, 20, 33, 30), (33, 20, 29, 30)):
+        part = tile(whole, *box, halo=reached)
+        rows, columns = part.shape
+        for y, x in np.argwhere(part.solvable)[::5]:
+            if not (part.halo[0] <= x < columns - part.halo[1] and part.halo[2] <= y < rows - part.halo[3]):
+                continue
+            for by in [(1, 0), (-3, 0), (0, 2), (0, -1), (3, 3), (2, -3)]:
+                at = x + part.origin[0], y + part.origin[1]
+                entry = np.flatnonzero((part.seams.place == (x + by[0], y + by[1])).all(axis=1)
+                                       & (part.seams.of == part.seams.island[y, x]))  # fmt: skip
+                wanted = looked_up(whole.seams, at, by)
+                if wanted is None or not len(entry):
+                    assert not len(entry)
+                    continue
+                target = part.seams.target[entry[0]]
+                if target >= rows * columns:
+                    k, met = target - rows * columns, met + 1
+                    assert tuple(part.seams.annex[k]) == wanted
+                    np.testing.assert_array_equal(part.seams.annex_normal[k], whole.bake.normal[wanted[1], wanted[0]])
+                    np.testing.assert_array_equal(part.seams.annex_tangent[k], whole.bake.tangent[wanted[1], wanted[0]])
+                else:
+                    assert (target % columns + part.origin[0], target // columns + part.origin[1]) == wanted
+    assert met > 20
