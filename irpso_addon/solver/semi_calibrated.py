@@ -1,0 +1,125 @@
+"""Relative intensities of lights of known places from the images alone, on a matte surface: the first estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_ROUNDS = 30  # of reweighting; most subjects settle in ten
+_SETTLED = 1e-4  # relative change of an intensity at which it ends
+_LEAST_WIDTH = 0.02  # of the robust weight, as a fraction of a texel's albedo: under it lies what noise does
+_WIDTH = 2.0  # times the median of the residuals
+_FACING = 0.1  # least cosine of a sample that counts: what lies lower is shadow more often than not
+_DARK = 0.1  # of what the texel and the image are like elsewhere: shadow, at first
+_COLOUR_ROUNDS = 10
+
+
+def relative_intensities(
+    radiance: np.ndarray, weight: np.ndarray, vectors: np.ndarray, irradiance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (K, 3) factors on the intensities that were given, mean logarithm 0 a channel, and (T, 3) normals.
+
+    Semi-calibrated photometric stereo (Cho, Matsushita, Tai and Kweon 2016): m_ij = e_j b_i·l_j is linear in b_i and
+    1/e_j together, so that all of them are the eigenvector of the smallest eigenvalue of one matrix, with the b_i
+    eliminated (K×K). Reweighted until it settles, so that shadow and highlights count little. radiance: (K, T, 3).
+    weight: (K, T), 0 for what is not seen. vectors, irradiance: of ``prepare.light_vectors``. A light that no texel
+    tells keeps the factor 1.
+    """
+    if not radiance.shape[1]:
+        return np.ones((len(radiance), 3)), np.zeros((0, 3))
+    lights = irradiance > 0
+    channels = np.maximum(lights.sum(axis=-1), 1)
+    shade = np.where(lights & (weight[..., None] > 0), radiance, 0) / np.where(lights, irradiance, 1)
+    grey = shade.sum(axis=-1) / channels
+    factors, scaled, kept = _grey_factors(grey, (weight > 0) & (grey > 0), vectors)
+    length = np.maximum(np.linalg.norm(scaled, axis=-1, keepdims=True), 1e-12)
+    normals = scaled / length
+    facing = np.maximum(np.einsum("ktc,tc->kt", np.broadcast_to(vectors, (*grey.shape, 3)), normals), 1e-6)
+    colours = [_channel_factors(shade[..., c], facing, kept * lights[..., c], factors) for c in range(3)]
+    return normalised(np.stack(colours, axis=-1)), normals
+
+
+def normalised(factors: np.ndarray) -> np.ndarray:
+    """Return (K, 3) factors with the mean logarithm 0 in each channel: the scale that images alone never tell."""
+    return factors / np.exp(np.log(factors).mean(axis=0))
+
+
+def _grey_factors(grey: np.ndarray, usable: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return factors (K,), scaled normals (T, 3) and the weights (K, T) at which they settled."""
+    inverse = np.ones(len(grey))
+    kept = usable * _first_weights(grey, usable)
+    for _ in range(_ROUNDS):
+        before = inverse
+        inverse = _smallest(grey, kept, vectors, inverse)
+        scaled = _scaled_normals(grey * inverse[:, None], kept, vectors)
+        length = np.maximum(np.linalg.norm(scaled, axis=-1), 1e-12)
+        shading = np.einsum("ktc,tc->kt", np.broadcast_to(vectors, (*grey.shape, 3)), scaled)
+        off = np.abs(shading - inverse[:, None] * grey) / length
+        width = max(_LEAST_WIDTH, _WIDTH * float(np.median(off[kept > 0.1]))) if (kept > 0.1).any() else 1.0
+        kept = usable * (shading > _FACING * length) / (1 + (off / width) ** 2) ** 2
+        if np.abs(inverse / before - 1).max() < _SETTLED:
+            break
+    return 1 / inverse, scaled, kept
+
+
+def _first_weights(grey: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """(K, T) 0 for what is dark for its texel, each image taken relative to what it is like."""
+    seen = np.where(usable, grey, np.nan)
+    seen[~usable.any(axis=1)] = 1.0  # numpy warns of a percentile of nothing
+    image = np.nanpercentile(seen, 80, axis=1)
+    seen = seen / image[:, None]
+    seen[:, ~usable.any(axis=0)] = 1.0
+    texel = np.nanpercentile(seen, 80, axis=0)
+    level = grey / (image[:, None] * texel)
+    # Highlights stand out where gains are unknown only against the image they are in.
+    return (level > _DARK) * np.minimum(1, 1 / np.maximum(level, 1e-6) ** 2)
+
+
+def _smallest(grey: np.ndarray, kept: np.ndarray, vectors: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """(K,) 1/e of the least squares of b_i·l_ij − m_ij / e_j with the b_i eliminated, mean logarithm 0."""
+    samples = grey * inverse[:, None]  # near each other in size: the norm of 1/e is what least squares hold fixed
+    samples = samples / np.maximum(np.sqrt((kept * samples**2).sum(axis=0)), 1e-30)  # a texel counts as any other
+    gram = _gram(kept, vectors)
+    root = np.linalg.inv(np.linalg.cholesky(gram))
+    cross = np.einsum("tab,ktb->tak", root, (kept * samples)[..., None] * vectors, optimize=True)
+    matrix = np.diag((kept * samples**2).sum(axis=1)) - np.tensordot(cross, cross, ((0, 1), (0, 1)))
+    told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max()), 1e-30)
+    found = np.ones(len(grey))
+    if told.sum() > 1:
+        part = matrix[np.ix_(told, told)]
+        spread = np.sqrt(np.diag(part))
+        vector = np.linalg.eigh(part / np.outer(spread, spread))[1][:, 0] / spread
+        vector *= np.sign(vector.sum()) or 1.0
+        middle = float(np.median(vector))
+        if middle > 0:
+            found[told] = np.clip(vector / middle, 0.05, 20)
+    new = found * inverse
+    return new / np.exp(np.log(new).mean())
+
+
+def _gram(kept: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) Σ w l lᵀ, regular."""
+    gram = np.einsum("ktc,ktd,kt->tcd", *(2 * (np.broadcast_to(vectors, (*kept.shape, 3)),)), kept, optimize=True)
+    return gram + (1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
+
+
+def _scaled_normals(samples: np.ndarray, kept: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(T, 3) of weighted least squares (Woodham 1980)."""
+    right = ((kept * samples)[..., None] * vectors).sum(axis=0)
+    return np.linalg.solve(_gram(kept, vectors), right[..., None])[..., 0]
+
+
+def _channel_factors(shade: np.ndarray, facing: np.ndarray, kept: np.ndarray, grey: np.ndarray) -> np.ndarray:
+    """(K,) factors of one channel, its shading known but for the texels' albedos."""
+    factors = grey.copy()
+    ratio = np.where(kept > 0, shade, 0) / facing
+    for _ in range(_COLOUR_ROUNDS):
+        # By least squares in turns: shading is known, so nothing is left for the two to trade but the scale.
+        told = kept * facing**2
+        albedo = (told * ratio * factors[:, None]).sum(axis=0) / np.maximum(
+            (told * factors[:, None] ** 2).sum(0), 1e-30
+        )
+        told = told * albedo**2
+        total = told.sum(axis=1)
+        found = (told * ratio / np.maximum(albedo, 1e-30)).sum(axis=1) / np.maximum(total, 1e-30)
+        factors = np.where((total > 0) & (found > 0), found, grey)
+    return factors
