@@ -54,6 +54,7 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
             column.use_property_split, column.use_property_decorate = True, False
             column.prop(settings, "colour_space")
         else:
+            layout.operator("irpso.import_cameras", text="Import Cameras…", icon="OUTLINER_OB_CAMERA")
             layout.operator("irpso.assign_images", icon="FILE_IMAGE")
             _draw_light(layout, context)
         _draw_check(layout, context, settings)
