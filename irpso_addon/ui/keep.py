@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +12,23 @@ import numpy as np
 from bpy.props import BoolProperty, StringProperty
 
 from ..errors import InputError, IrpsoError
-from ..geometry.frames import to_blender, turned_normals
+from ..geometry.extras import Extras, extra_maps
+from ..geometry.margins import blender_maps
 from ..gpu import context as gpu_context
 from ..maps import material
+from ..maps.extra import NORMAL_SPACES
+from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
 from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..maps.write import write_maps
+from ..reflectance.model import shipped_models
 from ..solver.pictures import error_preview
 from . import preferences, session
 from .card_place import put_card
 
-_NOTHING = "Nothing has been recovered yet: press Recover"
+NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
 
 
@@ -33,8 +37,21 @@ def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     maps = running.maps(confidence)
     if running.mesh is None:
         return maps, maps
-    values = turned_normals(maps.model, maps.values, running.mesh, running.domain.bake, to_blender)
-    return maps, replace(maps, values=values, tiles=running.tiles)
+    return maps, blender_maps(maps, running.mesh, running.domain.bake, running.domain.seams)
+
+
+def extras_of(running: session.Session, settings: Any, found: Maps, written: Maps) -> tuple[list, Height | None]:
+    """Return the maps that the export settings ask for besides, and the relief."""
+    spaces = tuple(space for space in NORMAL_SPACES if getattr(settings, f"normal_{space}"))
+    wanted = Extras(spaces, settings.height, settings.displacement)
+    wanted.check(found.model)
+    return extra_maps(wanted, found, written, running.domain.bake, running.mesh, running.job.capture.cameras[0])
+
+
+def beside(running: session.Session) -> Path:
+    """Return the folder that an export proposes: that of the .blend, or of the capture."""
+    source = running.job.capture.source
+    return Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent if source else Path.home()
 
 
 def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
@@ -42,6 +59,9 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
     job, progress = running.job, running.progress
     settings = {
         "capture": str(job.capture.source or job.capture.name),
+        "model": maps.model.name
+        if maps.model.name in shipped_models()
+        else str(maps.model.shader.with_suffix(".toml")),
         "object": None if running.mesh is None else job.name,
         "preset": asdict(job.schedule),
         "known": sorted(job.given),
@@ -84,11 +104,11 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
     return Curves(title, np.array(iterations), errors, "%", log=True)
 
 
-def _found(cls) -> bool:
+def has_found(cls) -> bool:
     """Whether there is something to keep; tells the operator's button what to do where not."""
     running = session.current()
     if running is None or running.recovery is None:
-        cls.poll_message_set(_NOTHING)
+        cls.poll_message_set(NOTHING)
         return False
     return True
 
@@ -103,7 +123,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is something to keep."""
-        return _found(cls)
+        return has_found(cls)
 
     def execute(self, context):
         """Make images, material and, on a card, its object; what runs rests meanwhile."""
@@ -127,10 +147,12 @@ def _keep(context, running: session.Session) -> str:
         raise InputError(f"'{name}' has been deleted: undo that and keep again, or export the maps")
     if subject is not None:
         material.check_object(subject)
-    _, maps = found_maps(running, confidence=False)
+    found, maps = found_maps(running, confidence=False)
+    _, height = extras_of(running, context.scene.irpso.export, found, maps)
     folder = preferences.current(context).output_folder
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
-    made = material.build_material(maps, name, folder or None, uv_map)
+    displaced = height if context.scene.irpso.export.displacement else None
+    made = material.build_material(maps, name, folder or None, uv_map, displaced)
     made[material.ORIGIN] = running.job.origin
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape)
@@ -174,14 +196,12 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is something to export."""
-        return _found(cls)
+        return has_found(cls)
 
     def invoke(self, context, event):
         """Ask for the folder, and propose one."""
         running = session.current()
-        source = running.job.capture.source
-        beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent if source else Path.home()
-        self.directory, self.filename = f"{beside}{os.sep}", f"{running.job.name} maps"
+        self.directory, self.filename = f"{beside(running)}{os.sep}", f"{running.job.name} maps"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -189,7 +209,7 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
         """Write everything, or nothing."""
         running = session.current()
         if running is None or running.recovery is None:  # it may have ended while the folder was chosen
-            self.report({"ERROR"}, _NOTHING)
+            self.report({"ERROR"}, NOTHING)
             return {"CANCELLED"}
         if not self.directory:
             self.report({"ERROR"}, "No folder: choose where the maps are to be written")
@@ -197,7 +217,9 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
         folder = Path(bpy.path.abspath(self.directory)) / self.filename
         try:
             maps, written = found_maps(running, confidence=True)
-            files = write_maps(written, folder, report_of(running, maps), pictures_of(running, maps))
+            extras, height = extras_of(running, context.scene.irpso.export, maps, written)
+            report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
+            files = write_maps(written, folder, report, pictures_of(running, maps), extras)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

@@ -19,6 +19,7 @@ MODULES = (
     "recover",
     "keep",
     "panels",
+    "export",
     "view_panels",
     "image_panels",
     "overlay.handlers",
