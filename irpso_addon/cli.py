@@ -77,6 +77,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_export(commands)
     _add_render(commands)
     _add_inspect(commands)
+    _add_develop(commands)
+    _add_response(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="what GPU there is, its limits, and what will be used")
     _add_common(add)
@@ -102,6 +104,12 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards"
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument(
+        "--intensities", choices=("given", "estimate"), default="given", help="of lights: as given, or up to one scale"
+    )
+    add.add_argument(
+        "--refine-directions", type=float, default=0.0, metavar="DEGREES", help="by how much the lights' may be off"
+    )
     add.add_argument("--normals", metavar="A,B", help="more normal maps: object, world, directx")
     add.add_argument("--height", action="store_true", help="write the relief as well, by integrating the normals")
     add.add_argument(
@@ -163,6 +171,39 @@ def _add_inspect(commands: argparse._SubParsersAction) -> None:
     _add_common(add)
 
 
+def _add_develop(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("develop", help="camera files to linear images, one for each light", epilog=_EPILOG)
+    add.add_argument("capture", help="capture, or folder of photographs")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder for the images and lists")
+    add.add_argument("--response", metavar="FILE", help="response curve, as of irpso response")
+    add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R",
+                     help="grey patch of known reflectance, for a curve; two or more")  # fmt: skip
+    add.add_argument("--chart", metavar="FILE", help="the photograph with the patches (default: the first)")
+    add.add_argument("--dark", nargs="+", metavar="FILE", help="dark frames, files or folders")
+    add.add_argument("--scale-dark", action="store_true", help="make dark frames of other exposures than there are")
+    add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
+    add.add_argument("--white", metavar="X,Y,W,H", help="a grey patch, =R for its reflectance; or three gains R,G,B")
+    add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
+    add.add_argument("--exposure", choices=("exif", "names"), help="scale each frame by its exposure; merge nothing")
+    add.add_argument("--exposures", metavar="A,B,…", help="what _0, _1, … at the end of names stand for")
+    add.add_argument("--saturated", type=_part, default=0.98, metavar="S", help="code from which merging drops a pixel")
+    add.add_argument("--register", action="store_true", help="move images that are shifted against each other")
+    add.add_argument("--reference", metavar="NAME", help="the image that the others are moved onto (default: first)")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--half", action="store_true", help="write 16-bit floats")
+    _add_common(add)
+
+
+def _add_response(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("response", help="a camera's response curve, of brackets or a chart", epilog=_EPILOG)
+    add.add_argument("photographs", help="folder of brackets, or with --grey-card a photograph")
+    add.add_argument("-o", "--output", required=True, metavar="FILE", help=".toml file for the curve")
+    add.add_argument("--brackets", choices=("exif", "names"), default="exif", help="what tells exposures")
+    add.add_argument("--exposures", metavar="A,B,…", help="what _0, _1, … at the end of names stand for")
+    add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of known reflectance")
+    _add_common(add)
+
+
 def _add_demo(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("demo", help="the paper's experiment, from rendering to material", epilog=_EPILOG)
     add.add_argument("-o", "--output", default="out/demo", metavar="OUT", help="folder for the result")
@@ -176,6 +217,17 @@ def _add_demo(commands: argparse._SubParsersAction) -> None:
 def _add_common(add: argparse.ArgumentParser) -> None:
     add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
     add.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _part(text: str) -> float:
+    """Return a number above 0 and at most 1."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0 < number <= 1:
+        raise argparse.ArgumentTypeError(f"{text}: give a number above 0 and at most 1")
+    return number
 
 
 def _seed(text: str) -> int:

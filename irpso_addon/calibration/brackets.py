@@ -97,18 +97,19 @@ def brackets_of(
 ) -> tuple[list[Bracket], list[str]]:
     """Return photographs, in the order of their names, as brackets, and warnings.
 
-    by "names": those whose names differ in the exposure alone. by "exif": in order of names; a bracket ends where an
-    exposure comes again, as cameras bracket. Raises InputError where an exposure is unknown, or all stand alone.
+    by "names": those whose names differ in the exposure alone; their common part is the bracket's name. by "exif": in
+    order of names; a bracket ends where an exposure comes again, as cameras bracket. Raises InputError where an
+    exposure is unknown, or all stand alone.
     """
     paths = sorted(paths, key=natural)
     if by == "exif":
-        groups = _runs([(path, amount(path)) for path in paths])
+        groups = [(run[0][0].stem, run) for run in _runs([(path, amount(path)) for path in paths])]
     else:
         named: dict[tuple[Path, str], list[tuple[Path, float]]] = {}
         for path, (stem, value) in zip(paths, amounts_of(paths, by, exposures), strict=True):
             named.setdefault((path.parent, stem), []).append((path, value))
-        groups = list(named.values())
-    brackets = [_bracket(group) for group in groups]
+        groups = [(stem, group) for (_, stem), group in named.items()]
+    brackets = [_bracket(name, group) for name, group in groups]
     if brackets and max(len(bracket.paths) for bracket in brackets) < 2:
         raise InputError(
             f"{paths[0].parent}: no two photographs make a bracket, all exposures stand alone; leave --brackets out, or"
@@ -135,13 +136,13 @@ def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
     return groups
 
 
-def _bracket(group: list[tuple[Path, float]]) -> Bracket:
+def _bracket(name: str, group: list[tuple[Path, float]]) -> Bracket:
     group = sorted(group, key=lambda shot: shot[1])
     for (a, shorter), (b, longer) in zip(group, group[1:], strict=False):
         if abs(np.log2(longer / shorter)) < 1e-3:
             raise InputError(f"{b}: has the exposure of {a} of the same bracket; take one of them out")
     paths = tuple(path for path, _ in group)
-    return Bracket(paths[0].stem, paths, tuple(amount for _, amount in group))
+    return Bracket(name or paths[0].stem, paths, tuple(amount for _, amount in group))
 
 
 def natural(path: Path) -> list:

@@ -12,41 +12,45 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .frames import Frame
+
 # Read noise² / gain, with the largest code as 1: 5 electrons of read noise at a full well of 30 000 electrons.
 _READ = 5.0**2 / 30_000
 SATURATED = 0.98  # of the largest code: sensors bend before they clip, and JPEG rings about what is clipped
-BLACK = 2 / 255  # of the largest code: darker is cut off or a few steps of an 8-bit file
+_BLACK = {8: 2.5 / 255, 16: 64 / 65535}  # of the largest code, by bits: cut off, or a few steps of the file
 
 
-def merge(
-    frames: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], amounts: Sequence[float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (H, W, 3) float32 radiance for an exposure of 1, and (H, W) bool: pixels that no frame shows.
+def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = SATURATED) -> np.ndarray:
+    """Return (H, W, 4) float32: radiance for an exposure of 1, and weight, of a bracket's frames.
 
-    frames: linear (H, W, 3) and (H, W) bool twice: too bright, and too dark, to be used. amounts: exposures.
-    A pixel that is too dark in all frames takes the longest that is not too bright. One that is too bright in all gets
-    the shortest frame's value, a lower bound.
+    amounts: exposures, above 0. saturated: code / largest code from which a pixel is left out, but in the shortest
+    frame, which keeps all that is not clipped. Nearly black pixels are left out where a longer frame shows them. What
+    no frame shows has weight 0 and the shortest frame's value, a lower bound.
     """
     order = np.argsort(amounts)
-    height, width = frames[0][0].shape[:2]
-    usable = np.stack([~frames[i][1] for i in order])
-    dark = np.stack([frames[i][2] for i in order])
-    # The longest exposure that is not clipped shows a dark pixel best, however dark it is there.
+    usable = np.stack([_usable(frames[i], saturated if rank else np.inf) for rank, i in enumerate(order)])
+    dark = np.stack([frames[i].low <= _BLACK.get(frames[i].bits, 0.0) for i in order])
     longest = len(order) - 1 - usable[::-1].argmax(axis=0)
-    rank = np.arange(len(order))[:, None, None]
-    usable &= ~dark | (rank == longest)
-    light, time = np.zeros((height, width, 3)), np.zeros((height, width, 1))
+    usable &= ~dark | (np.arange(len(order))[:, None, None] == longest)
+    light, time = 0.0, 0.0
     for i, use in zip(order, usable, strict=True):
-        light += np.where(use[..., None], frames[i][0], 0)
-        time += use[..., None] * amounts[i]
-    unseen = ~usable.any(axis=0)
+        light = light + np.where(use[..., None], frames[i].rgb, 0)
+        time = time + use[..., None] * np.float32(amounts[i])
     first = np.maximum(light / np.where(time > 0, time, 1), 0)
-    light[:], total = 0, np.zeros((height, width, 3))
+    light, total = 0.0, 0.0
     for i, use in zip(order, usable, strict=True):
-        t = amounts[i]
-        weight = np.where(use[..., None], t / (t * first + _READ), 0)
-        light += np.where(use[..., None], frames[i][0], 0) * weight
-        total += t * weight
-    shortest = frames[order[0]][0] / amounts[order[0]]
-    merged = np.where(unseen[..., None], shortest, light / np.where(total > 0, total, 1))
-    return merged.astype(np.float32), unseen
+        weight = np.where(use[..., None], 1 / (first + np.float32(_READ / amounts[i])), 0)
+        light = light + np.where(use[..., None], frames[i].rgb, 0) * weight
+        total = total + np.float32(amounts[i]) * weight
+    shortest = frames[order[0]]
+    unseen = ~usable.any(axis=0)
+    bound = np.nan_to_num(shortest.rgb, posinf=0, neginf=0) / np.float32(amounts[order[0]])
+    merged = np.where(unseen[..., None], bound, light / np.where(total > 0, total, 1))
+    weight = np.max([np.where(u, f.weight, 0) for u, f in zip(usable, (frames[i] for i in order), strict=True)], axis=0)
+    return np.concatenate([merged, weight[..., None]], axis=-1).astype(np.float32)
+
+
+def _usable(frame: Frame, saturated: float) -> np.ndarray:
+    """Return (H, W) bool: pixels with a weight, below saturation; floats above 1 were not clipped there."""
+    unlimited = frame.bits == 32 and frame.high.max(initial=0) > 1 + 1e-4
+    return (frame.weight > 0) & (unlimited | (frame.high < saturated))

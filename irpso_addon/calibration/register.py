@@ -18,7 +18,7 @@ from ..capture.checks import SHIFT_PEAK, edge_sizes, whitened
 from ..capture.steps import run_steps
 
 _REACH, _SMALLEST = 32, 32  # pixels searched on each side; pixels that a side must have
-_ROUNDS, _ALIGNED = 12, 0.02  # of correlation with the mean of the others, moved; pixels: the change that ends them
+_ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the others, moved; pixels: the change that ends them
 _UPSAMPLED = (0.1, 0.01)  # pixels: the steps of the two transforms about the peak
 _STEPS = 15  # of those on each side
 _IMAGES = 3  # dimensions of what a matt surface shows under all distant lights
@@ -86,8 +86,12 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
             others = total - moved[k] if trusted[k] else total
             *found[k], peak = _peak(spectra[k] * np.conj(others), shape)
             trusted[k] = peak >= SHIFT_PEAK
-        change, pixels = np.abs(found - pixels).max(), found
-        if change < _ALIGNED:
+        # A frame's own shift is in the mean that the others are held against; without this, two frames would swap
+        # places for ever.
+        good = max(int(trusted.sum()), 2)
+        change = (found - pixels) * (good - 1) / good
+        pixels = pixels + change
+        if np.abs(change).max() < _ALIGNED:
             break
     for k in np.flatnonzero(~trusted):  # a light far from the mean's may still agree with one of its neighbours
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]

@@ -1,0 +1,241 @@
+"""``develop CAPTURE``: linear images of photographs, one for each light, and the capture's lists beside them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..calibration.brackets import exif_amount, name_amount
+from ..calibration.curve_file import read_response
+from ..calibration.develop import Corrections, Shot, developed, registration_steps
+from ..calibration.frames import mean_dark, mean_flat, patch_mean, read_frame, white_gains, without_dark
+from ..calibration.register import SMALLEST_MOVE, moved_back
+from ..calibration.source import Exposing, Source, read_source
+from ..capture.exif import exposure_of
+from ..capture.exr import write_exr
+from ..capture.headers import read_bytes
+from ..capture.images import ImageRef, ImageStore
+from ..capture.write import write_capture
+from ..errors import InputError
+from ..files import new_folder
+from ..maps.blender_images import decode
+from .photographs import chart_response, exposure_list, files_option, number_list, patch_option
+from .progress import ProgressBar
+
+_FILENAMES = "filenames.txt"
+
+
+def run(options: Namespace) -> dict:
+    """Develop everything and write it into a new folder. Raises InputError; nothing is written then."""
+    out = Path(options.output)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: is there already and not empty; choose a new folder or delete it first")
+    exposing = _exposing(options)
+    darks, flats = files_option("--dark", options.dark), files_option("--flat", options.flat)
+    chart = Path(options.chart) if options.chart else None
+    left_out = [*darks, *flats, *([chart] if chart else [])]
+    source = read_source(options.capture, decode, exposing, options.colour_space, left_out)
+    work = _Work(options, source, exposing, chart)
+    work.prepare(darks, flats)
+    work.register()
+    with new_folder(out) as partial:
+        work.write(partial)
+        report = work.report()
+        (partial / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    work.bar.close()
+    for warning in report["warnings"]:
+        sys.stderr.write(f"irpso: {warning}\n")
+    summary = {key: report[key] for key in ("images", "warnings", "white_gains", "shifts") if key in report}
+    return {"output": options.output, **summary, "images": len(source.shots)}
+
+
+def _exposing(options: Namespace) -> Exposing | None:
+    if options.brackets and options.exposure:
+        raise InputError("--brackets merges what --exposure would scale frame by frame; give one of them")
+    given = exposure_list("--exposures", options.exposures)
+    by = options.brackets or options.exposure
+    if given and by != "names":
+        raise InputError("--exposures tells what the numbers at the end of names mean; add --brackets names")
+    return Exposing(by, bool(options.brackets), given) if by else None
+
+
+class _Work:
+    """The developing of one source: what is measured first, then each image read, corrected, moved and written."""
+
+    def __init__(self, options: Namespace, source: Source, exposing: Exposing | None, chart: Path | None):
+        self.options, self.source, self.exposing, self.chart = options, source, exposing, chart
+        self.store = ImageStore(decode)
+        self.bar = ProgressBar("develop", options.quiet or options.json)
+        self.shifts: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.warnings, self.figures = list(source.warnings), [{} for _ in source.shots]
+        self.measured: dict = {}
+        amounts = [a for shot in source.shots for a in shot.amounts or ()]
+        self.corrections = Corrections(
+            reference=min(amounts, default=1.0), saturated=options.saturated, align_brackets=options.register
+        )
+
+    def prepare(self, darks: list[Path], flats: list[Path]) -> None:
+        """Find the response curve, the dark frame, the flat field and the white balance, in this order."""
+        shots, space = self.source.shots, self.options.colour_space
+        cameras = 1 + max(shot.camera for shot in shots)
+        response = self._response()
+        size = shots[0].size
+        dark = flat = None
+        if darks:
+            frames = [(self._amount(p), read_frame(self.store, ImageRef(p, colour_space=space), response, size).rgb)
+                      for p in darks]  # fmt: skip
+            dark = mean_dark(frames, self.options.scale_dark)
+            self.measured["dark"] = {"files": [str(p) for p in darks],
+                                     "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
+        if flats:
+            read = [read_frame(self.store, ImageRef(p, colour_space=space), response, size) for p in flats]
+            if dark is not None:
+                read = [without_dark(frame, dark.of(self._amount(p), str(p)), str(p))
+                        for frame, p in zip(read, flats, strict=True)]  # fmt: skip
+            flat = mean_flat(read)
+            low, high = np.quantile(flat.field[flat.usable], (0.001, 0.999))
+            self.measured["flat"] = {"files": [str(p) for p in flats],
+                                     "range": [round(float(low), 4), round(float(high), 4)],
+                                     "not_usable": round(float(1 - flat.usable.mean()), 6)}  # fmt: skip
+            if not flat.usable.all():
+                self.warnings.append(
+                    f"{flats[0]}: the flat field is clipped or too dark at {1 - flat.usable.mean():.1%} of the pixels,"
+                    " which get weight 0"
+                )
+        self.corrections = replace(
+            self.corrections, response=response, darks=(dark,) * cameras, flats=(flat,) * cameras
+        )
+        self.corrections = replace(self.corrections, gains=self._gains())
+
+    def _response(self):
+        if self.options.response and self.options.grey_card:
+            raise InputError("--response and --grey-card both tell the curve; give one of them")
+        if self.options.response:
+            response = read_response(self.options.response)
+            self.measured["response"] = {"file": self.options.response, "residual": _finite(response.residual)}
+            return response
+        if not self.options.grey_card:
+            return None
+        shot = self.source.shots[0]
+        image = ImageRef(self.chart) if self.chart else shot.images[len(shot.images) // 2]
+        response = chart_response(self.store, image, self.options.grey_card)
+        self.measured["response"] = {"chart": str(image), "patches": self.options.grey_card,
+                                     "residual": _finite(response.residual)}  # fmt: skip
+        return response
+
+    def _amount(self, path: Path) -> float | None:
+        """Return the exposure of a file beside the shots, None where it tells none or none is asked for."""
+        if self.exposing is None:
+            return None
+        if self.exposing.by == "exif":
+            return exif_amount(path) if exposure_of(read_bytes(path)) else None
+        found = None if self.exposing.given else name_amount(path.stem)
+        return found[1] if found else None
+
+    def _gains(self) -> tuple[float, float, float]:
+        """Return the factors of --white: as given, or measured on a patch."""
+        text = self.options.white
+        if not text:
+            return (1.0, 1.0, 1.0)
+        if text.count(",") == 2:
+            gains = np.array(number_list("--white", text))
+            if not (np.isfinite(gains).all() and (gains > 0).all()):
+                raise InputError(f"--white {text}: gains are above 0, as in --white 1.9,1,1.4")
+        else:
+            patch = patch_option("--white", text)
+            shot = self._chart_shot(patch.reflectance is not None)
+            rgba = developed(self.store, shot, self.corrections).rgba
+            where = f"--white {text}: {shot.images[0]}"
+            gains = white_gains(patch_mean(rgba[..., :3], rgba[..., 3], patch, where), patch.reflectance, where)
+        self.measured["white_gains"] = [round(float(g), 6) for g in gains]
+        return tuple(float(g) for g in gains)
+
+    def _chart_shot(self, scaled: bool) -> Shot:
+        first = self.source.shots[0]
+        if self.chart is None:
+            return first
+        amount = self._amount(self.chart)
+        if scaled and self.exposing is not None and amount is None:
+            raise InputError(f"{self.chart}: tells no exposure, without which the card gives no scale; leave =… out")
+        amounts = None if amount is None else (amount,)
+        image = ImageRef(self.chart, colour_space=self.options.colour_space)
+        return Shot("chart", (image,), amounts, first.camera, first.size)
+
+    def register(self) -> None:
+        """Find by how much each image is off the reference, where that is asked for."""
+        if not self.options.register:
+            if self.options.reference:
+                raise InputError("--reference is the image that --register moves the others onto; add --register")
+            return
+        shots = self.source.shots
+        names = [shot.name for shot in shots]
+        wanted = self.options.reference
+        if wanted and wanted not in names:
+            raise InputError(f"--reference {wanted}: there is no such image; give a name, as {names[0]}")
+        capture = self.source.capture
+        masks = capture.masks if capture else [np.ones(shots[0].size[::-1], bool)]
+        steps = registration_steps(self.store, shots, masks, self.corrections, names.index(wanted) if wanted else 0)
+        while True:
+            try:
+                self.bar.show(0.5 * next(steps), "looking for shifts")
+            except StopIteration as stop:
+                self.shifts = stop.value
+                break
+        for k in np.flatnonzero(~self.shifts[2]):
+            self.warnings.append(f"{names[k]}: agrees with no other image, so it is not moved; look whether it belongs")
+
+    def _read(self, index: int) -> np.ndarray:
+        """Return one image as it is written, (H, W, 4), and note its figures."""
+        shots = self.source.shots
+        found = developed(self.store, shots[index], self.corrections)
+        rgba, figures = found.rgba, {"name": shots[index].name, **found.figures}
+        if self.shifts is not None:
+            (right, up), agreement, trusted = (part[index] for part in self.shifts)
+            moved = bool(max(abs(right), abs(up)) >= SMALLEST_MOVE)
+            figures |= {"shift": [round(float(right), 4), round(float(up), 4)], "agreement": _finite(float(agreement)),
+                        "trusted": bool(trusted), "moved": moved}  # fmt: skip
+            if moved:
+                rgba = moved_back(rgba, right, up)
+                rgba[..., :3] = np.maximum(rgba[..., :3], 0)  # Lanczos rings below 0 beside highlights
+        self.figures[index] = figures
+        done = (index + 1) / len(shots)
+        self.bar.show(0.5 + 0.5 * done if self.shifts is not None else done, shots[index].name)
+        return rgba
+
+    def write(self, folder: Path) -> None:
+        """Write all images and the lists into a folder."""
+        capture, half = self.source.capture, self.options.half
+        if capture is not None:
+            readers = [_reader(self._read, k) for k in range(len(self.source.shots))]
+            observations = [replace(o, read=read) for o, read in zip(capture.observations, readers, strict=True)]
+            write_capture(replace(capture, observations=tuple(observations)), folder, half=half)
+            return
+        names = []
+        for k, shot in enumerate(self.source.shots):
+            rgba = self._read(k)
+            channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
+            if (rgba[..., 3] != 1).any():
+                channels["A"] = rgba[..., 3]
+            names.append(f"{shot.name}.exr")
+            write_exr(folder / names[-1], {"": channels}, half)
+        (folder / _FILENAMES).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+
+    def report(self) -> dict:
+        """Return what was done and measured."""
+        asked = {k: v for k, v in vars(self.options).items() if k not in ("command", "json", "quiet") and v}
+        return {"settings": asked, **self.measured, "reference_exposure": self.corrections.reference,
+                "images": self.figures, "warnings": self.warnings}  # fmt: skip
+
+
+def _reader(read: Callable[[int], np.ndarray], index: int) -> Callable[[], np.ndarray]:
+    return lambda: read(index)
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 6) if np.isfinite(value) else None

@@ -1,0 +1,82 @@
+"""Options that name photographs, places in them and exposures, for ``develop`` and ``response``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..calibration.frames import Patch, patch_mean
+from ..calibration.response import Response, response_from_patches
+from ..calibration.source import images_in
+from ..capture.exr_header import is_exr
+from ..capture.images import ImageRef, ImageStore
+from ..errors import InputError
+
+
+def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
+    """Return the files of an option that takes files and folders of images. Raises InputError where one is missing."""
+    files: list[Path] = []
+    for name in names or ():
+        path = Path(name)
+        if not path.exists():
+            raise InputError(f"{option} {name}: is not there; give image files, or folders of them")
+        found = images_in(path) if path.is_dir() else [path]
+        if not found:
+            raise InputError(f"{option} {name}: holds no images; give image files, or folders of them")
+        files += found
+    return files
+
+
+def number_list(option: str, text: str) -> list[float]:
+    """Return numbers separated by commas. Raises InputError naming the option."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{option} {text}: give numbers separated by commas") from error
+
+
+def exposure_list(option: str, text: str | None) -> tuple[float, ...]:
+    """Return exposures such as "1/60,1/15,0.25". Raises InputError naming the option."""
+    values = []
+    for part in (text or "").split(","):
+        top, slash, bottom = part.strip().partition("/")
+        try:
+            value = float(top) / float(bottom) if slash else float(top) if text else 1.0
+        except (ValueError, ZeroDivisionError):
+            value = float("nan")
+        if not 0 < value < float("inf"):
+            raise InputError(f"{option} {text}: give exposures above 0, as in {option} 1/60,1/15,1/4")
+        values.append(value)
+    return tuple(values) if text else ()
+
+
+def patch_option(option: str, text: str) -> Patch:
+    """Return the patch of "X,Y,W,H" or "X,Y,W,H=REFLECTANCE". Raises InputError naming the option."""
+    place, equals, value = text.partition("=")
+    numbers = number_list(option, place)
+    if len(numbers) != 4 or not all(number == int(number) >= 0 for number in numbers if np.isfinite(number)):
+        raise InputError(f"{option} {text}: write X,Y,W,H in pixels from the upper left corner, as 100,220,40,40")
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{option} {text}: write X,Y,W,H in pixels from the upper left corner, as 100,220,40,40")
+    reflectance = None
+    if equals:
+        (reflectance, *more) = number_list(option, value)
+        if more or not 0 < reflectance <= 1:
+            raise InputError(f"{option} {text}: a reflectance is above 0 and at most 1, as in =0.18")
+    return Patch(*(int(number) for number in numbers), reflectance)
+
+
+def chart_response(store: ImageStore, image: ImageRef, texts: Sequence[str]) -> Response:
+    """Return the response curve of the grey patches "X,Y,W,H=REFLECTANCE" in one photograph. Raises InputError."""
+    patches = [patch_option("--grey-card", text) for text in texts]
+    if any(patch.reflectance is None for patch in patches):
+        raise InputError("--grey-card: tell each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
+    if is_exr(image.path):
+        raise InputError(f"{image}: is an EXR, linear by itself, and has no response curve; leave --grey-card out")
+    values = store.picture(image).values
+    rgb = values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
+    weight = np.ones(rgb.shape[:2])
+    means = [patch_mean(rgb, weight, patch, f"--grey-card: {image}") for patch in patches]
+    return response_from_patches(np.array(means), [patch.reflectance for patch in patches])

@@ -1,0 +1,93 @@
+"""``response PHOTOGRAPHS``: a camera's response curve, from brackets of a scene or grey patches in one photograph."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from ..calibration.curve_file import write_response
+from ..calibration.response import Response, bracket_step, response_from_brackets
+from ..calibration.source import Exposing, brackets_of_images, images_in
+from ..capture.exr_header import is_exr
+from ..capture.images import ImageRef, ImageStore
+from ..errors import InputError
+from ..maps.blender_images import decode
+from .photographs import chart_response, exposure_list
+from .progress import ProgressBar
+
+_SAMPLES = 4000  # pixels of all brackets together
+_WIDE = 1.6  # stops: steps above it leave a part of the curve's shape to the smoothness alone
+
+
+def run(options: Namespace) -> dict:
+    """Write the curve and say how well the photographs fit it. Raises InputError."""
+    path, store = Path(options.photographs), ImageStore(decode)
+    warnings: list[str] = []
+    if options.grey_card:
+        response = chart_response(store, ImageRef(path), options.grey_card)
+    else:
+        exposing = Exposing(options.brackets, True, exposure_list("--exposures", options.exposures))
+        response, warnings = _from_brackets(path, exposing, store, options)
+    write_response(options.output, response)
+    for warning in warnings:
+        sys.stderr.write(f"irpso: {warning}\n")
+    ends = {name: [round(float(v), 4) for v in response.used[c]] for c, name in enumerate(("red", "green", "blue"))}
+    residual = float(response.residual) if np.isfinite(response.residual) else None
+    if not options.json:
+        used = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in ends.items())
+        sys.stdout.write(f"{options.output}: residual {residual:.2%}, measured at codes of {used}\n")
+    return {"output": options.output, "residual": residual, "used": ends, "warnings": warnings}
+
+
+def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: Namespace) -> tuple[Response, list[str]]:
+    if not path.is_dir():
+        raise InputError(f"{path}: is no folder of brackets; give one, or a photograph with --grey-card")
+    brackets, warnings = brackets_of_images(images_in(path), exposing)
+    bar = ProgressBar("response", options.quiet or options.json)
+    samples, exposures = [], []
+    brackets = [bracket for bracket in brackets if len(bracket.paths) > 1]
+    for k, bracket in enumerate(brackets):
+        bar.show(k / len(brackets), bracket.name)
+        codes = [_codes(store, ImageRef(p)) for p in bracket.paths]
+        if len({one.shape for one in codes}) > 1:
+            raise InputError(
+                f"{bracket.paths[0]}: its bracket has photographs of different sizes; leave them uncropped"
+            )
+        samples.append(spread_samples(np.stack(codes, axis=-2), _SAMPLES // len(brackets)))
+        exposures.append(np.array(bracket.amounts))
+    bar.show(1.0)
+    bar.close()
+    step = bracket_step(exposures)
+    if step > _WIDE:
+        warnings.append(
+            f"{path}: exposures are {step:.1f} stops apart, which leaves much of the curve's shape open; photograph"
+            " brackets with steps of one stop"
+        )
+    return response_from_brackets(samples, exposures), warnings
+
+
+def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
+    """Return (H, W, 3) codes / largest code of a photograph."""
+    picture = None if is_exr(image.path) else store.picture(image)
+    if picture is None or picture.bits == 32:
+        raise InputError(f"{image}: holds linear floats, which have no response curve; give the camera's own files")
+    values = picture.values
+    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
+
+
+def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:
+    """Return (N, F, 3) of ``count`` pixels at most of (H, W, F, 3): as many of each brightness, from even places.
+
+    Brackets are not perfectly still and lenses not perfectly sharp: pixels at edges are left out.
+    """
+    height, width, frames, _ = codes.shape
+    middle = codes[:, :, frames // 2].mean(axis=-1)
+    rough = np.hypot(*np.gradient(middle))
+    flat = codes.reshape(-1, frames, 3)
+    smooth = np.flatnonzero((rough <= np.quantile(rough, 0.7)).ravel())
+    # Even quantiles of the mean code over all frames: dark and bright places alike.
+    order = smooth[np.argsort(flat[smooth].mean(axis=(1, 2)), kind="stable")]
+    return flat[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]
