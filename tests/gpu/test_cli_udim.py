@@ -20,6 +20,7 @@ from tests.cli_maker import angle, read_map, run_cli
 SIDE = 16  # texels along a tile
 PIXELS = (96, 48)
 MODEL = ("--model", "lambert")
+QUICK = ("--set", "survey_iterations=0", "--set", "polish_iterations=0", "--set", "prior_rounds=0")
 SLOTS = ("Skin", "Cloth")
 TILES = (1001, 1011)
 # The lower left corners of the two islands' squares, and how wide those are.
@@ -109,7 +110,7 @@ def folder(tmp_path_factory):
 
 def recover(folder, layout, out, *arguments):
     return done(
-        "recover", folder / "capture single", "--blend", folder / f"{layout}.blend", "--iterations", 40, *MODEL,
+        "recover", folder / "capture single", "--blend", folder / f"{layout}.blend", "--iterations", 40, *MODEL, *QUICK,
         *arguments, "-o", folder / out,
     )  # fmt: skip
 
@@ -240,7 +241,7 @@ def test_a_material_of_several_slots_goes_into_all_of_them_and_keeps_its_name(fo
     assert held == ["IRPSO Sheets"] * 2
     again = (
         "recover", folder / "capture single", "--blend", folder / "slot Skin" / "material.blend", "--resolution", 8,
-        "--iterations", 5, *MODEL, "--slots", "0", "-o", tmp_path / "out",
+        "--iterations", 5, *MODEL, *QUICK, "--slots", "0", "-o", tmp_path / "out",
     )  # fmt: skip
     done(*again)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "material.blend"))
@@ -251,7 +252,7 @@ def test_what_is_not_asked_for_has_no_texels_but_hides_what_lies_behind(folder, 
     cli_maker.save_scene(tmp_path / "covered.blend", sheets("shared", cover=True))
     done(
         "recover", folder / "capture single", "--blend", tmp_path / "covered.blend", "--resolution", SIDE, "--slots",
-        "Skin", "--iterations", 5, *MODEL, "-o", tmp_path / "out",
+        "Skin", "--iterations", 5, *MODEL, *QUICK, "-o", tmp_path / "out",
     )  # fmt: skip
     solved = read_map_part(tmp_path / "out" / "maps.exr", "coverage") > 0
     x = -2 + 1.9 * (np.arange(SIDE) + 0.5) / SIDE + 0.05
