@@ -18,7 +18,7 @@ LIGHT_TYPES = ("SUN", "POINT", "SPOT", "AREA")
 # falls with the cosine.
 EMISSION = "irpso_emission"
 # An area light wider than this part of its distance is more than its centre: a disk gives 1 % less than its centre
-# would (1 / (1 + tan² of its half-angle)), and highlights are wider than the material's own by up to 11°.
+# would (1 / (1 + tan² of its half-angle)), and is seen 11° wide, which blurs highlights.
 WIDEST = 0.2
 _INTENSITY = {"SUN": sun_intensity, "POINT": point_intensity, "SPOT": spot_intensity, "AREA": area_intensity}
 _EVEN = 1e-4  # how far the scales of a spot may differ: they stretch its cone
