@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,8 @@ from ..errors import InputError
 from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
 from ..geometry.extras import Extras, extra_maps, normals_of_text
-from ..geometry.frames import from_blender, to_blender, turned_normals
+from ..geometry.frames import from_blender, turned_normals
+from ..geometry.margins import blender_maps
 from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import empty_blend, mesh_object, open_blend
 from ..geometry.scene_capture import capture_of_open_file
@@ -111,10 +112,7 @@ def run(options: Namespace) -> dict:
     )  # fmt: skip
     report |= relighting | {"warnings": limit_warnings(maps, job.known)}
     pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
-    written = maps
-    if mesh is not None:
-        values = turned_normals(job.model, maps.values, mesh, domain.bake, to_blender)
-        written = replace(maps, values=values, tiles=mesh.tiles)
+    written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
     extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
     if height is not None:
         report["height"] = height.described()

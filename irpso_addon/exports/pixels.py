@@ -11,7 +11,7 @@ from ..maps.result import Maps
 def filled(values: np.ndarray, maps: Maps) -> np.ndarray:
     """Return (H, W, C) numbers of (H, W) or (H, W, C) ones, with the margin past what is covered."""
     values = values[..., None] if values.ndim == 2 else values
-    return fill_margin(values, maps.covered)
+    return fill_margin(values, maps.covered, given=maps.margin)
 
 
 def colour(values: np.ndarray, maps: Maps) -> np.ndarray:
@@ -21,7 +21,7 @@ def colour(values: np.ndarray, maps: Maps) -> np.ndarray:
 
 def normal(values: np.ndarray, maps: Maps, directx: bool = False) -> np.ndarray:
     """Return (H, W, 3) pixels in 0…1 of a tangent-space normal map, OpenGL or with green turned over."""
-    vectors = fill_margin(values, maps.covered, far=FLAT_NORMAL)
+    vectors = fill_margin(values, maps.covered, far=FLAT_NORMAL, given=maps.margin)
     return encode_normal(vectors * np.float32([1, -1, 1]) if directx else vectors)
 
 

@@ -34,6 +34,22 @@ def from_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.n
     return _convert(mesh, bake, normals, _into_solver)
 
 
+def world_to_blender(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """Return (N, 3) float32 unit XYZ of a normal map for Blender at covered texels, flat indices (N,).
+
+    world: (N, 3) normals of any length in world axes.
+    """
+    result = np.zeros((len(texels), 3), np.float32)
+    for start in range(0, len(texels), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        frames = _blender_frames(mesh, bake, texels[block])
+        axes = np.broadcast_to(np.eye(3), frames.shape)
+        normals = bake.normal.reshape(-1, 3)[texels[block]].astype(np.float64)
+        given = np.where(np.any(world[block] != 0, axis=-1, keepdims=True), world[block], normals)
+        result[block] = _unit(_into_blender(axes, frames, mesh.matrix[:3, :3], given))
+    return result
+
+
 def turned_normals(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], mesh: MeshData, bake: SurfaceBake, change: Change
 ) -> dict[str, np.ndarray]:

@@ -181,6 +181,20 @@ def tile_seams(seams: SeamMap, domain: Domain, box: tuple[int, int, int, int], h
     )  # fmt: skip
 
 
+def window_seams(seams: SeamMap, window: tuple[int, int, int, int]) -> SeamMap:
+    """Return the seams of texels [x0, x0 + width) × [y0, y0 + height) that are all there is: without an annex."""
+    x0, y0, width, height = window
+    y, x = np.divmod(seams.target, seams.shape[1])
+    inside = (x >= x0) & (x < x0 + width) & (y >= y0) & (y < y0 + height)
+    low, high = np.array([x0, y0]) - seams.reach, np.array([x0 + width, y0 + height]) + seams.reach
+    kept = inside & ((seams.place >= low) & (seams.place < high)).all(axis=1)
+    return replace(
+        seams, island=seams.island[y0 : y0 + height, x0 : x0 + width], of=seams.of[kept], at=seams.at[kept],
+        place=seams.place[kept] - np.array([x0, y0], np.int32),
+        target=(y[kept] - y0) * width + x[kept] - x0,
+    )  # fmt: skip
+
+
 def _welded(points: np.ndarray) -> np.ndarray:
     """Return (N,) numbers, equal where points (N, 3) float32 are equal to the last bit."""
     bits = (np.ascontiguousarray(points, np.float32) + np.float32(0)).view(np.uint32).astype(np.uint64)  # no −0

@@ -34,13 +34,18 @@ def encode_normal(normals: np.ndarray) -> np.ndarray:
 
 
 def fill_margin(
-    values: np.ndarray, covered: np.ndarray, texels: int = MARGIN_TEXELS, far: tuple[float, ...] | None = None
+    values: np.ndarray,
+    covered: np.ndarray,
+    texels: int = MARGIN_TEXELS,
+    far: tuple[float, ...] | None = None,
+    given: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ``values`` (H, W, C) float32 with every uncovered texel filled.
 
     Texels within ``texels`` (Euclidean) of a covered one take the value of the nearest; the others take ``far`` (C
     numbers), by default the mean of the covered ones, so that the smallest mip levels stay near the map's own colour.
-    covered: (H, W) bool. What uncovered texels held before, NaN included, does not matter.
+    covered: (H, W) bool. What uncovered texels held before, NaN included, does not matter, but where ``given``, (H, W)
+    bool, says that they hold what belongs there: they keep it.
     """
     values = np.asarray(values, np.float32)
     if covered.all():
@@ -48,12 +53,14 @@ def fill_margin(
     if far is None:
         far = values[covered].mean(axis=0, dtype=np.float64) if covered.any() else np.zeros(values.shape[-1])
     result = np.where(covered[..., None], values, np.asarray(far, np.float32))
-    row, column, source_row, source_column = _nearest_covered(covered, texels)
+    row, column, source_row, source_column = nearest_covered(covered, texels)
     result[row, column] = values[source_row, source_column]
-    return result
+    return result if given is None else np.where(given[..., None], values, result)
 
 
-def _nearest_covered(covered: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def nearest_covered(
+    covered: np.ndarray, reach: int = MARGIN_TEXELS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return rows and columns of uncovered texels within ``reach``, and of the nearest covered texel of each."""
     height, width = covered.shape
     row, column = np.nonzero(_box_dilated(covered, reach) & ~covered)

@@ -18,7 +18,8 @@ class Maps:
     tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
     mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
-    one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left.
+    one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
+    bool, texels past UV seams whose values are those of the seam's other side, or None.
     """
 
     model: ReflectanceModel
@@ -27,3 +28,4 @@ class Maps:
     residual: np.ndarray | None = None
     confidence: dict[str, np.ndarray] | None = field(default=None)
     tiles: tuple[int, ...] = ONE_SQUARE
+    margin: np.ndarray | None = None

@@ -82,7 +82,8 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
         else np.broadcast_to(np.asarray(p.default, np.float32), (*shape, p.components))
         for p in table.parameters
     ]
-    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=FLAT_NORMAL if table.is_normal else None)
+    far = FLAT_NORMAL if table.is_normal else None
+    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=far, given=maps.margin)
 
 
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:

@@ -65,6 +65,7 @@ def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
                 residual=None if maps.residual is None else part(maps.residual),
                 confidence=maps.confidence and {name: part(value) for name, value in maps.confidence.items()},
                 tiles=(number,),
+                margin=None if maps.margin is None else part(maps.margin),
             ),
         )
 

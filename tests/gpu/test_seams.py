@@ -1,11 +1,15 @@
-"""Recoveries over UV seams: neighbours on the surface are neighbours, in tiles as in the whole."""
+"""Recoveries over UV seams: neighbours on the surface are neighbours, in tiles as in the whole, and in margins."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.frames import from_blender
+from irpso_addon.geometry.margins import blender_maps
 from irpso_addon.gpu import context, textures
+from irpso_addon.maps.result import Maps
+from irpso_addon.maps.tables import map_tables, map_values
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.generations import RunningGenerations
 from irpso_addon.solver.need import recovery_need
@@ -141,3 +145,52 @@ def test_tiles_spread_and_pool_across_a_cut_as_the_whole_does():
     with tiled(domain, TWO_LOBES, schedule, "a part each") as recovery:
         recovery.step()
         assert everything(recovery.maps(confidence=False)) == whole
+
+
+@pytest.mark.parametrize("turn", ["mirrored and turned", "three times as large"])
+def test_past_a_seam_a_margin_holds_what_the_other_side_has_there_with_its_normal_in_this_sides_frame(turn):
+    subject, world = sheet(turn), unit(np.array([0.3, 0.2, 0.9]))
+    domain = subject.domain()
+    covered = domain.bake.coverage
+
+    def color(part, place):  # linear over the sheet: between texels nothing is lost
+        s, t = subject._sheet(part, np.array(place) + 0.5)
+        # Between the other side's last texel and the cut it goes on as it ends.
+        last = -0.5 if part else 0.5 / abs(subject.turn).max()
+        ends = last if 0 < s / last < 1 else s
+        return 0.5 + 0.01 * ends, 0.5 + 0.02 * t, 0.3
+
+    colors = np.zeros((*domain.shape, 3), np.float32)
+    for y, x in np.argwhere(covered):
+        colors[y, x] = color(subject.part_at((x, y)), (x, y))
+    normals = np.einsum("hwij,j->hwi", domain.bake.frames(), world).astype(np.float32)
+    maps = Maps(LAMBERT, {"base_color": colors, "normal": normals}, covered)
+    written = blender_maps(maps, subject.mesh, domain.bake, domain.seams)
+    (table,) = [table for table in map_tables(LAMBERT) if table.name == "base_color"]
+    pixels = map_values(table, written)
+    places = np.argwhere(written.margin)
+    assert len(places) > 60 and not covered[written.margin].any()
+    texels = np.argwhere(covered)
+    beside = texels[((places[:, None] - texels) ** 2).sum(axis=-1).argmin(axis=1)]
+    inner = 0
+    for (y, x), (near_y, near_x) in zip(places, beside, strict=True):
+        by = (x - near_x, y - near_y)
+        if subject.outside((near_x, near_y), by) > -1:
+            continue  # at the sheet's own border fewer than four texels tell
+        inner += 1
+        np.testing.assert_allclose(pixels[y, x], color(subject.part_at((near_x, near_y)), (x, y)), atol=1e-4)
+    assert inner > 40
+    there = np.zeros((*domain.shape, 3), np.float32)
+    there[beside[:, 0], beside[:, 1]] = written.values["normal"][places[:, 0], places[:, 1]]
+    read = from_blender(subject.mesh, domain.bake, there)[beside[:, 0], beside[:, 1]]
+    frames = domain.bake.frames()[beside[:, 0], beside[:, 1]]
+    np.testing.assert_allclose(np.einsum("nij,ni->nj", frames, read), np.tile(world, (len(read), 1)), atol=1e-4)
+
+
+def test_where_nothing_was_solved_past_a_seam_the_margin_is_that_of_its_own_side():
+    subject = sheet("turned by 90°")
+    domain = subject.domain()
+    covered = domain.bake.coverage & (np.arange(domain.shape[1]) < 20)  # the left part alone
+    values = {"base_color": np.full((*domain.shape, 3), 0.25), "normal": np.zeros((*domain.shape, 3)) + (0, 0, 1)}
+    written = blender_maps(Maps(LAMBERT, values, covered), subject.mesh, domain.bake, domain.seams)
+    assert not written.margin.any()
