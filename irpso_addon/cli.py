@@ -93,7 +93,11 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card"
     )
     add.add_argument("--object", metavar="NAME", help="the mesh object in it")
-    add.add_argument("--slots", metavar="A,B", help="recover only these material slots, by name or number from 0")
+    add.add_argument(
+        "--slots",
+        metavar="A,B",
+        help="recover only these material slots, by name or number from 0; each: all, one by one",
+    )
     add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile, N or WxH (default 512)")
     add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter that is given: an EXR file, or numbers: base_color=0.5,0.5,0.5")  # fmt: skip

@@ -6,6 +6,7 @@ import sys
 import time
 from argparse import Namespace
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ from ..solver.planning import (
 )
 from ..solver.schedule import Schedule
 from ..solver.tiled import TiledRecovery
+from .each_slot import EACH, recover_each
 from .interrupt import held_back
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .progress import ProgressBar, unseen_reports
@@ -76,10 +78,15 @@ class _Job:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-def run(options: Namespace) -> dict:
-    """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder."""
+def run(options: Namespace, opened: bool = False) -> dict:
+    """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder.
+
+    opened: whether the mesh is in the file that is open, to be taken as it is.
+    """
+    if options.slots == EACH:
+        return recover_each(options, _blend_of(options), partial(run, opened=True), BLEND)
     started = time.perf_counter()
-    job = _check(options)
+    job = _check(options, opened)
     probe.probe()
     context.ensure()
     subject, mesh = job.subject, job.mesh
@@ -124,7 +131,7 @@ def run(options: Namespace) -> dict:
     return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 
-def _check(options: Namespace) -> _Job:
+def _check(options: Namespace, opened: bool) -> _Job:
     folder = check_output_folder(options.output)
     source = Path(options.capture)
     if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
@@ -143,7 +150,7 @@ def _check(options: Namespace) -> _Job:
         raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
     if options.resume and not (folder / CHECKPOINT).is_file():
         raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
-    subject, mesh, name = _subject(options)
+    subject, mesh, name = _subject(options, opened)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     extras = Extras(normals_of_text("--normals", options.normals), options.height, options.displacement)
     extras.check(model)
@@ -192,13 +199,14 @@ def _is_scene(path: str) -> bool:
     return Path(path).suffix.lower() == ".blend"
 
 
-def _subject(options: Namespace) -> tuple[object | None, MeshData | None, str]:
+def _subject(options: Namespace, opened: bool) -> tuple[object | None, MeshData | None, str]:
     """Return the object, its mesh, and the name for what is recovered of it; of a card the capture knows that."""
     if not options.blend:
         empty_blend()
         return None, None, ""
-    with unseen_reports():
-        open_blend(options.blend)
+    if not opened:
+        with unseen_reports():
+            open_blend(options.blend)
     subject = mesh_object(options.object)
     if options.slots is None:
         return subject, extract_mesh(subject), subject.name

@@ -222,13 +222,13 @@ def test_slots_that_share_the_square_are_refused_together_and_recovered_one_by_o
     assert "because the material slots 'Skin', 'Cloth' share it; recover them one by one (--slots)" in err
     reference = read_maps(folder / "out single", load_model("lambert"))
     for index, name in enumerate(SLOTS):
-        recover(folder, "shared", f"slot {name}", "--resolution", SIDE, "--slots", (name, "1")[index])
-        found = read_maps(folder / f"slot {name}", load_model("lambert"))
+        recover(folder, "shared", f"by/{name}", "--resolution", SIDE, "--slots", (name, "1")[index])
+        found = read_maps(folder / "by" / name, load_model("lambert"))
         part = {key: value[:, index * SIDE : (index + 1) * SIDE] for key, value in reference.items()}
         # Other random numbers, and no neighbours from the other island.
         assert np.percentile(angle(found["normal"], part["normal"]), 95) < 0.3
         assert np.percentile(np.abs(found["base_color"] - part["base_color"]), 95) < 0.01
-        bpy.ops.wm.open_mainfile(filepath=str(folder / f"slot {name}" / "material.blend"))
+        bpy.ops.wm.open_mainfile(filepath=str(folder / "by" / name / "material.blend"))
         held = [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots]
         expected = list(SLOTS)
         expected[index] = f"IRPSO Sheets {name}"
@@ -240,12 +240,27 @@ def test_a_material_of_several_slots_goes_into_all_of_them_and_keeps_its_name(fo
     held = [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots]
     assert held == ["IRPSO Sheets"] * 2
     again = (
-        "recover", folder / "capture single", "--blend", folder / "slot Skin" / "material.blend", "--resolution", 8,
+        "recover", folder / "capture single", "--blend", folder / "by" / "Skin" / "material.blend", "--resolution", 8,
         "--iterations", 5, *MODEL, *QUICK, "--slots", "0", "-o", tmp_path / "out",
     )  # fmt: skip
     done(*again)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "material.blend"))
     assert [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots] == ["IRPSO Sheets Skin", "Cloth"]
+
+
+def test_each_slot_in_turn_gives_what_it_gives_alone_and_one_file_holds_all_materials(folder, tmp_path):
+    said = recover(folder, "shared", tmp_path / "out", "--resolution", SIDE, "--slots", "each")
+    assert list(said["slots"]) == list(SLOTS)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["texels"] == said["texels"] > SIDE * SIDE
+    for name in SLOTS:
+        together, alone = (
+            read_maps(place / name, load_model("lambert")) for place in (tmp_path / "out", folder / "by")
+        )
+        for key in together:
+            np.testing.assert_array_equal(together[key], alone[key])
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "material.blend"))
+    held = [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots]
+    assert held == [f"IRPSO Sheets {name}" for name in SLOTS]
 
 
 def test_what_is_not_asked_for_has_no_texels_but_hides_what_lies_behind(folder, tmp_path):
@@ -266,6 +281,7 @@ def test_what_is_not_asked_for_has_no_texels_but_hides_what_lies_behind(folder, 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (("--slots", "each", "--resume"), "--resume: of each slot; resume the one that was interrupted"),
         (("--slots", "Hair"), "--slots Hair: there is no slot 'Hair'; the slots are 0 'Skin', 1 'Cloth'"),
         (("--ground-truth", "{truth}/maps.exr"), "is one picture, the UV map has the UDIM tiles 1001, 1011"),
         (("--known", "normal={truth}/maps.1002.<UDIM>.exr"), "has no file for UDIM tile 1001 (2 of 2 are missing)"),
