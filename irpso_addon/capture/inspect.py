@@ -148,13 +148,20 @@ def _errors(error: CaptureError) -> tuple[Finding, ...]:
 
 def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
     formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in draft.shots)
-    distant = sum(observation.light.distant for observation in capture.observations)
+    lights = [observation.light for observation in capture.observations]
+    kinds = (
+        (sum(light.distant for light in lights), "distant"),
+        (sum(not light.distant for light in lights), "near"),
+        (sum(light.cone is not None for light in lights), "with a cone"),
+        (sum(light.cosine for light in lights), "falling with the cosine"),
+    )
     facts = [
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
-        ("lights", f"{distant} distant, {len(capture.observations) - distant} near"),
+        ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
     for view, camera, mask in zip(draft.views, capture.cameras, capture.masks, strict=True):
         kind = "perspective" if camera.perspective else "orthographic"
+        kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
     return facts

@@ -6,6 +6,7 @@ from capture_maker import chunk, decode_png, write_png
 from test_poses import CENTRE, HEIGHT, POINTS, ROTATION, SEEN, WIDTH, colmap, quaternion, row
 
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
+from irpso_addon.capture.inspect import inspect_capture
 from irpso_addon.capture.read import read_draft
 
 LENS = "OPENCV 64 48 50 51 33.05 23.625 -0.11 0.06 0.004 -0.003"
@@ -133,6 +134,18 @@ def test_a_full_size_model_says_the_same_through_the_table(tmp_path):
     local = (POINTS - CENTRE) @ ROTATION.T
     u, v = 500 * local[:, 0] / local[:, 2] + 330.5, 510 * local[:, 1] / local[:, 2] + 236.25
     np.testing.assert_allclose(camera.project(POINTS)[0], np.c_[u, HEIGHT - v] / 4, atol=1e-9)
+
+
+def test_inspect_tells_of_lenses_cones_and_cosines(scan):
+    near = "light_position = [0, 0, 1]\nlight_axis = [0, 0, -1]\n"
+    (scan / "capture.toml").write_text(
+        f'cameras = "colmap"\n[[observation]]\nimage = "IMG_1.png"\n{LIT}'
+        f'[[observation]]\nimage = "IMG_2.png"\n{near}light_cone_degrees = 20\n'
+        f'[[observation]]\nimage = "IMG_2.png"\n{near}light_cosine = true\n'
+    )
+    facts = dict(inspect_capture(scan, decode_png).facts)
+    assert facts["lights"] == "1 distant, 2 near, 1 with a cone, 1 falling with the cosine"
+    assert facts["IMG_1.png"] == "64×48 perspective with lens distortion, no mask"
 
 
 # ---- distortion, cones, cosines
