@@ -10,6 +10,7 @@ from ..capture.camera import Camera
 from ..errors import InputError
 from ..gpu import context, raster
 from .domain import GeometryBake
+from .lens import undistorted_frame
 from .mesh import MeshData
 from .slots import OPTION, overlapping_slots
 
@@ -82,9 +83,31 @@ def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
     """Return the nearest surface that the centre of each of a camera's pixels sees; back faces are surface too.
 
     A perspective camera sees what is farther than 1e-4 of the farthest depth; an orthographic one, which has no place,
-    sees all along its direction.
+    sees all along its direction. Triangles are drawn with straight edges: where the lens distorts, a camera without
+    distortion is drawn, at the camera's own scale, and each pixel shows that one's pixel nearest to it.
     """
+    if any(camera.distortion):
+        plain, index = undistorted_frame(camera)
+        return _picked(bake_camera(mesh, plain), index)
     return _bake(mesh, _camera_places(mesh, camera), camera.width, camera.height, nearest=True)
+
+
+def camera_triangles(mesh: MeshData, camera: Camera) -> np.ndarray:
+    """Return (H, W) int32: the number of the triangle that ``bake_camera`` shows, −1 for none; of a plain camera."""
+    places = _camera_places(mesh, camera)
+    return raster.nearest_triangles(places, camera.width, camera.height) - 1
+
+
+def _picked(bake: SurfaceBake, index: np.ndarray) -> SurfaceBake:
+    """Return a bake of some pixels of another, (H, W) flat indices, −1 for a pixel that shows nothing."""
+    nothing = {"triangle": -1}
+    arrays = {}
+    for item in fields(SurfaceBake):
+        values = getattr(bake, item.name)
+        picked = values.reshape(-1, *values.shape[2:])[np.maximum(index, 0)]
+        picked[index < 0] = nothing.get(item.name, 0)
+        arrays[item.name] = picked
+    return SurfaceBake(**arrays)
 
 
 def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:

@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Generator, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,16 @@ from ..capture.camera import Camera
 from ..capture.steps import run_steps
 from ..capture.types import Capture, Light, Observation
 from ..errors import InputError
-from .bake import bake_camera, bake_uv
+from .bake import SurfaceBake, bake_camera, bake_uv
 from .domain import Domain, GeometryBake
+from .footprint import texel_steps
+from .light_shape import unshaped
 from .mesh import MeshData
-from .project import GRAZING, Projector
+from .project import GRAZING, Projector, blocks, filled
+from .seams import seams_of, window_seams
+from .shadows import ShadowCaster, texel_size
+
+Window = tuple[int, int, int, int]
 
 
 def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Domain:
@@ -35,17 +42,21 @@ def card_steps(capture: Capture, depth: float = 1.0, scratch: Path | None = None
     """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
     mask = check_card(capture)
     camera = capture.cameras[0]
-    local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective)
+    local = replace(camera, matrix=np.eye(4))
+    bake = _card_bake(local, mask, depth)
+    inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     stack = new_stack(len(capture.observations), *mask.shape, scratch)
+    texels = np.flatnonzero(bake.coverage)
     for observation, out in zip(capture.observations, stack, strict=True):
         yield
         image = _read(observation, capture)
-        seen = mask & (image[..., 3] > 0)
+        seen = bake.coverage & (image[..., 3] > 0)
         out[seen] = image[seen]
+        points = bake.position.reshape(-1, 3) @ camera.matrix[:3, :3].T + camera.matrix[:3, 3]
+        _weigh(out, texels, *_shape_of(observation.light, points, texels))
     _check_seen(capture, stack, "the card")
-    inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     views = np.broadcast_to(local.view, (len(stack), 4))
-    return _domain(capture.observations, _card_bake(local, mask, depth), stack, views, inverse, card=True)
+    return _domain(capture.observations, bake, stack, views, inverse, card=True)
 
 
 def check_card(capture: Capture) -> np.ndarray:
@@ -69,15 +80,25 @@ def domain_from_mesh(
     grazing: float = GRAZING,
     allow_overlap: bool = False,
     scratch: Path | None = None,
+    *,
+    shadows: bool = True,
+    falloff: bool = True,
+    areas: bool = True,
+    window: Window | None = None,
 ) -> Domain:
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
     mesh: of ``extract_mesh``, in the capture's world. grazing: the least cosine, 0…1, between face and view at
-    which a texel counts as seen. Observations are read one at a time. The domain's bake is a SurfaceBake, which
-    ``frames`` needs. scratch: as for a card. Raises InputError for overlapping UVs (unless allowed), images of
-    another size than their camera, or when no texel is seen by any camera.
+    which a texel counts as seen. Observations are read one at a time, those under one light after one another. The
+    domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. shadows: whether samples weigh less
+    where the mesh hides them from the light. falloff: whether samples at a slant weigh less. areas: whether a texel of
+    several pixels is their mean; else images are read at the texels' centres. window: (x0, y0, width, height) of the
+    texels that the domain is to hold, with the values and the origin that ``tile`` would give them; what is not seen
+    there is not read. Raises InputError for overlapping UVs (unless allowed), images of another size than their
+    camera, or, without a window, when no texel is seen by any camera; ValueError where the window leaves the domain.
     """
-    return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch))
+    options = {"shadows": shadows, "falloff": falloff, "areas": areas, "window": window}
+    return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch, **options))
 
 
 def mesh_steps(
@@ -88,24 +109,105 @@ def mesh_steps(
     grazing: float = GRAZING,
     allow_overlap: bool = False,
     scratch: Path | None = None,
+    *,
+    shadows: bool = True,
+    falloff: bool = True,
+    areas: bool = True,
+    window: Window | None = None,
 ) -> Generator[None, None, Domain]:
     """Yield before each camera and each image, and return what ``domain_from_mesh`` does."""
     _check_masks(capture)
     bake = bake_uv(mesh, width, height, allow_overlap)
     if not bake.coverage.any():
         raise InputError(f"no texel of {width} × {height} lies on '{mesh.name}' in its UV map; raise the resolution")
+    texel = texel_size(mesh, bake)
+    seams = seams_of(mesh, bake.triangle)
+    if window is not None:
+        bake, seams = _windowed(bake, window), window_seams(seams, window)
+    caster = ShadowCaster(mesh, bake, texel) if shadows else None
+    steps = texel_steps(mesh, width, height) if areas else None
     projectors = {}
     for index in sorted({observation.camera for observation in capture.observations}):
         yield
-        projectors[index] = Projector(bake, bake_camera(mesh, capture.cameras[index]), capture.cameras[index], grazing)
-    stack = new_stack(len(capture.observations), height, width, scratch)
-    for observation, out in zip(capture.observations, stack, strict=True):
-        yield
-        index = observation.camera
-        out[:] = projectors[index].sample(_read(observation, capture), np.asarray(capture.masks[index], bool))
-    _check_seen(capture, stack, f"mesh '{mesh.name}'")
+        camera = capture.cameras[index]
+        projectors[index] = Projector(bake, bake_camera(mesh, camera), camera, grazing, steps, falloff)
+    stack = new_stack(len(capture.observations), *bake.coverage.shape, scratch)
+    yield from _fill(stack, capture, bake, projectors, caster)
+    if window is None:
+        _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
-    return _domain(capture.observations, bake, stack, views, np.eye(4), card=False)
+    domain = _domain(capture.observations, bake, stack, views, np.eye(4), card=False)
+    return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
+
+
+def _windowed(bake: SurfaceBake, window: Window) -> SurfaceBake:
+    """Return a copy of the texels of a window."""
+    (x0, y0, width, height), (rows, columns) = window, bake.coverage.shape
+    if not (width > 0 and height > 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
+        raise ValueError(f"window {width}×{height} at ({x0}, {y0}) leaves the domain of {columns}×{rows}")
+    part = (slice(y0, y0 + height), slice(x0, x0 + width))
+    return SurfaceBake(**{item.name: getattr(bake, item.name)[part].copy() for item in fields(SurfaceBake)})
+
+
+def _fill(
+    stack: np.ndarray,
+    capture: Capture,
+    bake: SurfaceBake,
+    projectors: dict[int, Projector],
+    caster: ShadowCaster | None,
+) -> Generator[None, None, None]:
+    """Read the images into the stack, yielding before each: light by light, since a light's shadows serve them all."""
+    positions = bake.position.reshape(-1, 3)
+    for light, numbers in _by_light(capture.observations).items():
+        seen = {index: projectors[index].visible for index in {capture.observations[k].camera for k in numbers}}
+        texels = np.flatnonzero(np.logical_or.reduce(list(seen.values())))
+        if not len(texels):
+            continue
+        gain, weight = _shape_of(light, positions, texels)
+        if caster is not None:
+            weight = weight * caster.weights(light, texels)
+        lit = np.zeros(bake.coverage.size, bool)
+        lit[texels] = weight > 0
+        for k in numbers:
+            index = capture.observations[k].camera
+            if not (lit & seen[index].ravel()).any():
+                continue
+            yield
+            image = _read(capture.observations[k], capture)
+            stack[k] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
+            _weigh(stack[k], texels, gain, weight)
+
+
+def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
+    """Return the observations' numbers by what their light shines on, its intensity left out."""
+    found: dict[Light, list[int]] = {}
+    for number, observation in enumerate(observations):
+        light = observation.light
+        axis = None if light.axis is None else tuple(map(float, light.axis))
+        place = replace(light, vector=tuple(map(float, light.vector)), intensity=(1.0, 1.0, 1.0), axis=axis)
+        found.setdefault(place, []).append(number)
+    return found
+
+
+def _shape_of(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N,) gains of radiance and (N,) weights for the light's shape at texels, flat indices to positions."""
+    gain, weight = np.ones(len(texels), np.float32), np.ones(len(texels), np.float32)
+    if light.axis is not None:
+        for part in blocks(np.arange(len(texels))):
+            found = unshaped(light, positions[texels[filled(part)]].astype(np.float64))
+            gain[part], weight[part] = (values[: len(part)] for values in found)
+    return gain, weight
+
+
+def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
+    """Multiply radiance and weight of a layer (H, W, 4) at texels, flat indices; what has no weight is 0."""
+    if (gain == 1).all() and (weight == 1).all():
+        return
+    values = layer.reshape(-1, 4)[texels]
+    values[:, :3] *= gain[:, None]
+    values[:, 3] *= weight
+    values[values[:, 3] <= 0] = 0
+    layer.reshape(-1, 4)[texels] = values
 
 
 def new_stack(observations: int, height: int, width: int, scratch: Path | None = None) -> np.ndarray:
@@ -137,11 +239,13 @@ def mapped_array(folder: Path, shape: tuple[int, ...], dtype: type = np.float32)
 def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
     height, width = mask.shape
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    position = camera.points(depth)
+    shown = np.isfinite(position).all(axis=-1)
     return GeometryBake(
-        position=camera.points(depth).astype(np.float32),
+        position=np.where(shown[..., None], position, 0).astype(np.float32),
         normal=np.tile(np.float32([0, 0, 1]), (height, width, 1)),
         tangent=np.tile(np.float32([1, 0, 0, 1]), (height, width, 1)),
-        coverage=mask.copy(),
+        coverage=mask & shown,
         uv=np.stack([u, v], axis=-1).astype(np.float32),
     )
 

@@ -2,51 +2,98 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..capture.camera import Camera
 from .bake import SurfaceBake
+from .footprint import MOST, falloff, jacobian, place, places_along
 
 GRAZING = 0.1  # cosine between the face's normal and the view below which a texel counts as not seen
+# Of a texel of several pixels so much must be usable, seen by the camera and with weight, for it to be read: what is
+# left of it has its centre within an eighth of a texel of the texel's own.
+USABLE = 0.75
 # Surface that lies within this many pixels (in the world's units, at the texel) of the texel's own plane is the same
 # surface. Measured across the plane, so along the view it already grows with the slope.
 _SAME_SURFACE = 0.5
 # Surfaces that meet at more than 60° are two, however near: their radiances do not mix.
 _SAME_FACING = 0.5
 # float32 positions of a world are known to about this part of its largest coordinate.
-_ROUNDING = 4e-7
+ROUNDING = 4e-7
 # A texel this near a row or column of pixel centres reads only that, so that no neighbour with no weight spoils it.
 _SNAP = 1e-3
-_BLOCK = 1 << 18  # texels worked on at a time, which bounds the memory of the float64 arithmetic
+_BLOCK = 1 << 15  # texels worked on at a time: what they need stays in the processor's cache
+
+
+@dataclass
+class _Group:
+    """N texels that are read at the same number of places. along: how many, along u and v.
+
+    texels: (N,) flat index. first: (N, 2) int32 pixel at or left of and below the texel's place. fraction: (N, 2) from
+    there. sides: (N, 2, 2) the Jacobian. counts: (N,) uint64, a bit for each place that shows the texel's surface.
+    worth: (N,) weight for the slant. All float32.
+    """
+
+    along: tuple[int, int]
+    texels: np.ndarray
+    first: np.ndarray
+    fraction: np.ndarray
+    sides: np.ndarray
+    counts: np.ndarray
+    worth: np.ndarray
+
+    def part(self, chosen) -> _Group:
+        """Return the group of some of the texels."""
+        arrays = (self.texels, self.first, self.fraction, self.sides, self.counts, self.worth)
+        return _Group(self.along, *(array[chosen] for array in arrays))
+
+    def places(self) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the number of each place and (N, 2) where it is, relative to ``first``."""
+        if self.along == (1, 1):
+            yield 0, self.fraction
+            return
+        for j in range(self.along[1]):
+            for i in range(self.along[0]):
+                along, across = np.float32([place(i, self.along[0]), place(j, self.along[1])])
+                yield j * MOST + i, self.fraction + along * self.sides[:, :, 0] + across * self.sides[:, :, 1]
 
 
 class Projector:
     """Where the texels of a bake are seen by one camera; ``sample`` reads an image there.
 
     bake: the texels. seen: what the camera's pixels show of the same mesh (``bake_camera``). grazing: the least cosine
-    between face normal and view, 0…1. visible: (h, w) bool, the texels that the camera sees: inside the image by half a
-    pixel (four pixel centres around them), not hidden by another part of the mesh, not grazing, and with all the pixel
-    centres that matter on the texel's own surface.
+    between face normal and view, 0…1. steps: (T, 2, 3) of ``texel_steps``; with them a texel that is larger than a
+    pixel is the mean over its area, without them all are read at their centres. fall: whether samples at a slant weigh
+    less. visible: (h, w) bool, the texels that the camera sees: inside the image by half a pixel (four pixel centres
+    around them), not hidden by another part of the mesh, not grazing, and with all the pixel centres that matter on the
+    texel's own surface, or of a texel of several pixels three quarters of them.
     """
 
-    def __init__(self, bake: SurfaceBake, seen: SurfaceBake, camera: Camera, grazing: float = GRAZING):
+    def __init__(
+        self,
+        bake: SurfaceBake,
+        seen: SurfaceBake,
+        camera: Camera,
+        grazing: float = GRAZING,
+        steps: np.ndarray | None = None,
+        fall: bool = True,
+    ):
         self.camera = camera
         self._shape = bake.coverage.shape
-        self._texels = np.flatnonzero(bake.coverage)
-        self._first = np.zeros(len(self._texels), np.int32)
-        self._fraction = np.zeros((len(self._texels), 2), np.float32)
-        keep = np.zeros(len(self._texels), bool)
-        for start in range(0, len(keep), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            keep[block] = self._look(bake, seen, grazing, block)
-        self._texels, self._first = self._texels[keep], self._first[keep]
-        self._fraction = self._fraction[keep]
+        self._bake, self._seen, self._grazing, self._steps, self._fall = bake, seen, grazing, steps, fall
+        self._rounding = ROUNDING * float(np.abs(seen.position).max(initial=0))
+        found = [self._look(block) for block in blocks(np.flatnonzero(bake.coverage))]
+        self._groups = _joined([group for groups in found for group in groups])
+        del self._bake, self._seen, self._steps  # which may be large
 
     @property
     def visible(self) -> np.ndarray:
         """(h, w) bool: the texels that the camera sees."""
         visible = np.zeros(self._shape, bool)
-        visible.ravel()[self._texels] = True
+        for group in self._groups:
+            visible.ravel()[group.texels] = True
         return visible
 
     def sample(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
@@ -54,59 +101,155 @@ class Projector:
 
         image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel
         centres radiance and weight are interpolated; where one of the pixels that count has no weight (clipped,
-        outside the mask, not a number) the texel has none either.
+        outside the mask, not a number) the texel has none either. A texel of several pixels is the mean of those that
+        are usable and weighs as much as their share, nothing where that is under three quarters.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
             raise ValueError(f"the image is {image.shape}, the camera {self.camera.height} × {self.camera.width} × 4")
-        pixels = np.asarray(image, np.float32).reshape(-1, 4)
+        pixels = np.array(image, np.float32).reshape(-1, 4)
+        unusable = ~((pixels[:, 3] > 0) & np.isfinite(pixels).all(axis=1))
+        if mask is not None:
+            unusable |= ~np.asarray(mask, bool).ravel()
+        pixels[unusable] = 0
         stack = np.zeros((self._shape[0] * self._shape[1], 4), np.float32)
-        for start in range(0, len(self._texels), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            total = np.zeros((len(self._texels[block]), 4), np.float32)
-            usable = np.ones(len(total), bool)
-            for tap, weight in self._taps(block):
-                counts = weight > 0
-                values = pixels[tap]
-                if mask is not None:
-                    values[:, 3] *= mask.ravel()[tap]
-                usable &= ~counts | ((values[:, 3] > 0) & np.isfinite(values).all(axis=1))
-                total += np.where(counts[:, None], values * weight[:, None], 0)
-            total[~usable] = 0
-            stack[self._texels[block]] = total
+        for group in self._groups:
+            for start in range(0, len(group.texels), _BLOCK):
+                part = group.part(slice(start, start + _BLOCK))
+                stack[part.texels] = self._mean(part, pixels)
         return stack.reshape(*self._shape, 4)
 
-    def _taps(self, block: slice):
-        """Yield flat pixel indices and weights of the four pixels around each texel of a block."""
-        width = self.camera.width
-        first, (x, y) = self._first[block], self._fraction[block].T
-        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            weight = (x if dx else 1 - x) * (y if dy else 1 - y)
-            # A pixel of weight 0 may lie beyond the image's edge: the first stands in for it.
-            yield np.where(weight > 0, first + dx + dy * width, first), weight
+    def _mean(self, group: _Group, pixels: np.ndarray) -> np.ndarray:
+        """Return (N, 4) the mean of the usable pixels and its weight."""
+        total = np.zeros((len(group.texels), 4), np.float32)
+        share = np.zeros(len(total), np.float32)
+        number = group.along[0] * group.along[1]
+        for bit, where in group.places():
+            counts = (group.counts >> np.uint64(bit)) & np.uint64(1) > 0
+            for pixel, weight in _taps(group.first, where, self.camera.width):
+                values = pixels[np.where(counts, pixel, 0)]
+                weight = np.where(counts & (values[:, 3] > 0), weight, np.float32(0))
+                total += values * weight[:, None]
+                share += weight
+        if number == 1:
+            total[share < 1 - 1e-5] = 0  # the four weights add up to 1 but for rounding
+        else:
+            total[:, :3] /= np.maximum(share, 1e-6)[:, None]
+            total[:, 3] /= number
+            total[share < USABLE * number] = 0
+        total[:, 3] *= group.worth
+        return total
 
-    def _look(self, bake: SurfaceBake, seen: SurfaceBake, grazing: float, block: slice) -> np.ndarray:
-        """Fill in pixels and weights of a block of texels and return which of them are seen."""
-        camera, texels = self.camera, self._texels[block]
-        points = bake.position.reshape(-1, 3)[texels].astype(np.float64)
-        faces = bake.face_normal.reshape(-1, 3)[texels].astype(np.float64)
-        place, depth = camera.project(points)
-        place -= 0.5
-        nearest = np.rint(place)
-        place = np.where(np.abs(place - nearest) < _SNAP, nearest, place)
+    def _look(self, texels: np.ndarray) -> list[_Group]:
+        """Return where the texels are seen, in groups that are read alike."""
+        camera, size = self.camera, len(texels)
+        texels = filled(texels)
+        points = self._bake.position.reshape(-1, 3)[texels].astype(np.float64)
+        faces = self._bake.face_normal.reshape(-1, 3)[texels].astype(np.float64)
+        numbers = self._bake.triangle.ravel()[texels]
+        where, depth = camera.project(points)
+        where -= 0.5
+        nearest = np.rint(where)
+        where = np.where(np.abs(where - nearest) < _SNAP, nearest, where)
         limit = np.array([camera.width - 1, camera.height - 1])
-        inside = ((place >= 0) & (place <= limit)).all(axis=1) & ((depth > 0) | (not camera.perspective))
-        corner = np.floor(np.where(inside[:, None], place, 0)).astype(np.int64)
-        self._first[block] = corner[:, 0] + corner[:, 1] * camera.width
-        self._fraction[block] = np.where(inside[:, None], place - corner, 0)
-
+        inside = ((where >= 0) & (where <= limit)).all(axis=1) & ((depth > 0) | (not camera.perspective))
         cosine = np.einsum("ij,ij->i", faces, _toward(camera, points))
-        visible = inside & (cosine > 0) & (cosine >= grazing)
+        chosen = np.flatnonzero(inside & (cosine > 0) & (cosine >= self._grazing))
+        chosen = chosen[chosen < size]
+        sides = self._sides(points, numbers, chosen)
+        worth = falloff(cosine[chosen], self._grazing, sides) if self._fall else np.ones(len(chosen))
+        sides = np.zeros((len(chosen), 2, 2)) if sides is None else sides
+        first = np.floor(where[chosen]).astype(np.int32)
+        seen = _Group(
+            (1, 1), texels[chosen], first, (where[chosen] - first).astype(np.float32), sides.astype(np.float32),
+            np.zeros(len(chosen), np.uint64), worth.astype(np.float32),
+        )  # fmt: skip
         pixel = (depth if camera.perspective else np.ones_like(depth)) / min(camera.scale)
-        tolerance = _SAME_SURFACE * pixel + _ROUNDING * np.abs(seen.position).max()
-        numbers = bake.triangle.ravel()[texels]
-        for tap, weight in self._taps(block):
-            visible &= (weight <= 0) | _same_surface(seen, tap, numbers, points, faces, tolerance)
-        return visible
+        surface = _Surface(numbers[chosen], points[chosen], faces[chosen], pixel[chosen])
+        return self._grouped(seen, surface, places_along(sides))
+
+    def _sides(self, points: np.ndarray, numbers: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
+        """Return the Jacobians of some texels of a block, None where texels are read at their centres."""
+        if self._steps is None or not len(chosen):
+            return None
+        block = filled(chosen)
+        return jacobian(self.camera, points[block], self._steps[numbers[block]])[: len(chosen)]
+
+    def _grouped(self, seen: _Group, surface: _Surface, along: np.ndarray) -> list[_Group]:
+        groups = []
+        for key in np.unique(along[:, 0].astype(int) * (MOST + 1) + along[:, 1]):
+            chosen = np.flatnonzero(along[:, 0].astype(int) * (MOST + 1) + along[:, 1] == key)
+            group = seen.part(chosen)
+            group.along = divmod(int(key), MOST + 1)
+            shown = self._count(group, surface.part(chosen))
+            groups.append(group.part(shown >= (1 if group.along == (1, 1) else USABLE)))
+        return [group for group in groups if len(group.texels)]
+
+    def _count(self, group: _Group, surface: _Surface) -> np.ndarray:
+        """Fill in which places of each texel show its surface, and return their share."""
+        limit = np.array([self.camera.width - 1, self.camera.height - 1], np.float32)
+        tolerance = _SAME_SURFACE * surface.pixel * max(1.0, max(group.along) / 2) + self._rounding
+        found = np.zeros(len(group.texels), np.int32)
+        for bit, where in group.places():
+            at = group.first + where
+            shown = ((at >= 0) & (at <= limit)).all(axis=1)
+            for pixel, weight in _taps(group.first, where, self.camera.width):
+                asked = np.flatnonzero(shown & (weight > 0))
+                shown[asked] = _same_surface(self._seen, pixel[asked], surface.part(asked), tolerance[asked])
+            group.counts |= shown.astype(np.uint64) << np.uint64(bit)
+            found += shown
+        return found / (group.along[0] * group.along[1])
+
+
+@dataclass
+class _Surface:
+    """What N texels show: triangle numbers (N,), points and face normals (N, 3), a pixel's width in the world (N,)."""
+
+    numbers: np.ndarray
+    points: np.ndarray
+    faces: np.ndarray
+    pixel: np.ndarray
+
+    def part(self, chosen: np.ndarray) -> _Surface:
+        """Return some of them."""
+        return _Surface(self.numbers[chosen], self.points[chosen], self.faces[chosen], self.pixel[chosen])
+
+
+def blocks(texels: np.ndarray) -> list[np.ndarray]:
+    """Return the texels in blocks that are worked on at a time."""
+    return [texels[start : start + _BLOCK] for start in range(0, len(texels), _BLOCK)]
+
+
+def filled(texels: np.ndarray) -> np.ndarray:
+    """Return a block of texels filled up to full length by repeating the last.
+
+    How a matrix product rounds may depend on its number of rows; so filled, a texel's values do not depend on which
+    others are worked on with it.
+    """
+    return np.concatenate([texels, np.repeat(texels[-1:], _BLOCK - len(texels))])
+
+
+def _joined(groups: list[_Group]) -> list[_Group]:
+    """Return one group for each number of places."""
+    result = []
+    for along in sorted({group.along for group in groups}):
+        alike = [group for group in groups if group.along == along]
+        names = ("texels", "first", "fraction", "sides", "counts", "worth")
+        result.append(_Group(along, *(np.concatenate([getattr(group, name) for group in alike]) for name in names)))
+    return result
+
+
+def _taps(first: np.ndarray, where: np.ndarray, width: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield flat pixel indices and weights of the four pixels around places (N, 2) relative to pixels (N, 2)."""
+    nearest = np.rint(where)
+    where = np.where(np.abs(where - nearest) < _SNAP, nearest, where)
+    corner = np.floor(where)
+    x, y = (where - corner).T
+    corner = first + corner.astype(np.int32)
+    flat = corner[:, 0] + corner[:, 1] * width
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        weight = (x if dx else 1 - x) * (y if dy else 1 - y)
+        # A pixel of weight 0 may lie beyond the image's edge: the first stands in for it.
+        yield np.where(weight > 0, flat + dx + dy * width, flat), weight
 
 
 def _toward(camera: Camera, points: np.ndarray) -> np.ndarray:
@@ -117,23 +260,20 @@ def _toward(camera: Camera, points: np.ndarray) -> np.ndarray:
     return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30)
 
 
-def _same_surface(
-    seen: SurfaceBake,
-    tap: np.ndarray,
-    numbers: np.ndarray,
-    points: np.ndarray,
-    faces: np.ndarray,
-    tolerance: np.ndarray,
-) -> np.ndarray:
+def _same_surface(seen: SurfaceBake, pixel: np.ndarray, surface: _Surface, tolerance: np.ndarray) -> np.ndarray:
     """Return whether what a pixel shows continues the surface at the points: same triangle, or near and facing alike.
 
     Nearness is measured along the mean of the two normals: along it a chord of an evenly curved surface has no extent,
     so curvature does not look like a gap.
     """
-    number = seen.triangle.ravel()[tap]
-    normal = seen.face_normal.reshape(-1, 3)[tap].astype(np.float64)
+    numbers = seen.triangle.ravel()[pixel]
+    same = numbers == surface.numbers
+    other = np.flatnonzero(~same & (numbers >= 0))
+    pixel, points, faces = pixel[other], surface.points[other], surface.faces[other]
+    normal = seen.face_normal.reshape(-1, 3)[pixel].astype(np.float64)
     alike = np.einsum("ij,ij->i", normal, faces)
     mean = normal + faces
-    gap = np.einsum("ij,ij->i", seen.position.reshape(-1, 3)[tap] - points, mean)
+    gap = np.einsum("ij,ij->i", seen.position.reshape(-1, 3)[pixel] - points, mean)
     gap = np.abs(gap) / np.maximum(np.linalg.norm(mean, axis=1), 1e-30)
-    return (number == numbers) | ((number >= 0) & (alike > _SAME_FACING) & (gap <= tolerance))
+    same[other] = (alike > _SAME_FACING) & (gap <= tolerance[other])
+    return same

@@ -45,6 +45,15 @@ def rasterize(
 
 def triangle_numbers(places: np.ndarray, width: int, height: int, first: bool) -> np.ndarray:
     """Return (height, width) int32: the first or the last triangle over each pixel's centre, from 1; 0 for none."""
+    return _numbers(places, width, height, first, nearest=False)
+
+
+def nearest_triangles(places: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return (height, width) int32: the nearest triangle over each pixel's centre, from 1; 0 for none."""
+    return _numbers(places, width, height, first=False, nearest=True)
+
+
+def _numbers(places: np.ndarray, width: int, height: int, first: bool, nearest: bool) -> np.ndarray:
     context.ensure()
     order = np.arange(3 * len(places), dtype=np.int32)
     clip = _clip(places, width, height)
@@ -52,7 +61,7 @@ def triangle_numbers(places: np.ndarray, width: int, height: int, first: bool) -
         order, clip = order[::-1].copy(), clip.reshape(-1, 4)[::-1]
     target = textures.empty(width, height, "R32F")
     shader = _shader("view/bake_triangle.glsl", [("out_triangle", "FLOAT")], [])
-    _draw(shader, _batch(clip, order), [target], False, {})
+    _draw(shader, _batch(clip, order), [target], nearest, {})
     return textures.download(target)[..., 0].astype(np.int32)
 
 

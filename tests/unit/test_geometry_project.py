@@ -26,7 +26,7 @@ def image_of(camera, rng=None):
 @pytest.mark.parametrize("perspective", [True, False])
 def test_samples_are_bilinear_between_pixel_centres(perspective):
     camera = Camera(31, 22, (30, 28), (14.2, 12.1), ABOVE, perspective)
-    bake, p = projector(plane(2.0 if perspective else 0.6), camera, (19, 23))
+    bake, p = projector(plane(2.0 if perspective else 0.6), camera, (19, 23), fall=False)
     image = image_of(camera)
     sampled = p.sample(image)
     place = camera.project(bake.position.astype(np.float64))[0] - 0.5
