@@ -10,6 +10,9 @@ import numpy as np
 from ..capture.camera import Camera
 from ..errors import InputError
 
+# Custom property of a camera object for what Blender's cameras do not have: the distortion of its lens.
+DISTORTION = "irpso_distortion"
+
 
 def open_blend(path: str | Path) -> None:
     """Open a .blend file in place of the current one. Raises InputError where there is none or Blender refuses it."""
@@ -67,7 +70,8 @@ def _choice() -> str:
 def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)) -> Camera:
     """Return the camera of a Blender camera object at width × height pixels: lens, sensor fit, shift, and scale.
 
-    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over.
+    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over; the
+    distortion is that of the custom property irpso_distortion.
     Raises InputError where the object is no camera or its projection is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
@@ -95,7 +99,15 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
         centre=(width / 2 - data.shift_x * side, height / 2 - data.shift_y * side / tall),
         matrix=matrix,
         perspective=data.type == "PERSP",
+        distortion=tuple(map(float, obj.get(DISTORTION, ()))),
     )
+
+
+def middle_of(obj: Any) -> np.ndarray:
+    """Return (3,) the middle of an object's bounding box in the world."""
+    corners = np.array([tuple(corner) for corner in obj.bound_box])
+    matrix = world_matrix(obj)
+    return matrix[:3, :3] @ corners.mean(axis=0) + matrix[:3, 3]
 
 
 def world_matrix(obj: Any) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Generator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +16,11 @@ from ..errors import InputError
 from ..maps.blender_images import decode
 from .scene import camera_from_object
 from .scene_images import Photograph, open_photograph
-from .scene_lights import light_of
+from .scene_lights import light_of, too_wide
 
-# Custom properties of objects that the user interface made: their capture's name, and what Blender has no place for:
-# a camera's own pixel aspect (x, y) and its lens distortion.
-CAPTURE, ASPECT, DISTORTION = "irpso_capture", "irpso_pixel_aspect", "irpso_distortion"
+# Custom properties of objects that the user interface made: their capture's name, and a camera's own pixel aspect (x,
+# y), which Blender keeps for a whole scene.
+CAPTURE, ASPECT = "irpso_capture", "irpso_pixel_aspect"
 _SETTINGS = "irpso"  # where the user interface keeps an object's image and camera
 
 
@@ -76,6 +75,11 @@ def setting(obj: Any, name: str) -> Any:
     return None if group is None else group.get(name)
 
 
+def wide_lights(scene: Any, place: np.ndarray) -> list[str]:
+    """Return what is wrong with lights of the capture that are too wide to be taken as their centres at a place (3,)."""
+    return [text for obj in photographed_lights(scene) if (text := too_wide(obj, place))]
+
+
 def photographed_lights(scene: Any) -> list:
     """Return the light objects that have an image, in the order of their names; numbers in them count as numbers."""
     return [obj for obj in in_order(scene) if obj.type == "LIGHT" and setting(obj, "image") is not None]
@@ -114,9 +118,7 @@ def _camera_object(light: Any, scene: Any) -> Any:
 
 def _camera(obj: Any, width: int, height: int, scene: Any) -> Camera:
     aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
-    return replace(
-        camera_from_object(obj, width, height, tuple(aspect)), distortion=tuple(map(float, obj.get(DISTORTION, ())))
-    )
+    return camera_from_object(obj, width, height, tuple(aspect))
 
 
 def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int, int]:

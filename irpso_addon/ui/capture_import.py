@@ -13,15 +13,14 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
-from mathutils import Vector
 
 from ..capture.draft import Draft
 from ..capture.inspect import Finding, Report, inspect_steps
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
-from ..geometry.scene_capture import photographed_lights
-from ..geometry.scene_lights import too_wide
+from ..geometry.scene import middle_of
+from ..geometry.scene_capture import wide_lights
 from ..maps.blender_images import decode
 from .job import subject_object
 from .scene_capture import capture_of, capture_path
@@ -254,9 +253,8 @@ def _check_scene(scene) -> None:
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
-    place = _subject_place(settings, capture)
-    wide = (too_wide(obj, place) for obj in photographed_lights(scene))
-    _store_findings(settings, [Finding("warning", "light_wide", text) for text in wide if text])
+    wide = wide_lights(scene, _subject_place(settings, capture))
+    _store_findings(settings, [Finding("warning", "light_wide", text) for text in wide])
 
 
 def _subject_place(settings, capture: Capture) -> np.ndarray:
@@ -264,7 +262,7 @@ def _subject_place(settings, capture: Capture) -> np.ndarray:
     obj = subject_object(bpy.context) if settings.subject == "MESH" else None
     if obj is None:
         return capture.cameras[0].position - capture.cameras[0].backward
-    return np.mean([obj.matrix_world @ Vector(corner) for corner in obj.bound_box], axis=0)
+    return middle_of(obj)
 
 
 class CaptureFiles(bpy.types.FileHandler):

@@ -9,7 +9,8 @@ from mathutils import Matrix, Vector
 
 from ..capture.camera import Camera
 from ..capture.types import Light
-from ..geometry.scene_capture import ASPECT, DISTORTION
+from ..geometry.scene import DISTORTION
+from ..geometry.scene_capture import ASPECT
 from ..geometry.scene_lights import EMISSION
 from ..maps.lights import area_power, point_power, spot_power, sun_strength
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import irpso_addon
-from irpso_addon.geometry.scene_capture import DISTORTION
+from irpso_addon.geometry.scene import DISTORTION
 from irpso_addon.ui import scene_capture
 from tests.unit.capture_maker import write_png
 from tests.unit.test_poses import (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -222,7 +223,7 @@ class Stage:
         cameras = self.running.job.capture.cameras
         if self.running.mesh is not None:
             return list(cameras)
-        return [Camera(c.width, c.height, c.scale, c.centre, np.eye(4), c.perspective) for c in cameras]
+        return [replace(camera, matrix=np.eye(4)) for camera in cameras]
 
     def _pictures_of(self, scene: bpy.types.Scene) -> tuple[tuple[Shown, ...], list]:
         return self._pictures.get(scene.session_uid, ((), []))
