@@ -8,7 +8,7 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.types import Capture, Light, Observation
-from ..geometry.domain import GeometryBake
+from ..geometry.domain import Domain, GeometryBake, tile
 from ..gpu import context, textures
 from ..reflectance.model import ReflectanceModel
 from .kernels import render_pass
@@ -66,6 +66,29 @@ def camera_renderer(
     table = np.array([[*light.vector, 0.0 if light.distant else 1.0] for light in lights])
     intensities = np.array([light.intensity for light in lights])
     return Renderer(bake, model, values, table, intensities, np.tile(camera.view, (len(lights), 1)))
+
+
+def render_domain(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> list[np.ndarray]:
+    """Return (H, W, 4) what maps render to in a domain's texels, for each of some observations, as a Renderer does.
+
+    A domain wider or higher than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
+    """
+    context.ensure()
+    side = context.max_texture_size()
+    height, width = domain.shape
+    images = [np.zeros((height, width, 4), np.float32) for _ in observations]
+    for y in range(0, height, side):
+        for x in range(0, width, side):
+            part = tile(domain, x, y, min(side, width - x), min(side, height - y))
+            block = slice(y, y + side), slice(x, x + side)
+            held = {name: value[block] for name, value in values.items()}
+            renderer = Renderer(part.bake, model, held, part.lights, part.intensities, part.views, part.card)
+            for image, observation in zip(images, observations, strict=True):
+                image[block] = renderer.render(observation)
+            renderer.close()
+    return images
 
 
 def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from ..maps.pictures import PreviewRow, display_image, preview
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..maps.tables import map_tables
-from .forward import Renderer
+from .forward import render_domain
 
 _SHOWN = 3  # observations in a preview, the median one among them
 _WHITE = 99.5  # percentile of the reference that is shown as white
@@ -64,18 +64,15 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
     """Return a row for each observation: as it was seen, as the maps render it, and the difference in % of white."""
-    renderer = Renderer(
-        domain.bake, maps.model, maps.values, domain.lights, domain.intensities, domain.views, domain.card
-    )
     rows = []
-    for k, label in zip(observations, labels, strict=True):
+    renders = render_domain(domain, maps.model, maps.values, observations)
+    for k, label, render in zip(observations, labels, renders, strict=True):
         seen, weight = domain.stack[k, ..., :3], domain.stack[k, ..., 3] > 0
-        rendered = renderer.render(k)[..., :3]
+        rendered = render[..., :3]
         white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0
         images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
         error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
         rows.append(PreviewRow(label, *images, error, "%", domain.bake.coverage & weight))
-    renderer.close()
     return rows
 
 

@@ -1,13 +1,17 @@
-"""Bakes of several UDIM tiles and of some material slots, against the oracle's bake of the same triangles."""
+"""Bakes of several UDIM tiles and of some material slots, against the oracle's of the same triangles; wide domains."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from irpso_addon.capture.camera import Camera
 from irpso_addon.errors import InputError
 from irpso_addon.geometry import bake
+from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.geometry.udim import lay_out
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver import forward
 from tests import geometry_oracle as oracle
 
 
@@ -66,9 +70,32 @@ def test_triangles_of_other_slots_have_no_texels_and_are_still_seen():
     drawn = bake.bake_uv(mesh, 24, 24)
     assert drawn.coverage.mean() > 0.7 and (both.materials[drawn.triangle[drawn.coverage]] == 1).all()
     assert mesh.solved_slots == (1,) and both.solved_slots == (0, 1)
-    from irpso_addon.capture.camera import Camera
-
     matrix = np.eye(4)
     matrix[:3, 3] = 1.5, 0, 5
     seen = bake.bake_camera(mesh, Camera(64, 32, (12.0, 12.0), (32.0, 16.0), matrix, False))
     assert set(both.materials[seen.triangle[seen.coverage]]) == {0, 1}
+
+
+def test_a_domain_wider_than_a_texture_is_rendered_in_blocks_as_it_would_be_whole(monkeypatch):
+    random = np.random.default_rng(3)
+    shape = 7, 45
+    normal = oracle.unit(random.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)).astype(np.float32)
+    surface = GeometryBake(
+        position=random.normal(size=(*shape, 3)).astype(np.float32),
+        normal=normal,
+        tangent=np.tile(np.float32([1, 0, 0, 1]), (*shape, 1)),
+        coverage=random.random(shape) < 0.9,
+        uv=np.zeros((*shape, 2), np.float32),
+    )
+    lights = np.float32([(0, 0.3, 0.9, 0), (0.5, 0.2, 3, 1)])
+    ones = np.ones((2, 3), np.float32)
+    domain = Domain(surface, np.zeros((2, *shape, 4), np.float32), lights, ones, np.float32([(0, 0, 1, 0)] * 2))
+    values = {"base_color": random.random((*shape, 3)).astype(np.float32), "normal": normal}
+    whole = forward.render_domain(domain, load_model("lambert"), values, [1, 0])
+    monkeypatch.setattr(forward.context, "max_texture_size", lambda: 20)
+    blocks = forward.render_domain(domain, load_model("lambert"), values, [1, 0])
+    np.testing.assert_array_equal(blocks, whole)
+    # The distant light by hand: albedo times cosine.
+    cosine = np.maximum(normal @ oracle.unit(lights[0, :3]), 0)[..., None]
+    expected = np.where(surface.coverage[..., None], values["base_color"] * cosine, 0)
+    np.testing.assert_allclose(blocks[1][..., :3], expected, atol=2e-6)
