@@ -132,8 +132,9 @@ def test_the_picture_of_a_height_gives_the_height_back_by_scale_and_midlevel():
     assert (nothing.as_map().encoded == nothing.midlevel).all()
 
 
-def test_the_cosine_transform_is_scipys_and_is_undone():
-    values = np.random.default_rng(1).normal(size=(13, 18))
+@pytest.mark.parametrize("shape", [(13, 18), (1, 2), (3, 1)])
+def test_the_cosine_transform_is_scipys_and_is_undone(shape):
+    values = np.random.default_rng(1).normal(size=shape)
     forward = height._cosines(height._cosines(values, 1), 0)
     np.testing.assert_allclose(forward, dctn(values, type=2) / 4, atol=1e-12)
     np.testing.assert_allclose(height._cosines(height._cosines(forward, 0, True), 1, True), values, atol=1e-12)
