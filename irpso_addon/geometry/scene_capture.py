@@ -76,7 +76,7 @@ def setting(obj: Any, name: str) -> Any:
 
 
 def wide_lights(scene: Any, place: np.ndarray) -> list[str]:
-    """Return what is wrong with lights of the capture that are too wide to be taken as their centres at a place (3,)."""
+    """Return what is wrong with lights of the capture that are too wide to be their centres at a place (3,)."""
     return [text for obj in photographed_lights(scene) if (text := too_wide(obj, place))]
 
 
