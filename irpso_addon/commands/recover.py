@@ -49,6 +49,7 @@ from ..solver.schedule import Schedule
 from ..solver.tiled import TiledRecovery
 from .each_slot import EACH, recover_each
 from .interrupt import held_back
+from .lights import check_lights, found_lights, light_warnings
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .progress import ProgressBar, unseen_reports
 
@@ -98,6 +99,11 @@ def run(options: Namespace, opened: bool = False) -> dict:
     domain = _domain(options, job, mesh, plan, subject)
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
+    started = time.perf_counter()
+    lights = found_lights(domain, kept, job.model, job.known, options)
+    if lights is not None:
+        domain = lights.applied(domain)
+        job.seconds["lights"] = time.perf_counter() - started
     plan = _plan(options, job, domain.solvable, plan.stack_on)
     started = time.perf_counter()
     with planned_recovery(
@@ -117,7 +123,10 @@ def run(options: Namespace, opened: bool = False) -> dict:
         gpu=context.describe()["renderer"], iterations=progress.iterations_in_all,
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
-    report |= relighting | {"warnings": limit_warnings(maps, job.known)}
+    warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
+    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings]}
+    if lights is not None:
+        report["lights"] = lights.report()
     pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
     extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
@@ -140,6 +149,7 @@ def _check(options: Namespace, opened: bool) -> _Job:
     resolution = size_option("--resolution", options.resolution or _RESOLUTION)
     model = load_model(options.model)
     schedule = schedule_from_options(options)
+    check_lights(options)
     if options.memory:
         parse_memory(options.memory)
     if options.object and not options.blend:
@@ -230,7 +240,7 @@ def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, su
     if mesh is None:
         domain = domain_from_card(job.capture, scratch=scratch)
     else:
-        domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch)
+        domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
     check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
     for text in options.known:
         name = text.partition("=")[0].strip()

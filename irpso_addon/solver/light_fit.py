@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,31 @@ class LightStep:
     told: float
 
 
+@dataclass(frozen=True)
+class Moving:
+    """How lights may move. start: (K, 4) as given. axes: of ``axes_of`` there. moves: (K, 3) so far, along the axes.
+
+    sigma: one standard deviation of the moves, in radians and as a part of a near light's distance.
+    """
+
+    start: np.ndarray
+    axes: np.ndarray
+    moves: np.ndarray
+    sigma: float
+
+    def lights(self, further: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return (K, 4) float32 lights as they are, or ``further`` (K, 3) along their axes; directions stay unit."""
+        result = self.start.astype(np.float64)
+        result[:, :3] += np.einsum("ka,kac->kc", self.moves + further, self.axes)
+        distant = self.start[:, 3] == 0
+        result[distant, :3] /= np.linalg.norm(result[distant, :3], axis=-1, keepdims=True)
+        return result.astype(np.float32)
+
+    def moved(self, further: np.ndarray) -> Moving:
+        """Return it after ``further`` (K, 3) moves."""
+        return replace(self, moves=self.moves + further)
+
+
 def axes_of(domain: Domain) -> np.ndarray:
     """Return (K, 3, 3) rows by which a light moves: two across, and the third toward it (zero for a distant one).
 
@@ -53,15 +78,6 @@ def axes_of(domain: Domain) -> np.ndarray:
     return axes * np.where(near[:, None], length, 1.0)[:, None]
 
 
-def moved(lights: np.ndarray, axes: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Return (K, 4) lights moved by (K, 3) along their axes; directions stay unit vectors."""
-    result = lights.astype(np.float64)
-    result[:, :3] += np.einsum("ka,kac->kc", moves, axes)
-    distant = lights[:, 3] == 0
-    result[distant, :3] /= np.linalg.norm(result[distant, :3], axis=-1, keepdims=True)
-    return result
-
-
 def light_step(
     domain: Domain,
     model: ReflectanceModel,
@@ -70,19 +86,18 @@ def light_step(
     scale: np.ndarray,
     fitness: Fitness,
     gains: bool,
-    moves_prior: tuple[float, np.ndarray] | None,
+    moving: Moving | None,
 ) -> Generator[None, None, LightStep]:
     """Yield after each observation, and return what would make the lights fit the images better.
 
     The unknowns of the texels, of ``values`` all but the ``known``, are eliminated (variable projection; Golub and
     Pereyra 1973): a light's error that they have taken up is seen all the same. Samples count as in the robust fitness.
-    scale: (h, w) of ``prepare.texel_scale``. moves_prior: radians (one standard deviation) and the (K, 3) moves made so
-    far, None where the lights stay.
+    scale: (h, w) of ``prepare.texel_scale``. moving: None where the lights stay where they are, as ``domain`` has them.
     """
     texels = np.nonzero(domain.bake.coverage)
-    found = _Equations(domain.observations, len(texels[0]), gains, moves_prior is not None)
+    found = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
     steps = _texel_steps(model, values, known)
-    renders = _Renders(domain, model, values, steps, moves_prior is not None)
+    renders = _Renders(domain, model, values, steps, moving)
     stack = domain.stack.copy()
     drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
     _, irradiance = light_vectors(domain, texels)
@@ -93,7 +108,8 @@ def light_step(
             seen = stack[k][texels].astype(np.float64)
             difference = np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
             # Against what the light itself does to most texels: one that is off as a whole is no outlier.
-            outlying = (difference - render * _typical(difference, render, seen[:, 3:])) / level[:, None]
+            common = render * _typical(difference, render, seen[:, 3:]) if gains else 0.0
+            outlying = (difference - common) / level[:, None]
             weight = seen[:, 3:] / (1 + (outlying / fitness.delta) ** 2)
             error = difference / level[:, None]
             found.add(
@@ -103,7 +119,7 @@ def light_step(
             yield
     finally:
         renders.close()
-    return found.solved(steps, moves_prior)
+    return found.solved(steps, moving)
 
 
 @dataclass(frozen=True)
@@ -144,10 +160,15 @@ class _Renders:
     """The texels as they are, with each unknown a step up and down, and under each light a step aside."""
 
     def __init__(
-        self, domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], steps: list[_Step], moves: bool
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        values: Mapping[str, np.ndarray],
+        steps: list[_Step],
+        moving: Moving | None,
     ):
         self._texels = np.nonzero(domain.bake.coverage)
-        self._shape, self._count, self._moves = domain.shape, domain.observations, moves
+        self._shape, self._count = domain.shape, domain.observations
         self._widths = np.stack([step.width[self._texels] for step in steps], axis=-1) if steps else None
         changed = [{}, *({step.name: side} for step in steps for side in (step.up, step.down))]
         stacked = {
@@ -156,10 +177,9 @@ class _Renders:
         tables = (domain.lights, domain.intensities, domain.views)
         self._all = Renderer(_repeated(domain.bake, len(changed)), model, stacked, *tables, domain.card)
         self._aside = None
-        if moves:
-            axes, none = axes_of(domain), np.zeros((self._count, MOVES))
-            sides = [none + side * _TURN * np.eye(MOVES)[a] for a in range(MOVES) for side in (1, -1)]
-            lights = np.concatenate([moved(domain.lights, axes, side) for side in sides]).astype(np.float32)
+        if moving is not None:
+            sides = [side * _TURN * np.eye(MOVES)[axis] for axis in range(MOVES) for side in (1, -1)]
+            lights = np.concatenate([moving.lights(side) for side in sides])
             repeated = (np.tile(table, (2 * MOVES, 1)) for table in tables[1:])
             self._aside = Renderer(domain.bake, model, dict(values), lights, *repeated, domain.card)
 
@@ -214,13 +234,13 @@ class _Equations:
         self._squares += float((weight * error**2).sum())
         self._weights += float(weight.sum())
 
-    def solved(self, steps: list[_Step], moves_prior: tuple[float, np.ndarray] | None) -> LightStep:
+    def solved(self, steps: list[_Step], moving: Moving | None) -> LightStep:
         """Eliminate the texels, and solve for the lights, with and without each group of texels."""
         noise = max(self._squares / max(self._weights, 1.0), 1e-8)
         matrices, rights = self._reduced(steps, noise)
         count = self._observations
         whole = matrices.sum(axis=0)
-        prior, toward = self._prior(len(self._groups), noise, moves_prior)
+        prior, toward = self._prior(len(self._groups), noise, moving)
         answers = []
         for left_out in (None, *range(_GROUPS)):
             matrix, right = whole, rights.sum(axis=0)
@@ -261,9 +281,7 @@ class _Equations:
                 rights[group] -= part.T @ texel_right[chosen].ravel()
         return matrices, rights
 
-    def _prior(
-        self, texels: int, noise: float, moves_prior: tuple[float, np.ndarray] | None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _prior(self, texels: int, noise: float, moving: Moving | None) -> tuple[np.ndarray, np.ndarray]:
         """(KQ, KQ) and (KQ,): what is believed before; gains change no channel's scale."""
         count, size = self._observations, self._size
         matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
@@ -274,11 +292,10 @@ class _Equations:
                 matrix[of, of] += strength / _GAIN_PRIOR**2
                 matrix[np.ix_(of, of)] += self._weights / count**2
         if self._moves:
-            sigma, so_far = moves_prior
             for axis in range(MOVES):
                 of = np.arange(count) * size + size - MOVES + axis
-                matrix[of, of] += strength / sigma**2
-                right[of] -= strength / sigma**2 * so_far[:, axis]
+                matrix[of, of] += strength / moving.sigma**2
+                right[of] -= strength / moving.sigma**2 * moving.moves[:, axis]
         return matrix, right
 
     def _told(self, whole: np.ndarray) -> float:

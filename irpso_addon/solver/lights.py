@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..geometry.domain import Domain, subset
 from ..reflectance.model import ReflectanceModel
 from . import light_sample
-from .light_fit import GAINS, MOVES, LightStep, axes_of, brightened, light_step, moved
+from .light_fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_step
 from .light_sample import LightSample
 from .prepare import lambert_seed, texel_scale
 from .recovery import Recovery
@@ -30,7 +30,7 @@ _WIDTHS = (0.2, 0.1, 0.05)
 _SLICE_SECONDS = 0.02
 _BRIGHT = 95.0  # percentile of the albedos that a common factor brings to _WHITE where it would lie above 1
 _WHITE = 0.9
-_TOLD = 0.03  # of LightStep.told: under it a trend of the intensities from one side to the other is hard to see
+_TOLD = 0.01  # of LightStep.told: under it a trend of the intensities from one side to the other is hard to see
 _SMALL = 256  # texels of a look at lights that are taken as given
 _CONTRADICTED = 0.1  # root mean square by which they have to be off to be spoken of
 
@@ -202,9 +202,11 @@ class _Search:
         entry: Any,
     ):
         self._sample, self._model, self._schedule, self._seed, self._known = sample, model, schedule, seed, known
-        self._fitted, self._intensities, self._sigma, self._entry = fitted, intensities, sigma, entry
+        self._fitted, self._intensities, self._entry = fitted, intensities, entry
         self._base = subset(sample.domain, fitted)
-        self._axes, self._moves = axes_of(self._base), np.zeros((len(fitted), MOVES))
+        self._moving = None
+        if sigma > 0:
+            self._moving = Moving(self._base.lights, axes_of(self._base), np.zeros((len(fitted), MOVES)), sigma)
         self._factors = sample.factors if intensities else np.ones((len(fitted), GAINS))
         if intensities:
             self._factors = self._factors * _not_above_white(_divided(self._base, self._factors))
@@ -219,9 +221,10 @@ class _Search:
             schedule = self._schedule.replaced(delta=max(self._schedule.fitness.delta, width))
             self._round += 1
             # The images are divided rather than the lights multiplied, so that all count the same however dim.
-            here = _divided(light_sample.with_lights(self._base, self._lights(), self._base.intensities), self._factors)
+            here = _divided(self._base, self._factors)
+            if self._moving is not None:
+                here = light_sample.with_lights(here, self._moving.lights(), here.intensities)
             self._values = yield from self._solved(here, schedule)
-            prior = (self._sigma, self._moves) if self._sigma > 0 else None
             scale = texel_scale(here, schedule.fitness.percentile)
             stepping = light_step(
                 here,
@@ -231,13 +234,14 @@ class _Search:
                 scale,
                 schedule.fitness,
                 self._intensities,
-                prior,
+                self._moving,
             )
             self._step = yield from self._reported(stepping)
             common = float(np.exp(np.log(self._factors).mean()))
             if self._intensities:
                 self._factors = normalised(self._factors * np.exp(self._step.gains)) * common
-            self._moves = self._moves + self._step.moves
+            if self._moving is not None:
+                self._moving = self._moving.moved(self._step.moves)
             self._change = max(_size(self._step.gains), _size(self._step.moves))
 
     def found(self, domain: Domain) -> Lights:
@@ -245,9 +249,9 @@ class _Search:
         count = domain.observations
         lights, factors = domain.lights.copy(), np.ones((count, GAINS))
         deviations, turned = np.zeros((count, GAINS)), np.zeros(count)
-        if self._sigma > 0:
-            lights[self._fitted] = self._lights()
-            turned[self._fitted] = np.degrees(np.linalg.norm(self._moves[:, :2], axis=-1))
+        if self._moving is not None:
+            lights[self._fitted] = self._moving.lights()
+            turned[self._fitted] = np.degrees(np.linalg.norm(self._moving.moves[:, :2], axis=-1))
         factors[self._fitted], deviations[self._fitted] = self._factors, self._step.deviations
         if self._intensities and len(self._fitted) < count:
             others = np.setdiff1d(np.arange(count), self._fitted)
@@ -256,9 +260,6 @@ class _Search:
             lights, (domain.intensities * factors).astype(np.float32), factors, deviations, turned, self._step.told,
             self._round, self._change,
         )  # fmt: skip
-
-    def _lights(self) -> np.ndarray:
-        return moved(self._base.lights, self._axes, self._moves).astype(np.float32)
 
     def _solved(self, domain: Domain, schedule: Schedule) -> Generator[float, None, dict[str, np.ndarray]]:
         recovery = Recovery(domain, self._model, schedule, self._seed, self._known, self._entry)
