@@ -50,7 +50,7 @@ def card(tmp_path_factory):
     points = np.stack([x, y, 0 * x], axis=-1)
     albedo = np.stack([0.3 + 0.2 * x, 0.5 - 0.1 * y, 0.4 + 0.1 * x * y], axis=-1)
     for k, direction in enumerate(dome_lights(12, widest=40)):
-        kind = ("SUN", "POINT", "SPOT")[k % 3]
+        kind = ("SUN", "POINT", "SPOT", "AREA")[k % 4]
         place = 4 * direction
         data = bpy.data.lights.new(f"Lamp {k}", kind)
         data.energy = {"SUN": units.sun_strength, "AREA": units.area_power}.get(kind, units.point_power)(1.0)
@@ -75,7 +75,7 @@ def test_a_scene_is_read_where_no_interface_is_registered(card):
     assert not hasattr(bpy.context.scene.objects["Lamp 0"], "irpso")
     capture = capture_of_open_file()
     assert capture.name == "Desk" and len(capture.observations) == 12
-    assert [o.light.cone is not None for o in capture.observations[:3]] == [False, False, True]
+    assert [o.light.cone is not None for o in capture.observations[:4]] == [False, False, True, False]
 
 
 def test_recover_takes_a_scene_for_its_capture(card):
