@@ -58,7 +58,8 @@ def surface_of(maps: Maps) -> Surface:
 
 def _principled(maps: Maps) -> Surface:
     shape = maps.covered.shape
-    settings = maps.model.material.get("settings", {})
+    settings = dict(maps.model.material.get("settings", {}))
+    settings.pop("distribution", None)
     ior = float(settings.get("IOR", _IOR))
     matte = not settings and _named(maps, "Roughness") is None
     level = _map(maps, "Specular IOR Level", 0.0 if matte else settings.get("Specular IOR Level", 0.5))

@@ -1,6 +1,7 @@
 """What the export panel writes, in background."""
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import irpso_addon
 from irpso_addon.exports.result import read_result
 from tests import cli_maker
+from tests.gpu.test_ui_panels import Drawn
 
 SHAPE = (18, 24)
 LIGHTS = cli_maker.dome_lights(16, widest=70)
@@ -114,10 +116,15 @@ def test_a_place_that_cannot_be_written_is_told_in_one_line(settings, tmp_path):
     assert "No place" in refusal(filepath="")
 
 
-def test_the_panel_shows_when_something_has_been_found(session_of_card):
+def test_the_panel_shows_when_something_has_been_found(settings):
     from irpso_addon.ui import export, session
 
     assert export.IRPSO_PT_export.poll(bpy.context)
+    settings.format = "textures"
+    drawn = Drawn()
+    export.IRPSO_PT_export.draw(SimpleNamespace(layout=drawn), bpy.context)
+    assert drawn.notes["props"][:5] == ["normal_object", "normal_world", "normal_directx", "height", "displacement"]
+    assert drawn.notes["props"][5:] == ["format", "convention"]
     current, session._current = session._current, None
     try:
         assert not export.IRPSO_PT_export.poll(bpy.context)
