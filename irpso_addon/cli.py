@@ -99,6 +99,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         help="recover only these material slots, by name or number from 0; each: all, one by one",
     )
     add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile, N or WxH (default 512)")
+    add.add_argument("--no-shadows", dest="shadows", action="store_false",
+                     help="count samples that the mesh hides from their light like all others")  # fmt: skip
     add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter that is given: an EXR file, or numbers: base_color=0.5,0.5,0.5")  # fmt: skip
     add.add_argument(

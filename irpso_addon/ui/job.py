@@ -42,7 +42,8 @@ class Job:
     name: of material and images. origin: what they are recovered from. scene_uid: the session's own number of the scene
     whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
     parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
-    the sample stack depends on; equal sources have equal domains. None where that cannot be told.
+    the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
+    the mesh hides from a light is left out.
     """
 
     capture: Capture
@@ -61,6 +62,7 @@ class Job:
     scratch: Path
     place: np.ndarray
     source: tuple[Any, ...] | None = None
+    shadows: bool = True
     known: dict[str, np.ndarray] = field(default_factory=dict)
 
     def loading(self) -> Generator[None, None, Domain]:
@@ -72,7 +74,7 @@ class Job:
         scratch = self.scratch if plan.stack_on == "scratch" else None
         if self.mesh is None:
             return (yield from card_steps(self.capture, scratch=scratch))
-        return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch))
+        return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
 
     def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
         """Return the recovery that is planned. Raises InputError, ShaderError."""
@@ -147,7 +149,7 @@ def make_job(context) -> Job:
         capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
         schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
-        free_place(context, size[0] / size[1]), _source(settings, capture, mesh),
+        free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
     )  # fmt: skip
 
 
@@ -252,5 +254,6 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     if mesh is not None:
         arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)
         solved = None if mesh.solved is None else mesh.solved.tobytes()
-        shape = hash((*(array.tobytes() for array in arrays), settings.resolution, mesh.tiles, solved))
+        made = (settings.resolution, settings.shadows, mesh.tiles, solved)
+        shape = hash((*(array.tobytes() for array in arrays), *made))
     return stamps, lights, cameras, shape

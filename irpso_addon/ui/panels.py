@@ -158,6 +158,7 @@ class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
             if settings.slots == "NAMED":
                 column.prop(settings, "slot_list", text="Names")
         column.prop(settings, "resolution")
+        column.prop(settings, "shadows")
 
 
 class IRPSO_PT_material(_BeforeRun, bpy.types.Panel):

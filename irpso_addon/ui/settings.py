@@ -241,6 +241,10 @@ class Settings(bpy.types.PropertyGroup):
         " several; a card's maps have the images' size",
         subtype="PIXEL", min=1, max=_LARGEST_SIDE, soft_min=64, soft_max=4096, default=512,
     )  # fmt: skip
+    shadows: BoolProperty(
+        name="Predict Shadows", description="Leave out of the photographs what the mesh hides from the light; switch it"
+        " off where the mesh is rougher than its subject", default=True,
+    )  # fmt: skip
     model: EnumProperty(
         name="Model", description="What is recovered", items=_MODEL_ITEMS, default="principled", update=_model_changed
     )

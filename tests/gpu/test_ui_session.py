@@ -85,6 +85,24 @@ def test_a_camera_that_was_edited_in_place_makes_another_domain(job, folder):
     assert job().source != before
 
 
+def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain(job, monkeypatch):
+    from irpso_addon.ui import job as module
+
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
+    settings = bpy.context.scene.irpso
+    settings.subject, settings.resolution = "MESH", 8
+    asked, sources = [], []
+    monkeypatch.setattr(module, "mesh_steps", lambda *_, shadows, **__: asked.append(shadows) or iter(()))
+    for wanted in (None, False, True):
+        if wanted is not None:
+            settings.shadows = wanted
+        made = job()
+        list(made.loading())
+        sources.append(made.source)
+    assert asked == [True, False, True]
+    assert sources[0] == sources[2] != sources[1]
+
+
 def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
     obj = bpy.context.object
