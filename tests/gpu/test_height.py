@@ -7,6 +7,7 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry import bake, relief
+from irpso_addon.maps.height import Height
 from irpso_addon.maps.material import apply_material, build_material, card_object
 from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
@@ -143,3 +144,26 @@ def test_a_material_that_is_built_again_without_height_is_displaced_no_more(card
     again = build_material(Maps(load_model("lambert"), values, np.ones((SIZE, SIZE), bool)), "bump")
     assert again == material and "IRPSO displacement" not in material.node_tree.nodes
     assert not material.node_tree.nodes["IRPSO output"].inputs["Displacement"].is_linked
+
+
+def test_on_a_mesh_of_unequal_scale_the_relief_is_as_high_as_the_world_has_it(tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    centres = (np.arange(SIZE) + 0.5) / SIZE - 0.5
+    z, normals = bump(*np.meshgrid(centres, centres))
+    covered = np.ones((SIZE, SIZE), bool)
+    values = {"base_color": np.full((SIZE, SIZE, 3), 0.5, np.float32), "normal": normals.astype(np.float32)}
+    height = Height(z.astype(np.float32), covered, "world")
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=128, y_subdivisions=128, size=1, calc_uvs=True)
+    obj = bpy.context.object
+    obj.scale = (2, 2, 0.25)
+    obj.data.polygons.foreach_set("use_smooth", np.ones(len(obj.data.polygons), bool))
+    apply_material(obj, build_material(Maps(load_model("lambert"), values, covered), "sheet", height=height))
+    data = bpy.data.cameras.new("view")
+    data.type, data.ortho_scale = "ORTHO", 2.0
+    view = bpy.data.objects.new("view", data)
+    view.location = (0, 0, 5)
+    bpy.context.scene.collection.objects.link(view)
+    bpy.context.scene.camera = view
+    depth, _ = passes(tmp_path / "world.exr")
+    error = np.abs(5 - depth - z)[INNER]
+    assert error.max() < 0.005 * np.ptp(z)
