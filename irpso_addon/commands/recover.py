@@ -21,7 +21,7 @@ from ..geometry.frames import from_blender, turned_normals
 from ..geometry.margins import blender_maps
 from ..geometry.mesh import MeshData, extract_mesh
 from ..geometry.scene import empty_blend, mesh_object, open_blend
-from ..geometry.scene_capture import capture_of_open_file
+from ..geometry.scene_capture import capture_of_open_file, wide_lights_around
 from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..maps import material
@@ -124,6 +124,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
         evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
     warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
+    warnings += wide_lights_around(subject) if _is_scene(options.capture) else []
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings]}
     if lights is not None:
         report["lights"] = lights.report()

@@ -14,7 +14,7 @@ from ..capture.steps import run_steps
 from ..capture.types import Capture, Observation
 from ..errors import InputError
 from ..maps.blender_images import decode
-from .scene import camera_from_object
+from .scene import camera_from_object, middle_of
 from .scene_images import Photograph, open_photograph
 from .scene_lights import light_of, too_wide
 
@@ -78,6 +78,13 @@ def setting(obj: Any, name: str) -> Any:
 def wide_lights(scene: Any, place: np.ndarray) -> list[str]:
     """Return what is wrong with lights of the capture that are too wide to be their centres at a place (3,)."""
     return [text for obj in photographed_lights(scene) if (text := too_wide(obj, place))]
+
+
+def wide_lights_around(obj: Any) -> list[str]:
+    """Return what ``wide_lights`` does of the open file's scene, for a subject in it."""
+    import bpy
+
+    return wide_lights(bpy.context.scene, middle_of(obj))
 
 
 def photographed_lights(scene: Any) -> list:

@@ -8,6 +8,7 @@ import pytest
 import irpso_addon
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
 from irpso_addon.geometry import scene_lights
+from irpso_addon.geometry.scene_capture import wide_lights_around
 from irpso_addon.maps import lights
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import scene_capture, scene_objects
@@ -184,4 +185,5 @@ def test_an_area_light_too_wide_for_its_distance_is_warned_of(scene, tmp_path):
     bpy.ops.irpso.check_capture()
     (found,) = scene.irpso.findings
     assert found.severity == "warning" and "'Softbox' is 1.4 wide, 4 from the subject" in found.message
+    assert wide_lights_around(bpy.data.objects["Plane"]) == [found.message]
     assert len(scene_capture.capture_of(scene).observations) == 1
