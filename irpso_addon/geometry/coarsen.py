@@ -10,8 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from .domain import Domain, GeometryBake
+from .seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # of a mean of unit vectors: shorter ones point nowhere, as of two sides of a thin wall
+_STRANGE = 1e-6  # of another island's coarse texel: it tells only where no other does
 _NEAR, _FAR = 0.75, 0.25  # of bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
 
 
@@ -26,7 +28,7 @@ def coarser(domain: Domain) -> Domain:
     stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack])
     return Domain(
         _coarser_bake(domain.bake), stack, domain.lights, domain.intensities, domain.views, (x // 2, y // 2),
-        card=domain.card,
+        card=domain.card, seams=None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage),
     )  # fmt: skip
 
 
@@ -55,6 +57,9 @@ def finer_map(
     for rows, down in _beside(domain.shape[0], coarse.shape[0]):
         for columns, across in _beside(domain.shape[1], coarse.shape[1]):
             weight = (down[:, None] * across * coarse.solvable[rows[:, None], columns])[..., None]
+            if domain.seams is not None and coarse.seams is not None:
+                own = coarse.seams.island[rows[:, None], columns] == domain.seams.island
+                weight *= np.where(own, 1.0, _STRANGE)[..., None]
             total += np.where(weight > 0, weight * held[rows[:, None], columns], 0)
             weights += weight
     mean = total / np.where(weights > 0, weights, 1)
@@ -94,6 +99,14 @@ def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     mean = _cells(radiance).sum(axis=(1, 3)) / np.where(total > 0, total, 1)[..., None]
     count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
     return np.concatenate([mean, (total / count)[..., None]], axis=-1).astype(np.float32)
+
+
+def _coarser_seams(seams: SeamMap, coverage: np.ndarray) -> SeamMap:
+    """Return the seams at half the size: a coarse texel lies on the island of the first of its texels."""
+    islands = _cells(np.where(coverage, seams.island + 1, 0)).transpose(0, 2, 1, 3)
+    flat = islands.reshape(*islands.shape[:2], 4)
+    first = (flat > 0).argmax(axis=-1)[..., None]
+    return seam_map(seams.edges.halved(), np.take_along_axis(flat, first, axis=-1)[..., 0] - 1, seams.reach)
 
 
 def _coarser_bake(bake: GeometryBake) -> GeometryBake:

@@ -1,10 +1,13 @@
 """Seam maps against sheets cut in two, of which every neighbour on the surface is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.coarsen import coarser, finer_map
 from irpso_addon.geometry.domain import tile
-from irpso_addon.geometry.seams import seam_edges, seam_map, seams_of
+from irpso_addon.geometry.seams import seam_edges, seams_of
 from tests.geometry_oracle import joined, mesh_from_corners
 from tests.seam_subjects import LEFT, START, TURNS, sheet
 
@@ -70,15 +73,30 @@ def test_corners_that_differ_by_rounding_are_one_and_an_edge_of_three_triangles_
     assert len(np.unique(islands)) > 1 and (edges.other == -1).all()
 
 
-def test_at_half_the_size_the_same_texels_lie_across_a_cut():
-    subject = sheet("turned by 180°")
-    seams = subject.domain().seams
-    coarse = seam_map(seams.edges.halved(), seams.island[::2, ::2])
-    left = coarse.of == coarse.island[START[1] // 2 + 1, START[0] // 2 + 1]
-    middle = 2 * (coarse.place[left] + 0.5)
+@pytest.mark.parametrize("turn", ["turned by 180°", "mirrored and turned"])
+def test_at_half_the_size_the_same_surface_lies_across_a_cut(turn):
+    subject = sheet(turn)
+    domain = coarser(subject.domain())
+    seams = domain.seams
+    assert seams.island.shape == domain.shape and ((seams.island >= 0) == domain.bake.coverage).all()
+    left = seams.of == seams.island[START[1] // 2 + 1, START[0] // 2 + 1]
+    middle = 2 * (seams.place[left] + 0.5)
     wanted = (middle - START - (LEFT, 0)) @ subject.turn.T + subject.origin
     assert left.sum() > 30 and (~left).sum() > 30
-    np.testing.assert_allclose(2 * coarse.at[left], wanted, atol=0.02)
+    np.testing.assert_allclose(2 * seams.at[left], wanted, atol=0.02)
+    y, x = np.divmod(seams.target[left], domain.shape[1])
+    assert np.abs(2 * np.stack([x + 0.5, y + 0.5], axis=-1) - wanted).max() < 2.01
+    assert (seams.island[y, x] == seams.of[~left][0]).all()
+
+
+def test_a_finer_map_takes_nothing_from_the_island_beside():
+    domain = sheet("as it is").domain()
+    island = np.where(domain.bake.coverage, (np.arange(domain.shape[1]) >= 9) + 2 * (domain.seams.island > 0), -1)
+    domain = replace(domain, seams=replace(domain.seams, island=island.astype(np.int32)))
+    coarse = coarser(domain)
+    fine = finer_map(coarse, domain, coarse.seams.island[..., None], 0.5)[..., 0]
+    # Column 8 is of the one island and 9 of the other, and one coarse texel holds both.
+    np.testing.assert_allclose(fine[domain.bake.coverage], island[domain.bake.coverage], atol=1e-4)
 
 
 @pytest.mark.parametrize("turn", ["mirrored and turned", "past the square's edge"])
