@@ -58,6 +58,16 @@ class Lights:
         """Return the domain under these lights."""
         return light_sample.with_lights(domain, self.lights, self.intensities)
 
+    def summary(self) -> str:
+        """Return in a line how far they are from those that were given."""
+        parts = []
+        if (self.factors != 1).any():
+            low, high = self.factors.mean(axis=-1).min(), self.factors.mean(axis=-1).max()
+            parts.append(f"{low:.2g} to {high:.2g} × as given")
+        if self.turned.any():
+            parts.append(f"turned by {self.turned.mean():.1f}°")
+        return ", ".join(parts) or "as given"
+
     def report(self) -> dict[str, Any]:
         """Return what a report says of them, as plain data."""
         return {

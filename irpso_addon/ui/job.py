@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,8 @@ from ..maps import material
 from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
+from ..solver.light_sample import LightSample
+from ..solver.lights import Lights, light_steps
 from ..solver.plan import Plan
 from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
 from ..solver.prepare import Prepared
@@ -35,6 +38,14 @@ from .tiled_images import tile_images
 _MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
 
 
+@dataclass(frozen=True)
+class LightWish:
+    """What is to be found of the lights. degrees: how far off their directions are believed to be, 0 to leave them."""
+
+    intensities: bool = False
+    degrees: float = 0.0
+
+
 @dataclass
 class Job:
     """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
@@ -43,7 +54,7 @@ class Job:
     whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
     parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
     the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
-    the mesh hides from a light is left out.
+    the mesh hides from a light is left out. known: as the solver takes them, of ``know``.
     """
 
     capture: Capture
@@ -63,6 +74,7 @@ class Job:
     place: np.ndarray
     source: tuple[Any, ...] | None = None
     shadows: bool = True
+    lights: LightWish = LightWish()
     known: dict[str, np.ndarray] = field(default_factory=dict)
 
     def loading(self) -> Generator[None, None, Domain]:
@@ -76,11 +88,21 @@ class Job:
             return (yield from card_steps(self.capture, scratch=scratch))
         return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
 
-    def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
-        """Return the recovery that is planned. Raises InputError, ShaderError."""
+    def know(self, domain: Domain) -> None:
+        """Find ``known``, which is in the frames of a domain's texels."""
         self.known = dict(self.given)
         if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
             self.known = turned_normals(self.model, self.known, self.mesh, domain.bake, from_blender)
+
+    def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights]:
+        """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
+        return light_steps(
+            domain, self.model, None, self.seed, self.known, intensities=self.lights.intensities,
+            refine_degrees=self.lights.degrees, entry=self.entry, sample=sample,
+        )  # fmt: skip
+
+    def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
+        """Return the recovery that is planned, with what is ``known``. Raises InputError, ShaderError."""
         return planned_recovery(
             plan, domain, self.model, self.schedule, self.seed, self.known, self.entry,
             self.scratch, prepared,
@@ -150,6 +172,7 @@ def make_job(context) -> Job:
         schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
+        LightWish(settings.light_strengths == "ESTIMATE", round(math.degrees(settings.refine_directions), 4)),
     )  # fmt: skip
 
 

@@ -72,7 +72,9 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         maps, settings=settings, seed=job.seed, gpu=gpu_context.describe()["renderer"],
         iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
     )  # fmt: skip
-    return report | {"warnings": limit_warnings(maps, job.given)}
+    lights = running.lights
+    warnings = limit_warnings(maps, job.given) + (lights.warnings() if lights is not None else [])
+    return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 
 
 def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:

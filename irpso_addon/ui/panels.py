@@ -57,6 +57,10 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
             layout.operator("irpso.import_cameras", text="Import Cameras…", icon="OUTLINER_OB_CAMERA")
             layout.operator("irpso.assign_images", icon="FILE_IMAGE")
             _draw_light(layout, context)
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(settings, "light_strengths")
+        column.prop(settings, "refine_directions")
         _draw_check(layout, context, settings)
         if settings.source == "FILES":
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
@@ -268,6 +272,10 @@ def draw_result(layout, context, running: session.Session) -> None:
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
+    if running.lights is not None:
+        drawing.fact(column, context, "Lights", running.lights.summary())
+        for text in running.lights.warnings():
+            drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
     row = layout.row()
     row.scale_y = 1.0 if kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")

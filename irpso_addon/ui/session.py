@@ -20,13 +20,15 @@ from ..maps.material import find_card
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..solver.display import Display
+from ..solver.light_sample import draw
+from ..solver.lights import Lights
 from ..solver.memory import free_memory
 from ..solver.planning import AnyRecovery, untiled
 from ..solver.prepare import Prepared, prepare
 from ..solver.pyramid import Pyramid
 from ..solver.recovery import Progress, Recovery
 from ..solver.schedule import Schedule
-from .job import Job
+from .job import Job, LightWish
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
@@ -46,12 +48,17 @@ _loaded: _Loaded | None = None  # the last domain that was read: a second run ne
 
 @dataclass
 class _Loaded:
-    """A domain that was read. source: Job.source. prepared: of ``basis``: model, seed and fitness."""
+    """A domain that was read. source: Job.source. prepared: of ``basis``: model, seed and fitness. lights: of ``wish``.
+
+    A domain under lights that were found is another, of which nothing is kept.
+    """
 
     source: tuple[Any, ...]
     domain: Domain
     basis: tuple[Any, ...] = ()
     prepared: Prepared | None = None
+    wish: tuple[Any, ...] = ()
+    lights: Lights | None = None
 
 
 @dataclass
@@ -78,6 +85,7 @@ class Session:
         self.domain: Domain | None = None
         self.recovery: AnyRecovery | None = None
         self.display: Display | None = None
+        self.lights: Lights | None = None  # where they were to be found
         self.probes: list[Probe] = []
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
@@ -88,6 +96,7 @@ class Session:
         self.runs = 0  # of the modal operator, which is begun anew by each resuming
         self._paused_in = self.state
         self._read = 0
+        self._lit = 0.0  # how far the lights are found
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
         self._opening: Generator[None, None, None] | None = self._open()
@@ -109,10 +118,10 @@ class Session:
 
     @property
     def fraction(self) -> float:
-        """How far the phase that is under way is: of the images that are read, then of the work."""
+        """How far the phase that is under way is: of the images that are read, then of the lights, of the work."""
         if self.recovery is not None:
             return self.recovery.progress.fraction
-        return self._read / len(self.job.capture.observations) if self.state == "loading" else 0.0
+        return self._read / len(self.job.capture.observations) if self.state == "loading" else self._lit
 
     @property
     def rate(self) -> float:
@@ -260,7 +269,12 @@ class Session:
             self.domain = yield from self._counted(loading)
             if key is not None:
                 _loaded = _Loaded(key, self.domain)
-        self.state, self.title = "preparing", "Fitting a first guess"
+        self.state = "preparing"
+        self.job.know(self.domain)
+        if self.job.lights != LightWish():
+            self.lights = yield from self._lighting()
+            self.domain = self.lights.applied(self.domain)
+        self.title = "Fitting a first guess"
         plan, prepared = self.job.plan(self.domain.solvable), None
         if untiled(plan) and self.job.schedule.levels == 1:
             prepared = yield from self._prepared()
@@ -279,6 +293,25 @@ class Session:
             self._read += 1
             yield
 
+    def _lighting(self) -> Generator[None, None, Lights]:
+        """Return the lights that are found, or were found for the same settings before."""
+        job, self.title = self.job, "Finding the lights"
+        wish = (job.lights, job.model, job.seed, job.entry)
+        kept = _loaded if _loaded is not None and _loaded.domain is self.domain and not job.given else None
+        if kept is not None and kept.lights is not None and kept.wish == wish:
+            return kept.lights
+        sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.arange(self.domain.observations)))
+        steps = job.lighting(self.domain, sample)
+        while True:
+            try:
+                self._lit = next(steps)
+            except StopIteration as stop:
+                self._lit = 0.0
+                if kept is not None:
+                    kept.wish, kept.lights = wish, stop.value
+                return stop.value
+            yield
+
     def _prepared(self) -> Generator[None, None, Prepared]:
         """Return what the numpy part finds, or found for the same settings before."""
         schedule = self.job.schedule
@@ -288,18 +321,18 @@ class Session:
             return _loaded.prepared
         if known:
             _loaded.prepared = None
-        prepared = yield from self._preparing()
+        prepared = yield from self._threaded(lambda: prepare(self.domain, self.job.model, self.job.schedule))
         if known and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
             _loaded.basis, _loaded.prepared = basis, prepared
         return prepared
 
-    def _preparing(self) -> Generator[None, None, Prepared]:
-        """Run the numpy part in a thread of its own, so that the window lives on."""
+    def _threaded(self, function: Callable[[], Any]) -> Generator[None, None, Any]:
+        """Return what a function of numpy returns: it runs in a thread of its own, so that the window lives on."""
         found: list[Any] = []
 
         def work() -> None:
             try:
-                found.append(prepare(self.domain, self.job.model, self.job.schedule))
+                found.append(function())
             except BaseException as error:  # noqa: BLE001  raised again where it is waited for
                 found.append(error)
 

@@ -1,5 +1,7 @@
 """What the user sets, kept in the .blend: the scene's settings, the view's, and each light's image."""
 
+import math
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -16,6 +18,7 @@ from ..errors import InputError
 from ..exports.formats import FORMATS
 from ..exports.textures import CONVENTIONS
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
+from ..solver.lights import MOST_DEGREES
 from ..solver.texel_probe import component_names
 from .features import RELATIVE_PATH
 from .schedule_settings import ScheduleSettings
@@ -30,6 +33,10 @@ _COLOUR_SPACES = (
 _SOURCES = (
     ("FILES", "Files", "A folder of photographs with their lights, an .lp list or a capture.toml"),
     ("SCENE", "This Scene", "The cameras and lights of the open file, each light with its image"),
+)
+_STRENGTHS = (
+    ("GIVEN", "As Given", "Light intensities as the capture or the scene has them; 1 where it tells none"),
+    ("ESTIMATE", "Estimate", "Find how strong each light was from the photographs, up to one scale, before the search"),
 )
 _SUBJECTS = (
     ("MESH", "Mesh", "Recover the maps of a mesh, in its UV map"),
@@ -224,6 +231,14 @@ class Settings(bpy.types.PropertyGroup):
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
     colour_space: EnumProperty(name="Color Space", description="Of the image files", items=_COLOUR_SPACES)
+    light_strengths: EnumProperty(
+        name="Light Strengths", description="Whether the capture's light intensities are known", items=_STRENGTHS
+    )
+    refine_directions: FloatProperty(
+        name="Refine Directions", description="How far off the lights' directions may be: they are corrected by the"
+        " photographs before the search. 0 leaves them as they are", subtype="ANGLE", min=0,
+        max=math.radians(MOST_DEGREES), default=0,
+    )  # fmt: skip
     checked_path: StringProperty(description="The capture that the findings are of")
     summary: StringProperty(description="What the capture holds")
     findings: CollectionProperty(type=FindingItem)
