@@ -17,6 +17,7 @@ _HOMES = {
     "domain_from_card": "geometry.build",
     "domain_from_mesh": "geometry.build",
     "extract_mesh": "geometry.mesh",
+    "estimate_lights": "solver.lights",
     "Maps": "maps.result",
     "write_maps": "maps.write",
 }
