@@ -119,6 +119,24 @@ def test_importing_again_brings_cameras_up_to_date_and_leaves_their_empty(scene,
     np.testing.assert_allclose(np.array(camera.matrix_world)[:3, :3], FLIP, atol=1e-6)
 
 
+def test_a_capture_of_such_cameras_is_imported_and_its_scene_is_it_again(scene, tmp_path):
+    colmap(tmp_path / "model", "OPENCV", row(COLMAP_LENSES["OPENCV"]))
+    write_png(tmp_path / "lit.png", np.full((HEIGHT // 4, WIDTH // 4, 3), 100))
+    shots = "".join(
+        f'[[observation]]\nimage = "lit.png"\ncamera = "IMG_0001"\nlight_direction = [0, {k}, 1]\n' for k in (0, 1, 2)
+    )
+    (tmp_path / "capture.toml").write_text(f'name = "scan"\ncameras = "model"\n{shots}')
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path / "capture.toml"))
+    assert scene.irpso.subject == "MESH" and "perspective with lens distortion" in scene.irpso.summary
+    expected = scene_capture.capture_of(scene).cameras[0]
+    bpy.ops.irpso.create_scene()
+    scene.irpso.source = "SCENE"
+    capture = scene_capture.capture_of(scene)
+    assert capture.name == "scan" and [o.camera for o in capture.observations] == [0, 0, 0]
+    np.testing.assert_allclose(capture.cameras[0].project(POINTS)[0], expected.project(POINTS)[0], atol=1e-3)
+    assert capture.cameras[0].distortion == expected.distortion
+
+
 @pytest.mark.parametrize(("chosen", "words"), [("", "no file was chosen"), ("gone.xml", "gone.xml: is not there")])
 def test_what_is_no_file_of_cameras_is_told(scene, tmp_path, chosen, words):
     with pytest.raises(RuntimeError, match=words):

@@ -214,6 +214,15 @@ def test_cameras_that_are_disabled_or_not_aligned_are_named_as_such(tmp_path):
     assert found.name_of("photos/img_0001.tif", "here") == "IMG_0001"
 
 
+def test_a_label_that_several_photographs_have_is_told_only_where_it_is_used(tmp_path):
+    other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
+    again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
+    found = read_poses(metashape(tmp_path / "a.xml", camera=other + again))
+    assert list(found.cameras) == ["other"]
+    with pytest.raises(CaptureError, match="its 'IMG_0001' is the name of several photographs; give them"):
+        found.name_of("IMG_0001.JPG", "here")
+
+
 @pytest.mark.parametrize(
     ("terms", "refused"),
     [
@@ -253,7 +262,10 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ({"world": CHUNK.replace("2.5", "0")}, "the chunk's transform must turn, move and scale"),
         ({"world": CHUNK.replace("2.5", "1 2")}, "the chunk's transform must be 1 finite number"),
         ({"camera": '<camera id="9" sensor_id="5" label="x"><transform/></camera>'}, "sensor 5 is not there"),
-        ({"camera": '<camera id="9" sensor_id="0" label="IMG_0001"/>'}, "'IMG_0001': is there twice"),
+        (
+            {"camera": '<camera id="9" sensor_id="0" label="IMG_0001"/>'},
+            "'IMG_0001' is the name of several photographs",
+        ),
         ({"reference": '<reference>GEOGCS["WGS 84",1]</reference>'}, "its world is the Earth"),
     ],
 )

@@ -50,8 +50,9 @@ def read_metashape(path: Path) -> PoseFile:
         name = element.get("label") or f"camera {element.get('id')}"
         where = f"{path}: camera '{name}'"
         if name in cameras or name in unusable:
-            raise CaptureError(f"{where}: is there twice; give the photographs different names", "camera")
-        if (element.get("enabled") or "true").lower() in _NO:
+            cameras.pop(name, None)
+            unusable[name] = "is the name of several photographs; give them different labels in Metashape"
+        elif (element.get("enabled") or "true").lower() in _NO:
             unusable[name] = "is disabled; enable it in Metashape and export again"
         elif element.find("transform") is None:
             unusable[name] = "was not aligned; align it in Metashape and export again"
