@@ -56,7 +56,8 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     tiles = _tiles(report)
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
-    maps = Maps(table, values, covered, tiles=tiles)
+    # Margins are in the file as they were filled, past seams with what lies beyond them.
+    maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder)
 
 

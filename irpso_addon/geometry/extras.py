@@ -76,7 +76,7 @@ def extra_maps(
         else:
             world = world_normals(bake, solver)
             spaces[space] = world if space == "world" else object_normals(mesh.matrix, world)
-    made = normal_maps(spaces, found.covered)
+    made = normal_maps(spaces, found.covered, written.margin)
     if not wanted.relief:
         return made, None
     if mesh is None:

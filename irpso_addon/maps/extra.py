@@ -26,16 +26,17 @@ class ExtraMap:
     exr: bool = True
 
 
-def normal_maps(spaces: dict[str, np.ndarray], covered: np.ndarray) -> list[ExtraMap]:
+def normal_maps(spaces: dict[str, np.ndarray], covered: np.ndarray, margin: np.ndarray | None = None) -> list[ExtraMap]:
     """Return normal maps of other spaces, "object", "world" or "directx" → (H, W, 3) unit vectors, XYZ.
 
     For "directx" the vectors are those of the tangent-space map; its PNG has green turned over, and it has no EXR,
-    whose vectors would be the same. Object and world space are as Blender's Normal Map node takes them.
+    whose vectors would be the same. Object and world space are as Blender's Normal Map node takes them. margin: that of
+    the Maps whose tangent-space normals are given.
     """
     made = []
     for space, vectors in spaces.items():
         flat = FLAT_NORMAL if space == "directx" else None
-        values = fill_margin(vectors, covered, far=flat)
+        values = fill_margin(vectors, covered, far=flat, given=margin if space == "directx" else None)
         if space == "directx":
             encoded = encode_normal(values * np.float32([1, -1, 1]))
             made.append(ExtraMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
