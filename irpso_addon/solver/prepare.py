@@ -1,10 +1,15 @@
-"""Before the search: each texel's scale, the weights of its samples, and a Lambertian first guess."""
+"""Before the search: each texel's scale, the weights of its samples, and a Lambertian first guess.
+
+A texel's numbers depend on its own samples alone, to the last bit, however a domain is cut: so sums are added up light
+by light, never by a library that groups them by the size of an array.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 
@@ -16,6 +21,7 @@ from .state import domain_arrays
 
 _LIT_PERCENTILES = (20.0, 75.0)  # of the lit samples: below lies shadow's edge, above lies the highlight
 _CHUNK = 1 << 16  # samples at a time: what is made of them, about 80 bytes a sample, stays in a cache
+_EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with room
 _THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
@@ -86,10 +92,33 @@ def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: b
 
 def brightness(domain: Domain) -> float:
     """Return the mean irradiance/π of the lights at the texels, over lights, texels and channels."""
+    return brightness_of(domain, *brightness_sums(domain, domain.solvable))
+
+
+def brightness_sums(domain: Domain, counted: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return what ``brightness_of`` needs of some solvable texels, (H, W) bool, and how many they are.
+
+    The first is (280,) int64: the texels' irradiances in float32, taken apart into whole numbers by their exponents.
+    Such sums are exact, so that those of parts add up to that of the whole, in any order.
+    """
+    sums, count = np.zeros(_EXPONENTS, np.int64), 0
+    if not domain.lights[:, 3].any():
+        return sums, int(np.count_nonzero(counted))
+    for _, texels in _chunks(domain):
+        mean = _irradiance(domain, texels).mean(axis=-1)
+        values = (_over_lights(mean) / len(mean)).astype(np.float32)[counted[texels]]
+        mantissa, exponent = np.frexp(values)
+        np.add.at(sums, exponent - _LEAST_EXPONENT, (mantissa * 2.0**24).astype(np.int64))
+        count += len(values)
+    return sums, count
+
+
+def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
+    """Return the brightness that goes with the sums of all of a domain's texels."""
     if not domain.lights[:, 3].any():
         return float(domain.intensities.mean())
-    sums = [(_irradiance(domain, texels).mean(axis=(0, 2)).sum(), len(texels[0])) for _, texels in _chunks(domain)]
-    return float(sum(part for part, _ in sums) / max(1, sum(count for _, count in sums)))
+    total = sum(int(part) << place for place, part in enumerate(sums.tolist()))
+    return float(Fraction(total, max(1, count)) * Fraction(2) ** (_LEAST_EXPONENT - 24))
 
 
 def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
@@ -153,17 +182,14 @@ def light_vectors(domain: Domain, texels: Texels) -> tuple[np.ndarray, np.ndarra
     if domain.card and not domain.lights[:, 3].any():
         vectors = domain.lights[:, None, :3].astype(np.float64)
         return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), domain.intensities[:, None]
-    bake = domain.bake
-    position, normal, tangent = bake.position[texels], bake.normal[texels], bake.tangent[texels]
-    frame = np.stack(
-        [tangent[..., :3], tangent[..., 3:] * np.cross(normal, tangent[..., :3]), normal], axis=-1
-    )  # fmt: skip
+    position, frame = domain.bake.position[texels], domain.bake.frames(texels).swapaxes(-1, -2)
     near = domain.lights[:, 3] > 0
     toward = np.repeat(domain.lights[:, None, :3], len(position), axis=1)
     toward[near] -= position
     squared = np.where(near[:, None], (toward**2).sum(axis=-1), 1.0)
     toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
-    return np.einsum("ktc,tcd->ktd", toward, frame), domain.intensities[:, None, :] / squared[..., None]
+    local = [_dot(toward, frame[..., axis]) for axis in range(3)]
+    return np.stack(local, axis=-1), domain.intensities[:, None, :] / squared[..., None]
 
 
 def _drop_shadow(stack: np.ndarray, domain: Domain, texels: Texels, scale: np.ndarray, fitness: Fitness) -> None:
@@ -201,16 +227,15 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
     usable = (count >= 3)[:, None] & (length > 1e-8)
     normal = np.where(usable, scaled / np.maximum(length, 1e-8), (0.0, 0.0, 1.0))
-    facing = vectors[:, 0] @ normal.T if vectors.shape[1] == 1 else np.einsum("kti,ti->kt", vectors, normal)
-    cosine = np.maximum(facing, 0, out=facing)
+    cosine = np.maximum(_dot(vectors, normal), 0)
     cosine *= kept
     albedo, squares = np.empty(normal.shape, np.float32), None
     for channel, shade in enumerate(shades):
         every = lights[..., channel].all()
         told = cosine if every else cosine * lights[..., channel]
         if squares is None or not every:
-            squares = (told**2).sum(axis=0)
-        albedo[:, channel] = (told * shade).sum(axis=0) / np.maximum(squares, 1e-8)
+            squares = _over_lights(told**2)
+        albedo[:, channel] = _over_lights(told * shade) / np.maximum(squares, 1e-8)
         squares = squares if every else None
     return normal.astype(np.float32), albedo
 
@@ -226,13 +251,29 @@ def _shade(samples: np.ndarray, seen: np.ndarray, channel: int, irradiance: np.n
 
 
 def _normal_equations(vectors: np.ndarray, weight: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 3, 3) Σ w l lᵀ and (T, 3) Σ w l v over K lights: products of matrices where texels share the lights."""
-    if vectors.shape[1] == 1:
-        outer = vectors[:, 0, :, None] * vectors[:, 0, None, :]
-        gram = (weight.T @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
-        return gram, (weight * values).T @ vectors[:, 0]
-    gram = np.einsum("kti,ktj->tij", weight[..., None] * vectors, vectors, optimize=True)
-    return gram, np.einsum("kt,kti->ti", weight * values, vectors)
+    """(T, 3, 3) Σ w l lᵀ and (T, 3) Σ w l v over K lights."""
+    sums, right = np.zeros((6, weight.shape[1])), np.zeros((3, weight.shape[1]))
+    columns = vectors.transpose(0, 2, 1)
+    first, second = np.triu_indices(3)
+    for vector, w, v in zip(columns, weight, weight * values, strict=True):
+        sums += vector[first] * vector[second] * w
+        right += vector * v
+    gram = np.empty((weight.shape[1], 3, 3))
+    gram[:, first, second] = gram[:, second, first] = sums.T
+    return gram, right.T
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(…) products of vectors (…, 3)."""
+    return (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
+
+
+def _over_lights(values: np.ndarray) -> np.ndarray:
+    """(T,) sums of (K, T) over the lights."""
+    total = np.zeros(values.shape[1], np.float64)
+    for value in values:
+        total += value
+    return total
 
 
 def _irradiance(domain: Domain, texels: Texels) -> np.ndarray:

@@ -211,3 +211,28 @@ def test_a_part_of_what_is_prepared_has_the_numbers_of_the_whole():
     np.testing.assert_array_equal(part.scale, whole.scale[rows, columns])
     np.testing.assert_array_equal(part.guess["normal"], whole.guess["normal"][rows, columns])
     assert part.brightness == whole.brightness and part.stack.shape[1:3] == part.arrays["u_position"].shape[:2]
+
+
+@pytest.mark.parametrize("box", [(5, 3, 1, 2), (0, 0, 1, 30), (3, 4, 20, 9), (11, 0, 30, 1), (12, 12, 1, 1)])
+@pytest.mark.parametrize("options", [{}, LENS, {"card": False}, {"card": False, "observations": 40}], ids=str)
+def test_a_part_prepared_by_itself_has_the_bits_of_the_whole(options, box):
+    domain = make_domain(37, 41, holes=False, **options)
+    x, y, width, height = box
+    rows, columns = slice(y, y + height), slice(x, x + width)
+    whole = prepare.prepare(domain, load_model("lambert"), load_schedule("standard"), pack=False).part(rows, columns)
+    alone = prepare.prepare(tile(domain, *box), load_model("lambert"), load_schedule("standard"), pack=False)
+    np.testing.assert_array_equal(alone.scale, whole.scale)
+    for name, value in whole.guess.items():
+        np.testing.assert_array_equal(alone.guess[name], value)
+
+
+@pytest.mark.parametrize("options", [{}, LENS, {"near": True, "card": False}], ids=str)
+def test_the_brightness_of_parts_adds_up_to_that_of_the_whole_exactly(options):
+    domain = make_domain(37, 41, **options)
+    sums, count = np.zeros(280, np.int64), 0
+    for rows in (slice(20, 37), slice(0, 1), slice(1, 20)):
+        counted = np.zeros(domain.shape, bool)
+        counted[rows] = domain.solvable[rows]
+        part, number = prepare.brightness_sums(domain, counted)
+        sums, count = sums + part, count + number
+    assert prepare.brightness_of(domain, sums, count) == prepare.brightness(domain)
