@@ -91,7 +91,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     probe.probe()
     context.ensure()
     subject, mesh = job.subject, job.mesh
-    plan = _plan(options, job, covered_texels(job.capture, mesh, job.resolution))
+    plan = _plan(options, job, mesh, covered_texels(job.capture, mesh, job.resolution))
     if options.dry_run:
         if not options.quiet and not options.json:
             sys.stdout.write("\n".join(plan.lines()) + "\n")
@@ -104,7 +104,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     if lights is not None:
         domain = lights.applied(domain)
         job.seconds["lights"] = time.perf_counter() - started
-    plan = _plan(options, job, domain.solvable, plan.stack_on)
+    plan = _plan(options, job, mesh, domain.solvable, plan.stack_on)
     started = time.perf_counter()
     with planned_recovery(
         plan, subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry,
@@ -225,12 +225,14 @@ def _subject(options: Namespace, opened: bool) -> tuple[object | None, MeshData 
     return subject, extract_mesh(subject, slots), material.slots_subject(subject, slots)
 
 
-def _plan(options: Namespace, job: _Job, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
+def _plan(
+    options: Namespace, job: _Job, mesh: MeshData | None, coverage: np.ndarray, stack_on: str | None = None
+) -> Plan:
     counts = len(job.capture.observations), len(job.held_out)
     resumed = job.folder / CHECKPOINT if options.resume else None
     return make_plan(
         coverage, job.model, job.schedule, job.known, *counts,
-        memory=options.memory, entry=options.entry, stack_on=stack_on, resumed=resumed,
+        memory=options.memory, entry=options.entry, stack_on=stack_on, resumed=resumed, mesh=mesh,
     )  # fmt: skip
 
 

@@ -30,6 +30,8 @@ _INSIDE = 0.75
 _BESIDE = 1e-4
 # A place within a border has a covered texel's centre less than a texel away; what has not lies past the border too.
 _WITHIN = 0.99
+# Up to this halo a tile looks which places its texels reach; past it nearly all that are known are.
+LOOKED_FOR = 4
 _AROUND = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
 
 
@@ -161,6 +163,9 @@ def tile_seams(seams: SeamMap, domain: Domain, box: tuple[int, int, int, int], h
     islands = np.unique(seams.island[y0 : y0 + high, x0 : x0 + wide][own])
     near = (seams.place >= (x0 - halo, y0 - halo)) & (seams.place < (x0 + wide + halo, y0 + high + halo))
     kept = np.flatnonzero(near.all(axis=1) & np.isin(seams.of, islands))
+    if halo <= LOOKED_FOR:
+        around = np.where(own, seams.island[y0 : y0 + high, x0 : x0 + wide], -1)
+        kept = kept[_sees(around, seams.place[kept] - (x0, y0), seams.of[kept], halo)]
     target = seams.target[kept]
     passed = target >= height * width
     y, x = np.divmod(np.where(passed, 0, target), width)
@@ -179,6 +184,16 @@ def tile_seams(seams: SeamMap, domain: Domain, box: tuple[int, int, int, int], h
         annex_normal=np.concatenate([domain.bake.normal[ay, ax], seams.annex_normal[old]]),
         annex_tangent=np.concatenate([domain.bake.tangent[ay, ax], seams.annex_tangent[old]]),
     )  # fmt: skip
+
+
+def _sees(island: np.ndarray, place: np.ndarray, of: np.ndarray, halo: int) -> np.ndarray:
+    """Return (N,) bool: whether a texel of the island ``of`` lies within ``halo`` of a place (N, 2)."""
+    padded = np.pad(island, 2 * halo, constant_values=-1)
+    found = np.zeros(len(place), bool)
+    for y in range(-halo, halo + 1):
+        for x in range(-halo, halo + 1):
+            found |= padded[place[:, 1] + y + 2 * halo, place[:, 0] + x + 2 * halo] == of
+    return found
 
 
 def window_seams(seams: SeamMap, window: tuple[int, int, int, int]) -> SeamMap:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.seams import LOOKED_FOR, SEAM_REACH
 from .memory import Memory, amount
 from .need import FLOAT, FLOAT2, FLOAT4, Need
 from .state import plan_atlas
@@ -18,6 +19,20 @@ _PREPARING = 512 << 20  # on the host, whatever the domain: chunks of the prepar
 _SMALLEST = 8  # texels along the longer side from which on a tile is not cut again
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
+
+
+@dataclass(frozen=True)
+class Borders:
+    """Where a UV map's islands end at seams. middle: (E, 2) of every border edge, length: (E,), in texels."""
+
+    middle: np.ndarray
+    length: np.ndarray
+
+    def beside(self, box: Box, halo: int) -> float:
+        """Return how long they are together in a box and up to ``halo`` texels around it."""
+        x0, y0, width, height = box
+        low, high = (x0 - halo, y0 - halo), (x0 + width + halo, y0 + height + halo)
+        return float(self.length[((self.middle >= low) & (self.middle <= high)).all(axis=1)].sum())
 
 
 @dataclass(frozen=True)
@@ -116,13 +131,15 @@ def plan_recovery(
     limits: Limits = Limits(),
     stack_on: str | None = None,
     boxes: Sequence[Box] = (),
+    borders: Borders | None = None,
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
 
     The domain is cut across its longer side by the number of covered texels, and the parts again, into as many as are
     needed for each to fit the device. Where the host has no room for it the sample stack goes into a scratch file, then
     the state of tiles that wait. stack_on: where the stack lies already, if it does. boxes: the tiles, where they are
-    given. Raises InputError, naming the setting, where even small tiles do not fit, and where no texel is covered.
+    given. borders: of a mesh, whose seams take memory too. Raises InputError, naming the setting, where even small
+    tiles do not fit, and where no texel is covered.
     """
     if need.observations > limits.layers:
         raise InputError(
@@ -132,8 +149,9 @@ def plan_recovery(
         raise InputError("no texel is covered; raise the resolution or check the mask")
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
     if not boxes:
-        boxes = [whole] if _fits(coverage, whole, need, memory, limits) else _cut(coverage, need, memory, limits)
-    tiles = tuple(_tile(coverage, box, need) for box in boxes)
+        fits = _fits(coverage, whole, need, memory, limits, borders)
+        boxes = [whole] if fits else _cut(coverage, need, memory, limits, borders)
+    tiles = tuple(_tile(coverage, box, need, borders) for box in boxes)
     largest = max(tile.device for tile in tiles)
     restored = max(tile.restored for tile in tiles)
     resident = sum(tile.device for tile in tiles) <= memory.device
@@ -180,24 +198,36 @@ def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
 
 
-def _tile(coverage: np.ndarray, box: Box, need: Need) -> Tile:
-    part = coverage[_around(box, need.reach, coverage.shape)]
+def _tile(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> Tile:
+    texels, device, host = _amounts(coverage, box, need, borders)
     own = coverage[_around(box, 0, coverage.shape)]
-    texels = _texels(part)
-    device, host = device_bytes(texels, part.size, need), host_bytes(texels, part.size, need)
     return Tile(*box, _texels(own), device, host, restored_bytes(texels, need))
 
 
-def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits) -> list[Box]:
+def _amounts(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> tuple[int, int, int]:
+    """Return the texels of a tile with its halo and its annex, and its bytes on the device and on the host."""
+    part = coverage[_around(box, need.reach, coverage.shape)]
+    texels, seams = _texels(part), 0
+    if borders is not None:
+        beside = borders.beside(box, need.reach)
+        annex = int(beside * (need.reach if need.reach <= LOOKED_FOR else SEAM_REACH))
+        texels += min(annex, _texels(coverage) - texels)
+        bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
+        # Places have four channels, and so has what lies past borders.
+        seams = FLOAT2 * _places_of(texels) + FLOAT4 * (bordered + int(beside * SEAM_REACH)) - FLOAT2 * part.size
+    return texels, device_bytes(texels, part.size, need) + seams, host_bytes(texels, part.size, need) + seams
+
+
+def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
     """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
     count = 1
     while True:
         boxes = list(_divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
-        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, in_turns=True)]
+        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, borders, in_turns=True)]
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            found = _tile(coverage, small[0], need)
+            found = _tile(coverage, small[0], need, borders)
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {found.width} ×"
                 f" {found.height} texels with a halo of {need.reach} takes {amount(found.device)}; allow more, or lower"
@@ -229,10 +259,20 @@ def _divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
         yield from _divided(coverage, half, share)
 
 
-def _fits(coverage: np.ndarray, box: Box, need: Need, memory: Memory, limits: Limits, in_turns: bool = False) -> bool:
-    part = coverage[_around(box, need.reach, coverage.shape)]
-    device = device_bytes(_texels(part), part.size, need) + in_turns * restored_bytes(_texels(part), need)
-    return device <= memory.device and _fits_textures(_texels(part), part.shape, need, limits)
+def _fits(
+    coverage: np.ndarray,
+    box: Box,
+    need: Need,
+    memory: Memory,
+    limits: Limits,
+    borders: Borders | None,
+    in_turns: bool = False,
+) -> bool:
+    texels, device, _ = _amounts(coverage, box, need, borders)
+    device += in_turns * restored_bytes(texels, need)
+    shape = coverage[_around(box, need.reach, coverage.shape)].shape
+    border = 0 if borders is None else 2 * SEAM_REACH
+    return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), need, limits)
 
 
 def _fits_textures(texels: int, shape: tuple[int, int], need: Need, limits: Limits) -> bool:

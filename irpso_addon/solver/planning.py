@@ -15,12 +15,13 @@ from ..geometry.bake import uv_coverage
 from ..geometry.build import check_card
 from ..geometry.domain import Domain
 from ..geometry.mesh import MeshData
+from ..geometry.seams import seam_edges
 from ..gpu import context
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint
 from .memory import machine_memory
 from .need import recovery_need
-from .plan import Limits, Plan, plan_recovery
+from .plan import Borders, Limits, Plan, plan_recovery
 from .prepare import Prepared
 from .pyramid import Pyramid
 from .recovery import Recovery
@@ -47,11 +48,13 @@ def make_plan(
     entry: str = "auto",
     stack_on: str | None = None,
     resumed: Path | None = None,
+    mesh: MeshData | None = None,
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
 
     memory: what may be used, as in "4G" or "device=4G,host=8G"; else what is free. entry: as for a Recovery. stack_on:
-    where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles.
+    where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles. mesh: the
+    texels', whose seams take memory too.
     """
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
@@ -61,10 +64,17 @@ def make_plan(
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
         _check_boxes(boxes, coverage)
-    plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes)
+    borders = None if mesh is None else _borders(mesh, coverage.shape)
+    plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes, borders)
     if not untiled(plan):
         refuse_levels(schedule)
     return plan
+
+
+def _borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
+    edges, _ = seam_edges(mesh, shape[1], shape[0])
+    edges = edges.some(edges.other >= 0)
+    return Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
 
 
 def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:

@@ -112,7 +112,7 @@ class Job:
         """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
         return make_plan(
             coverage, self.model, self.schedule, self.given, len(self.capture.observations),
-            memory=self.memory, entry=self.entry,
+            memory=self.memory, entry=self.entry, mesh=self.mesh,
         )  # fmt: skip
 
 

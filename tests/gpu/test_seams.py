@@ -117,7 +117,7 @@ def tiled(domain, model, schedule, boxes, on_device=None):
     halo = recovery_need(model, schedule, (), domain.observations).reach
     options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
     recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
-    assert sum(len(part.domain.seams.annex) for part in recovery._tiles) > 20
+    assert sum(len(part.domain.seams.annex) for part in recovery._tiles) > 8
     return recovery
 
 

@@ -8,6 +8,12 @@ import pytest
 from irpso_addon.geometry.coarsen import coarser, finer_map
 from irpso_addon.geometry.domain import tile
 from irpso_addon.geometry.seams import seam_edges, seams_of
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.memory import Memory
+from irpso_addon.solver.need import recovery_need
+from irpso_addon.solver.packing import Packing
+from irpso_addon.solver.plan import Borders, plan_recovery
+from irpso_addon.solver.schedule import load_schedule
 from tests.geometry_oracle import joined, mesh_from_corners
 from tests.seam_subjects import LEFT, START, TURNS, sheet
 
@@ -127,3 +133,24 @@ def test_a_tile_sees_across_seams_what_the_whole_does(turn):
                 else:
                     assert (target % columns + part.origin[0], target // columns + part.origin[1]) == wanted
     assert met > 20
+
+
+@pytest.mark.parametrize(
+    "preset, model, reach, most", [("swarm", "lambert", 1, 1.2), ("standard", "principled", 16, 2)]
+)
+def test_a_plan_leaves_room_for_what_seams_take(preset, model, reach, most):
+    domain = sheet("mirrored and turned").domain()
+    edges = domain.seams.edges.some(domain.seams.edges.other >= 0)
+    borders = Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
+    need = recovery_need(load_model(model), load_schedule(preset), (), 8)
+    assert need.reach == reach
+    boxes = [(0, 0, 20, 50), (20, 0, 42, 50)]
+    for chosen in (boxes, [(0, 0, 62, 50)]):
+        plan = plan_recovery(domain.solvable, need, Memory(1 << 40, 1 << 40), boxes=chosen, borders=borders)
+        for planned, box in zip(plan.tiles, chosen, strict=True):
+            part = tile(domain, *box, halo=plan.halo) if len(chosen) > 1 else domain
+            packing = Packing(part.solvable, part.seams)
+            held = sum(array.nbytes for array in packing.arrays().values())
+            places = packing.width * packing.height
+            taken = places * (need.device - 8) + held + 48 * 8  # 8 bytes of the place are in ``held``
+            assert taken <= planned.device <= most * taken
