@@ -302,7 +302,7 @@ def _write_material(
     uv_map = "" if mesh is None else material.other_uv_map(subject, mesh.uv_map)
     made = material.build_material(maps, job.name, uv_map=uv_map, height=height)
     if subject is None:
-        subject = material.card_object(job.name, *maps.covered.shape)
+        subject = material.card_object(job.name, *maps.covered.shape, height is not None)
     material.apply_material(subject, made, () if mesh is None else mesh.solved_slots)
     with unseen_reports():
         material.save_blend(job.folder / BLEND)

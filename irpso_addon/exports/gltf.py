@@ -20,6 +20,7 @@ import numpy as np
 from ..errors import InputError
 from ..files import replacing_file
 from ..maps.blender_images import encode_png
+from ..maps.displacement import DIVISION
 from ..maps.material import TAG
 from ..maps.report import plain, quantiles
 from ..maps.result import Maps
@@ -74,7 +75,8 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
             materials[number], error = _material(made, maps, stem, Path(temporary))
             if error is not None:
                 report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
-        copy = _triangles(made, obj, result.name, materials)
+        with _undivided(obj):
+            copy = _triangles(made, obj, result.name, materials)
         for other in bpy.context.view_layer.objects:
             other.select_set(other == copy)
         bpy.context.view_layer.objects.active = copy
@@ -134,6 +136,20 @@ def _kept_selection() -> Iterator[None]:
         for obj in layer.objects:
             obj.select_set(obj in selected)
         layer.objects.active = active
+
+
+@contextlib.contextmanager
+def _undivided(obj: Any) -> Iterator[None]:
+    """Leave a card flat: what it is divided for, displacement, the format has not."""
+    modifier = obj.modifiers.get(DIVISION)
+    shown = modifier is not None and modifier.show_viewport
+    if shown:
+        modifier.show_viewport = False
+    try:
+        yield
+    finally:
+        if shown:
+            modifier.show_viewport = True
 
 
 @contextlib.contextmanager

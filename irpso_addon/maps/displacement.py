@@ -7,6 +7,7 @@ relief's to a few thousandths of its height, and the normal map, which is connec
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from .height import Height
@@ -15,6 +16,8 @@ from .result import Maps
 from .textures import data_image
 
 METHOD = "BOTH"
+DIVISION = "IRPSO Relief"  # the modifier of a card
+_FINEST, _SHOWN = 8, 6  # halvings of a card's side at most, in renders and in the viewport
 _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
 
 
@@ -32,3 +35,17 @@ def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, fold
     node.inputs["Scale"].default_value = 1 / height.values.shape[1] if height.unit == "texels" else 1.0
     nodes.link(texture.outputs["Color"], node.inputs["Height"])
     return node.outputs["Displacement"]
+
+
+def divide(card, texels: int) -> None:
+    """Divide a card of one face into about as many as its longer side has texels; 0 takes our division away again."""
+    modifier = card.modifiers.get(DIVISION)
+    if not texels:
+        if modifier is not None:
+            card.modifiers.remove(modifier)
+        return
+    modifier = modifier or card.modifiers.new(DIVISION, "SUBSURF")
+    modifier.subdivision_type = "SIMPLE"
+    modifier.render_levels = min(math.ceil(math.log2(max(texels, 2))), _FINEST)
+    modifier.levels = min(modifier.render_levels, _SHOWN)
+    card.data.polygons.foreach_set("use_smooth", [True] * len(card.data.polygons))

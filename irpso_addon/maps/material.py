@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..files import replacing_file
 from ..reflectance.model import ReflectanceModel
 from . import two_lobe
-from .displacement import METHOD, displacement
+from .displacement import METHOD, displacement, divide
 from .height import Height
 from .nodes import OwnNodes, set_input
 from .result import Maps
@@ -162,17 +162,18 @@ def find_card(subject: str):
     return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
 
 
-def card_object(subject: str, height: int, width: int):
+def card_object(subject: str, height: int, width: int, displaced: bool = False):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
     It is made once and found again by its tag, and takes the maps' proportions unless the user has edited its mesh; a
-    new one is linked into the scene's collection.
+    new one is linked into the scene's collection. displaced: whether it is divided finely enough to show a relief.
     """
     import bpy
 
     x, y = 0.5, 0.5 * height / width
     if (found := find_card(subject)) is not None:
         _give_height(found.data, x, y)
+        divide(found, max(height, width) if displaced else 0)
         return found
     mesh = bpy.data.meshes.new(f"IRPSO {subject}")
     mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
@@ -181,6 +182,7 @@ def card_object(subject: str, height: int, width: int):
     obj = bpy.data.objects.new(f"IRPSO {subject}", mesh)
     obj[TAG] = subject
     bpy.context.scene.collection.objects.link(obj)
+    divide(obj, max(height, width) if displaced else 0)
     return obj
 
 

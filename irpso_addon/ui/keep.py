@@ -157,7 +157,7 @@ def _keep(context, running: session.Session) -> str:
     made = material.build_material(maps, name, folder or None, uv_map, displaced)
     made[material.ORIGIN] = running.job.origin
     if running.mesh is None:
-        former, subject = subject, material.card_object(name, *maps.covered.shape)
+        former, subject = subject, material.card_object(name, *maps.covered.shape, displaced is not None)
         if former is None:
             put_card(subject, running.job.place)
         _show(context, subject, new=former is None)
