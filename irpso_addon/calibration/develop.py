@@ -17,7 +17,7 @@ from .hdr import SATURATED, merge
 from .register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
 from .response import Response
 
-_CROP = 512  # pixels: the longest side of what shifts are found in
+_CROP = 384  # pixels: the longest side of what shifts are found in
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
 
 
 def window_of(mask: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns about the middle of a mask (H, W), 512 at most, in which shifts are looked for."""
+    """Return the rows and columns about the middle of a mask (H, W), 384 at most, in which shifts are looked for."""
     return tuple(
         slice(start := int(np.clip(np.median(at) - _CROP // 2, 0, max(0, size - _CROP))), min(size, start + _CROP))
         for at, size in zip(np.nonzero(mask), mask.shape, strict=True)
