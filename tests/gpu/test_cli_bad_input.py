@@ -194,7 +194,9 @@ def second_camera(card):
 
 CAPTURES = {
     "no capture there": (recover(capture="nowhere"), r"nowhere: is not there"),
-    "a file that is no capture": (recover(capture="scene.blend"), r"scene.blend: is no capture"),
+    "a file that is no capture": (
+        prepared(lambda f: (f / "note.md").touch(), recover(capture="note.md")), r"note.md: is no capture"),
+    "a scene with several meshes": (recover(capture="scene.blend"), r"has \d+ mesh objects; choose one with --object"),
     "an empty folder": (prepared(lambda f: (f / "void").mkdir(), recover(capture="void")), r"void: holds no capture"),
     "a missing image": (broken("lists", lambda c: (c / "2.exr").unlink()), r"2.exr: this image is not there"),
     "a cut image": (
