@@ -24,7 +24,10 @@ _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (2
 def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
     """Make image and Displacement node; return its output. A card is one unit wide, whatever its texels are."""
     image = data_image(maps, "height", height.values[..., None], subject, folder)
-    texture = nodes.node("map height", "ShaderNodeTexImage", _PLACES["map height"], "height", image=image)
+    # Repeated, the corners of a card would take half of their height from the other side.
+    texture = nodes.node(
+        "map height", "ShaderNodeTexImage", _PLACES["map height"], "height", image=image, extension="EXTEND"
+    )
     if uv_map:
         uv = nodes.node("uv", "ShaderNodeUVMap", _PLACES["uv"], uv_map=uv_map)
         nodes.link(uv.outputs["UV"], texture.inputs["Vector"])

@@ -65,6 +65,16 @@ def bump(x, y):
     return z, unit(np.stack([2 * (x - 0.05) / 0.03 * z, 2 * (y + 0.03) / 0.03 * z, np.ones_like(z)], axis=-1))
 
 
+def look_from_above(width):
+    """Add a camera five units above the origin that sees so much."""
+    data = bpy.data.cameras.new("view")
+    data.type, data.ortho_scale = "ORTHO", width
+    view = bpy.data.objects.new("view", data)
+    view.location = (0, 0, 5)
+    bpy.context.scene.collection.objects.link(view)
+    bpy.context.scene.camera = view
+
+
 @pytest.fixture(scope="module")
 def card(tmp_path_factory):
     """A card with the recovered relief of a bump in its material, seen from above."""
@@ -78,12 +88,7 @@ def card(tmp_path_factory):
     obj = card_object("bump", SIZE, SIZE, displaced=True)
     apply_material(obj, material)
     obj.scale = (2, 2, 2)  # the relief grows with its card
-    data = bpy.data.cameras.new("view")
-    data.type, data.ortho_scale = "ORTHO", 2.0
-    view = bpy.data.objects.new("view", data)
-    view.location = (0, 0, 5)
-    bpy.context.scene.collection.objects.link(view)
-    bpy.context.scene.camera = view
+    look_from_above(2.0)
     return material, z, normals, tmp_path_factory.mktemp("height")
 
 
@@ -157,12 +162,22 @@ def test_on_a_mesh_of_unequal_scale_the_relief_is_as_high_as_the_world_has_it(tm
     obj.scale = (2, 2, 0.25)
     obj.data.polygons.foreach_set("use_smooth", np.ones(len(obj.data.polygons), bool))
     apply_material(obj, build_material(Maps(load_model("lambert"), values, covered), "sheet", height=height))
-    data = bpy.data.cameras.new("view")
-    data.type, data.ortho_scale = "ORTHO", 2.0
-    view = bpy.data.objects.new("view", data)
-    view.location = (0, 0, 5)
-    bpy.context.scene.collection.objects.link(view)
-    bpy.context.scene.camera = view
+    look_from_above(2.0)
     depth, _ = passes(tmp_path / "world.exr")
     error = np.abs(5 - depth - z)[INNER]
     assert error.max() < 0.005 * np.ptp(z)
+
+
+def test_the_border_of_a_card_is_not_bent_to_the_height_of_the_other_side(tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    covered = np.ones((SIZE, SIZE), bool)
+    slope = np.broadcast_to(np.linspace(0, 24, SIZE, dtype=np.float32), (SIZE, SIZE))
+    flat = np.broadcast_to(np.float32([0, 0, 1]), (SIZE, SIZE, 3))
+    maps = Maps(
+        load_model("lambert"), {"base_color": np.full((SIZE, SIZE, 3), 0.5, np.float32), "normal": flat}, covered
+    )
+    obj = card_object("slope", SIZE, SIZE, displaced=True)
+    apply_material(obj, build_material(maps, "slope", height=Height(slope, covered, "texels")))
+    look_from_above(1.0)
+    depth, _ = passes(tmp_path / "slope.exr")
+    assert np.abs(5 - depth - slope / SIZE)[4:-4].max() < 0.5 / SIZE
