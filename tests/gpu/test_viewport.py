@@ -132,6 +132,15 @@ def test_another_picture_stands_right_of_the_split(drawing):
     np.testing.assert_allclose(window.pixels(), over(wanted), atol=1e-6)
 
 
+def test_a_part_of_a_picture_fills_its_rectangle(drawing):
+    width = PICTURE.shape[1] // 2
+    with Window() as window:
+        drawing.draw_flat(textures.upload(PICTURE[:, : 2 * width]), (30, 2), (20, 16), part=(0.0, 0.5))
+        drawing.draw_flat(textures.upload(PICTURE[:, : 2 * width]), (4, 6), (20, 10), part=(0.5, 1.0))
+    wanted = nearest(PICTURE[:, width : 2 * width], (4, 6), (20, 10)) + nearest(PICTURE[:, :width], (30, 2), (20, 16))
+    np.testing.assert_allclose(window.pixels(), over(wanted), atol=1e-6)
+
+
 def test_opacity_lets_through_what_was_there(drawing):
     with Window() as window:
         drawing.draw_rectangle((0, 0), SIZE, (0.1, 0.2, 0.3, 1))
