@@ -110,13 +110,14 @@ def brackets_of(
             named.setdefault((path.parent, stem), []).append((path, value))
         groups = [(stem, group) for (_, stem), group in named.items()]
     brackets = [_bracket(name, group) for name, group in groups]
-    if brackets and max(len(bracket.paths) for bracket in brackets) < 2:
+    if max((len(bracket.paths) for bracket in brackets), default=0) < 2:
+        where = f"{paths[0].parent}: " if paths else ""
         raise InputError(
-            f"{paths[0].parent}: no two photographs make a bracket, all exposures stand alone; leave --brackets out, or"
-            " use --exposure where frames are exposed differently"
+            f"{where}no two photographs make a bracket, all exposures stand alone; leave --brackets out, or use"
+            " --exposure where frames are exposed differently"
         )
     sets = [tuple(round(np.log2(a / b.amounts[0]) / _SAME) for a in b.amounts) for b in brackets]
-    usual = max(set(sets), key=sets.count) if sets else ()
+    usual = max(set(sets), key=sets.count)
     warnings = [
         f"{b.paths[0]}: its bracket has {len(b.paths)} exposures, or others than the {len(usual)} of most; check that"
         " no photograph is missing"

@@ -208,7 +208,8 @@ def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:
     for axis, distance in ((0, up), (1, right)):
         colour, weight = _slid(colour, distance, axis), _slid(weight, distance, axis)
         bad = _slid(bad, distance, axis, outside=True)
-    result = np.concatenate([colour, np.clip(weight, 0, 1)[..., None]], axis=-1).astype(np.float32)
+    weight = np.where(weight > 1 - 1e-5, 1, np.maximum(weight, 0))  # a whole weight stays whole, rounding apart
+    result = np.concatenate([colour, weight[..., None]], axis=-1).astype(np.float32)
     result[..., 3][bad > _LOST] = 0
     return result
 

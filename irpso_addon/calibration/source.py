@@ -84,6 +84,11 @@ def read_source(
     shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
     if exposing is None:
         shots = [replace(shot, amounts=None) for shot in shots]
+    names: set[str] = set()
+    for shot in shots:
+        if shot.name in names:
+            raise InputError(f"{shot.images[0]}: another photograph has this name; keep one of them, or rename it")
+        names.add(shot.name)
     size = ImageStore(decoder).size(shots[0].images[0])
     return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
 

@@ -25,7 +25,7 @@ def card(seed, texture, relief):
 
 
 def photographs(count, texture=1.0, relief=0.3, noise=0.02, seed=0, widest=3.0):
-    """Return frames (K, H, W) under as many lights, and their shifts (K, 2) in pixels (right, up): none for the first."""
+    """Return frames (K, H, W) under as many lights, and their shifts (K, 2) in pixels (right, up): 0 first."""
     albedo, normals = card(seed, texture, relief)
     rng = np.random.default_rng(seed + 1)
     shifts = np.rint(rng.uniform(-widest, widest, (count, 2)) * FINE) / FINE
