@@ -19,6 +19,7 @@ _STEP = 2e-3  # of a parameter's range
 _GAIN_PRIOR = 2.0  # standard deviation of a logarithm: holds what nothing tells, and nothing else
 _GROUPS = 8  # of texels, for the deviations
 _LARGEST_STEP = 0.5  # of a logarithm
+_FAR, _DARKEST = 0.7, 0.05  # of a light off by more than a factor of two no sample is what it seems: shadow, highlight
 _SAMPLED_AS = 100.0  # independent texels: neighbours of one subject are wrong together, and more of them tell no more
 
 
@@ -101,25 +102,33 @@ def light_step(
     stack = domain.stack.copy()
     drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
     _, irradiance = light_vectors(domain, texels)
-    level = scale[texels] * float(irradiance.mean())
+    level = scale[texels][:, None] * float(irradiance.mean())
+    far: dict[int, np.ndarray] = {}
     try:
         for k in range(domain.observations):
             render, texel_part, move_part = renders.of(k)
             seen = stack[k][texels].astype(np.float64)
             difference = np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
-            # Against what the light itself does to most texels: one that is off as a whole is no outlier.
-            common = render * _typical(difference, render, seen[:, 3:]) if gains else 0.0
-            outlying = (difference - common) / level[:, None]
-            weight = seen[:, 3:] / (1 + (outlying / fitness.delta) ** 2)
-            error = difference / level[:, None]
+            outlying = difference
+            if gains:
+                before = np.where(seen[:, 3:] > 0, 1.0, domain.stack[k][texels][:, 3:])
+                typical = _typical(np.where(before > 0, domain.stack[k][texels][:, :3] - render, 0.0), render, before)
+                if abs(float(np.log(np.maximum(1 + typical, _DARKEST)).mean())) > _FAR:
+                    far[k] = np.log(np.maximum(1 + typical, _DARKEST))
+                # Against what the light itself does to most texels: one that is off as a whole is no outlier.
+                outlying = difference - render * _typical(difference, render, seen[:, 3:])
+            weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
             found.add(
-                k, error, weight, render / level[:, None], texel_part / level[:, None, None],
-                None if move_part is None else move_part / level[:, None, None],
+                difference / level, weight, render / level, texel_part / level[..., None],
+                None if move_part is None else move_part / level[..., None],
             )  # fmt: skip
             yield
     finally:
         renders.close()
-    return found.solved(steps, moving)
+    step = found.solved(steps, moving)
+    for k, logarithms in far.items():
+        step.gains[k] = logarithms
+    return step
 
 
 @dataclass(frozen=True)
@@ -216,7 +225,7 @@ class _Equations:
         self._squares = self._weights = 0.0
         self._observations = observations
 
-    def add(self, k: int, error, weight, render, texel_part, move_part) -> None:
+    def add(self, error, weight, render, texel_part, move_part) -> None:
         """Count one observation in: (T, 3) error, weight and render, (T, 3, P) and (T, 3, 3) derivatives."""
         parts = []
         if self._gains:

@@ -11,6 +11,10 @@ _WIDTH = 2.0  # times the median of the residuals
 _FACING = 0.1  # least cosine of a sample that counts: what lies lower is shadow more often than not
 _DARK = 0.1  # of what the texel and the image are like elsewhere: shadow, at first
 _COLOUR_ROUNDS = 10
+# On a surface that is nearly flat two trends of the intensities are told by nothing, the second least eigenvalue is
+# small (1 for what images tell well, 0.1 of a bunny), and a highlight would decide: on a relief of 6° under 20 lights
+# the estimate is off by up to a factor of 8, and of 1.4 where it holds by so much to the intensities that were given.
+_TOLD, _FAITH = 0.05, 0.02
 
 
 def relative_intensities(
@@ -74,20 +78,26 @@ def _first_weights(grey: np.ndarray, usable: np.ndarray) -> np.ndarray:
     return (level > _DARK) * np.minimum(1, 1 / np.maximum(level, 1e-6) ** 2)
 
 
-def _smallest(grey: np.ndarray, kept: np.ndarray, vectors: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+def _smallest(grey: np.ndarray, kept: np.ndarray, toward: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(K,) 1/e of the least squares of b_i·l_ij − m_ij / e_j with the b_i eliminated, mean logarithm 0."""
     samples = grey * inverse[:, None]  # near each other in size: the norm of 1/e is what least squares hold fixed
     samples = samples / np.maximum(np.sqrt((kept * samples**2).sum(axis=0)), 1e-30)  # a texel counts as any other
-    gram = _gram(kept, vectors)
+    gram = _gram(kept, toward)
     root = np.linalg.inv(np.linalg.cholesky(gram))
-    cross = np.einsum("tab,ktb->tak", root, (kept * samples)[..., None] * vectors, optimize=True)
+    cross = np.einsum("tab,ktb->tak", root, (kept * samples)[..., None] * toward, optimize=True)
     matrix = np.diag((kept * samples**2).sum(axis=1)) - np.tensordot(cross, cross, ((0, 1), (0, 1)))
     told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max()), 1e-30)
     found = np.ones(len(grey))
     if told.sum() > 1:
         part = matrix[np.ix_(told, told)]
         spread = np.sqrt(np.diag(part))
-        vector = np.linalg.eigh(part / np.outer(spread, spread))[1][:, 0] / spread
+        scaled = part / np.outer(spread, spread)
+        values, vectors = np.linalg.eigh(scaled)
+        if values[1] < _TOLD:
+            given = spread[:, None] / inverse[told][:, None]
+            given = given / np.linalg.norm(given)
+            vectors = np.linalg.eigh(scaled + _FAITH * (np.eye(len(part)) - given * given.T))[1]
+        vector = vectors[:, 0] / spread
         vector *= np.sign(vector.sum()) or 1.0
         middle = float(np.median(vector))
         if middle > 0:
