@@ -38,7 +38,6 @@ from ..solver.memory import parse_memory
 from ..solver.pictures import error_preview, relit_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
-    AnyRecovery,
     covered_texels,
     held_out_last,
     make_plan,
@@ -46,18 +45,14 @@ from ..solver.planning import (
     scratch_folder,
 )
 from ..solver.schedule import Schedule
-from ..solver.tiled import TiledRecovery
 from .each_slot import EACH, recover_each
-from .interrupt import held_back
 from .lights import check_lights, found_lights, light_warnings
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
-from .progress import ProgressBar, unseen_reports
+from .progress import unseen_reports
+from .solve import CHECKPOINT, Saving, check_every, drive
 
-CHECKPOINT = "checkpoint.npz"
 BLEND = "material.blend"
 _RESOLUTION = "512"
-_SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
-_SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
 
 
 @dataclass
@@ -112,7 +107,9 @@ def run(options: Namespace, opened: bool = False) -> dict:
     ) as recovery:  # fmt: skip
         job.seconds["prepare"] = time.perf_counter() - started
         history = History(recovery, job.truth)
-        maps = _solve(recovery, history, job, options)
+        saving = Saving(job.folder / CHECKPOINT, options.resume, options.checkpoint_every)
+        job.seconds["solve"], unsaved = drive(recovery, history, saving, options.quiet or options.json)
+        maps = recovery.maps()
         progress = recovery.progress
         entry = recovery.entry
     started = time.perf_counter()
@@ -125,7 +122,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     )  # fmt: skip
     warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
     warnings += wide_lights_around(subject) if _is_scene(options.capture) else []
-    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings]}
+    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *unsaved]}
     if lights is not None:
         report["lights"] = lights.report()
     pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
@@ -151,6 +148,7 @@ def _check(options: Namespace, opened: bool) -> _Job:
     model = load_model(options.model)
     schedule = schedule_from_options(options)
     check_lights(options)
+    check_every(options.checkpoint_every)
     if options.memory:
         parse_memory(options.memory)
     if options.object and not options.blend:
@@ -253,40 +251,6 @@ def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, su
         job.known = turned_normals(job.model, job.known, mesh, domain.bake, from_blender)
         job.truth = job.truth and turned_normals(job.model, job.truth, mesh, domain.bake, from_blender)
     return domain
-
-
-def _solve(recovery: AnyRecovery, history: History, job: _Job, options: Namespace) -> Maps:
-    checkpoint = job.folder / CHECKPOINT
-    if options.resume:
-        history.take(recovery.load(checkpoint))
-    bar = ProgressBar("recover", options.quiet or options.json)
-    iterations = 1
-    turns = isinstance(recovery, TiledRecovery) and not recovery.resident
-    with held_back() as interrupted:
-        progress = recovery.progress
-        before = progress.evaluations
-        bar.show(progress.fraction, f"{progress.title}  placing the swarms")
-        while not (progress.done or interrupted()):
-            started = bar.seconds
-            if turns:  # a tile makes all that it can before the next one is put on the device
-                progress = recovery.step(history.until_next, _SLICE_SECONDS)
-            else:
-                progress = recovery.step(min(iterations, history.until_next))
-            history.look()
-            rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
-            bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
-            wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
-            iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
-        bar.close()
-        if not progress.done:
-            if turns:  # tiles that are behind catch up: a look that is due then would not be made after a resume
-                recovery.step(0)
-                history.look()
-            job.folder.mkdir(parents=True, exist_ok=True)
-            recovery.save(checkpoint, history.notes)
-            raise KeyboardInterrupt(f"{checkpoint} holds the run so far, go on with --resume")
-    job.seconds["solve"] = bar.seconds
-    return recovery.maps()
 
 
 def _try_material(job: _Job, subject: object | None) -> None:

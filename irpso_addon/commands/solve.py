@@ -1,0 +1,100 @@
+"""Driving a recovery from the command line: the progress bar, Ctrl-C, and checkpoints from time to time."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import InputError
+from ..solver.history import History
+from ..solver.planning import AnyRecovery
+from ..solver.tiled import TiledRecovery
+from .interrupt import held_back
+from .progress import ProgressBar
+
+CHECKPOINT = "checkpoint.npz"
+_SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
+_SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
+
+
+@dataclass(frozen=True)
+class Saving:
+    """Where checkpoints go, whether to go on from the one that is there, and seconds between them (None: no more)."""
+
+    path: Path
+    resume: bool = False
+    every: float | None = None
+
+
+def check_every(seconds: float | None) -> None:
+    """Raise InputError where --checkpoint-every is no time."""
+    if seconds is not None and not 0 <= seconds < float("inf"):
+        raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
+
+
+def drive(recovery: AnyRecovery, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
+    """Run a recovery to its end; return the seconds, and a warning where a checkpoint could not be written.
+
+    What stops a checkpoint between (a full disk) does not stop the run, and leaves the one before as it was. An
+    interrupt ends in KeyboardInterrupt after a last checkpoint, or in InputError where that cannot be written.
+    """
+    if saving.resume:
+        history.take(recovery.load(saving.path))
+    bar = ProgressBar("recover", quiet)
+    saver = _Saver(recovery, history, saving)
+    iterations = 1
+    with held_back() as interrupted:
+        progress = recovery.progress
+        before = progress.evaluations
+        bar.show(progress.fraction, f"{progress.title}  placing the swarms")
+        while not (progress.done or interrupted()):
+            started = bar.seconds
+            if saver.turns:  # a tile makes all that it can before the next one is put on the device
+                progress = recovery.step(history.until_next, _SLICE_SECONDS)
+            else:
+                progress = recovery.step(min(iterations, history.until_next))
+            history.look()
+            rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
+            bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
+            wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
+            iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
+            if not progress.done:
+                saver.save_when_due()
+        bar.close()
+        if not progress.done:
+            saver.save()
+            raise KeyboardInterrupt(f"{saving.path} holds the run so far, go on with --resume")
+    return bar.seconds, saver.warnings
+
+
+class _Saver:
+    """Writes checkpoints of one run, and removes what a killed one has left of its own."""
+
+    def __init__(self, recovery: AnyRecovery, history: History, saving: Saving):
+        self._recovery, self._history, self._saving = recovery, history, saving
+        self.turns = isinstance(recovery, TiledRecovery) and not recovery.resident
+        self.warnings: list[str] = []
+        self._last = time.perf_counter()
+        for left in saving.path.parent.glob(f".{saving.path.stem}.partial-*{saving.path.suffix}"):
+            left.unlink(missing_ok=True)
+
+    def save(self) -> None:
+        """Write a checkpoint. Raises InputError where it cannot be written."""
+        if self.turns:  # tiles that are behind catch up: a look that is due then would not be made after a resume
+            self._recovery.step(0)
+            self._history.look()
+        self._recovery.save(self._saving.path, self._history.notes)
+
+    def save_when_due(self) -> None:
+        """Write a checkpoint if the time has come; where it cannot be written, say so once and go on."""
+        if self._saving.every is None or time.perf_counter() - self._last < self._saving.every:
+            return
+        try:
+            self.save()
+        except InputError as error:
+            if not self.warnings:
+                self.warnings.append(f"no checkpoint: {error}")
+                sys.stderr.write(f"irpso: warning: {self.warnings[0]}\n")
+        self._last = time.perf_counter()
