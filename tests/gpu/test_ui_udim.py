@@ -208,3 +208,23 @@ def test_a_click_finds_texels_of_slots_that_are_recovered_alone(settings):
 
     assert clicked(0.3, 0.2) == (int(0.7 * SIDE), int(0.3 * SIDE)) and clicked(0.99, -0.49) == (0, SIDE - 1)
     assert clicked(-0.3, 0.2) is None and clicked(1.2, 0) is None
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, tmp_path, packed):
+    from irpso_addon.maps.material import build_material
+
+    model, folder = load_model("lambert"), None if packed else tmp_path / "images"
+    for tiles in ((1001, 1012), (1001, 1002, 1003), (1003,), (1001,), (1002, 1012)):
+        shape = (4, 4 * len(tiles))
+        values = {p.name: np.tile(np.float32(p.default), (*shape, 1)) for p in model.parameters}
+        values["base_color"][:] = (np.arange(shape[1]) // 4 * 0.1 + 0.25)[:, None]
+        build_material(Maps(model, values, np.ones(shape, bool), tiles=tiles), "set", folder)
+        (image,) = (image for image in bpy.data.images if image.name == "IRPSO set base_color")
+        assert image.source == ("FILE" if tiles == (1001,) else "TILED")
+        assert tuple(tile.number for tile in image.tiles) == tiles
+        assert (image.packed_file is not None) == packed and len(image.packed_files) == packed * len(tiles)
+        from irpso_addon.ui.job import image_map
+
+        found = image_map(image, model.parameter("base_color"), shape, tiles)
+        np.testing.assert_allclose(found, values["base_color"], atol=2e-5)
