@@ -74,9 +74,11 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser("irpso", description="Recovers materials from photographs.", epilog=_EPILOG)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_recover(commands)
+    _add_batch(commands)
     _add_export(commands)
     _add_render(commands)
     _add_inspect(commands)
+    _add_calibrate(commands)
     _add_develop(commands)
     _add_response(commands)
     _add_demo(commands)
@@ -133,6 +135,15 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     _add_common(add)
 
 
+def _add_batch(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("batch", help="many recoveries from one list, restartable", epilog=_EPILOG)
+    add.add_argument("list", help=".toml file with a [[job]] for each recovery")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the results, one in it for each")
+    add.add_argument("--only", metavar="NAME", help="run this job alone, as a render farm's task does")
+    add.set_defaults(parse=lambda words: build_parser().parse_args(words))
+    _add_common(add)
+
+
 def _add_solver(add: argparse.ArgumentParser) -> None:
     add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
     add.add_argument("--preset", default="standard", metavar="P", help="shipped preset, or a .toml of your own")
@@ -176,6 +187,25 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
 def _add_inspect(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("inspect", help="what is in a capture, and what is wrong with it", epilog=_EPILOG)
     add.add_argument("capture", help="folder, .lp file or capture.toml")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    _add_common(add)
+
+
+def _add_calibrate(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("calibrate", help="the lights of photographs, from balls in them", epilog=_EPILOG)
+    add.add_argument("capture", metavar="CAPTURE_OR_IMAGES", help="folder of photographs, or a capture")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
+    add.add_argument("--ball", action="append", required=True, metavar="MASK|X,Y,R",
+                     help="white on the ball; or middle and radius, or points of its outline X1,Y1,X2,Y2,X3,Y3,…, in"
+                     " pixels from the upper left corner; several may be given")  # fmt: skip
+    add.add_argument("--kind", required=True, choices=("mirror", "matte"), help="of all balls")
+    add.add_argument("--fov", type=float, metavar="DEGREES", help="the camera's full angle over the image's width")
+    add.add_argument("--camera", metavar="FILE", help="camera.toml, instead of --fov")
+    add.add_argument("--view", metavar="NAME", help="the camera that saw the balls, where a capture has several")
+    add.add_argument("--radius", type=float, metavar="R", help="of the balls in world units, for the places of lights")
+    add.add_argument("--lights", choices=("auto", "distant", "near"), default="auto", help="what they are")
+    add.add_argument("--distance", type=float, metavar="D", help="from the balls to all lights, where it is known")
+    add.add_argument("--albedo", metavar="A|R,G,B", help="of matte balls; else intensities are the first light's")
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
     _add_common(add)
 

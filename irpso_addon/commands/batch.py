@@ -1,0 +1,172 @@
+"""``batch LIST``: many recoveries from one list, one after another, that can be stopped and started again."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..capture.toml_file import load_toml
+from ..errors import InputError
+from ..files import replacing_file
+from ..maps.report import plain
+from ..maps.write import REPORT
+from . import recover
+from .solve import CHECKPOINT
+
+_PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
+_OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
+_EVERY = 60.0  # seconds between checkpoints, where a job does not say
+_FIGURES = ("texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "warnings")
+
+Parse = Callable[[Sequence[str]], Namespace]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recovery of a list. words: the command line of it, without what a batch adds."""
+
+    name: str
+    words: tuple[str, ...]
+
+    def folder(self, output: Path) -> Path:
+        """Return where its result goes."""
+        return output / self.name
+
+    def state_file(self, output: Path) -> Path:
+        """Return the file that tells how far it is."""
+        return output / f"{self.name}.json"
+
+
+def run(options: Namespace) -> dict:
+    """Run what is not done yet of a list, and write one report; a job that fails does not stop the others."""
+    jobs = read_list(Path(options.list), options.parse)
+    output = Path(options.output)
+    if options.only is not None:
+        chosen = [job for job in jobs if job.name == options.only]
+        if not chosen:
+            raise InputError(f"--only {options.only}: {options.list} has {', '.join(job.name for job in jobs)}")
+        return _outcome([_run_job(chosen[0], output, options)], None, options)
+    states = [_run_job(job, output, options) for job in jobs]
+    return _outcome(states, output / "batch.json", options)
+
+
+def read_list(path: Path, parse: Parse) -> list[Job]:
+    """Return the jobs of a TOML list. Raises InputError naming the list and the job where one is not understood.
+
+    [defaults] holds options of ``recover`` for all, each [[job]] its own, by their long names with _ for -; a job has a
+    capture and may have a name. parse: of the command line.
+    """
+    table = load_toml(path)
+    rows, defaults = table.get("job"), table.get("defaults", {})
+    if set(table) - {"job", "defaults"} or not isinstance(defaults, dict):
+        raise InputError(f"{path}: may hold [defaults] and [[job]] tables, and nothing else")
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f"{path}: lists no job; add one [[job]] with a capture for each")
+    jobs = [_job({**defaults, **row}, number, path, parse) for number, row in enumerate(rows, 1)]
+    names = [job.name.lower() for job in jobs]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"{path}: two jobs are called '{twice}'; give them names that differ")
+    return jobs
+
+
+def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:
+    where = f"{path}: job {row.get('name', number)}"
+    if not isinstance(row.get("capture"), str):
+        raise InputError(f'{where}: has no capture; add capture = "folder"')
+    name = row.get("name", Path(row["capture"]).stem)
+    if not isinstance(name, str) or not name or Path(name).name != name or name.startswith(".") or name == "batch":
+        raise InputError(f"{where}: name must be one that a folder can have, other than batch")
+    if ours := [key for key in _OURS if key in row]:
+        raise InputError(f"{where}: {ours[0]} is not for a list; it is given, or not, to batch itself")
+    words = ["recover", str(path.parent / row["capture"])]
+    for key, value in row.items():
+        if key not in ("name", "capture"):
+            words += _words(key, value, path)
+    if "checkpoint_every" not in row:
+        words += ["--checkpoint-every", f"{_EVERY:g}"]
+    try:
+        parse([*words, "-o", name])
+    except InputError as error:
+        raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
+    return Job(name, tuple(words))
+
+
+def _words(key: str, value: Any, path: Path) -> list[str]:
+    """Return one option as words of a command line; a list is an option given several times."""
+    option = f"--{key.replace('_', '-')}"
+    if isinstance(value, bool):
+        return [option] if value else []
+    if isinstance(value, list):
+        return [word for one in value for word in _words(key, one, path)]
+    return [option, str(path.parent / str(value)) if key in _PATHS else str(value)]
+
+
+def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
+    """Run a job, unless it is done; return what its state file holds afterwards."""
+    folder, file = job.folder(output), job.state_file(output)
+    before = _state(file)
+    same = before.get("words") == list(job.words)
+    if same and before.get("state") == "done" and (folder / REPORT).is_file():
+        _say(options, f"{job.name}: done before")
+        return before
+    resume = same and (folder / CHECKPOINT).is_file()
+    _say(options, f"{job.name}: {'goes on' if resume else 'begins'}")
+    state = {"name": job.name, "words": list(job.words), "state": "begun"}
+    _write(file, state)
+    words = [
+        *job.words,
+        "-o",
+        str(folder),
+        *(["--resume"] if resume else []),
+        *(["--quiet"] if _silent(options) else []),
+    ]
+    started = time.perf_counter()
+    try:
+        found = recover.run(options.parse(words))
+        state |= {"state": "done", "result": {key: found[key] for key in _FIGURES if key in found}}
+    except (InputError, MemoryError) as error:
+        state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
+        sys.stderr.write(f"irpso: {job.name}: {state['error']}\n")
+    state["took"] = round(time.perf_counter() - started, 1)
+    _write(file, state)
+    return state
+
+
+def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace) -> dict:
+    """Write and return the report of all jobs."""
+    failed = [state["name"] for state in states if state["state"] == "failed"]
+    report = {"done": len(states) - len(failed), "failed": failed, "jobs": states}
+    if file is not None:
+        _write(file, report)
+    _say(options, f"{report['done']} of {len(states)} done{f'; failed: {chr(44).join(failed)}' if failed else ''}")
+    return report | {"exit_code": InputError.exit_code if failed else 0}
+
+
+def _state(file: Path) -> dict[str, Any]:
+    """Return what a state file holds, nothing where it is missing or damaged: its job begins anew then."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _write(file: Path, table: dict[str, Any]) -> None:
+    with replacing_file(file) as partial:
+        partial.write_text(json.dumps(plain(table), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _silent(options: Namespace) -> bool:
+    return options.quiet or options.json
+
+
+def _say(options: Namespace, text: str) -> None:
+    if not _silent(options):
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
