@@ -56,11 +56,14 @@ def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """
     height, width = covered.shape
     row, column, near_row, near_column = nearest_covered(covered)
-    island = seams.island[near_row, near_column]
-    count = int(seams.island.max()) + 1
+    chart = seams.chart[near_row, near_column].astype(np.int64)
+    least = int(seams.chart.min())
+    count = int(seams.chart.max()) - least + 1
     inside = ((seams.place >= 0) & (seams.place < (width, height))).all(axis=1)
-    known = (seams.place[inside, 1].astype(np.int64) * width + seams.place[inside, 0]) * count + seams.of[inside]
-    wanted = (row.astype(np.int64) * width + column) * count + island
+    known = (
+        (seams.place[inside, 1].astype(np.int64) * width + seams.place[inside, 0]) * count + seams.of[inside] - least
+    )
+    wanted = (row.astype(np.int64) * width + column) * count + chart - least
     entry = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
     found = known[entry] == wanted if len(known) else np.zeros(len(wanted), bool)
     entry = np.flatnonzero(inside)[entry[found]]

@@ -76,8 +76,8 @@ class Packing:
         return {"u_place": self._grid(places), "u_packed": inverse}
 
     def _with_seams(self, seams: SeamMap, places: np.ndarray, inverse: np.ndarray) -> dict[str, np.ndarray]:
-        island = seams.island[self._rows, self._columns]
-        own = self._grid(np.concatenate([places, island[:, None], 0 * island[:, None]], axis=-1, dtype=np.float32), -1)
+        where = [of[self._rows, self._columns][:, None] for of in (seams.chart, seams.island)]
+        own = self._grid(np.concatenate([places, *where], axis=-1, dtype=np.float32), -1)
         height, width = self.shape
         numbers = np.full(height * width + self.annex, -1)
         numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
@@ -93,7 +93,7 @@ class Packing:
         chains = np.full((rows, self.width, 4), -1, np.float32)
         chains.reshape(-1, 4)[: len(chain)] = chain
         border = ((seams.reach, seams.reach), (seams.reach, seams.reach), (0, 0))
-        packed = np.concatenate([inverse, seams.island[..., None], np.full((height, width, 1), -1)], axis=-1)
+        packed = np.concatenate([inverse, seams.chart[..., None], np.full((height, width, 1), -1)], axis=-1)
         packed = np.pad(packed.astype(np.float32), border, constant_values=-1)
         packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)
         # The chains stand in rows of their own, the first one last, which is found without the packing's size.

@@ -15,7 +15,7 @@ from ..geometry.bake import uv_coverage
 from ..geometry.build import check_card
 from ..geometry.domain import Domain
 from ..geometry.mesh import MeshData
-from ..geometry.seams import seam_edges
+from ..geometry.seam_edges import seam_edges
 from ..gpu import context
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint

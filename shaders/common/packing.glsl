@@ -1,10 +1,10 @@
 // Solved texels lie densely packed in all textures of a recovery. Reads u_place (the domain's texel of a packed one)
 // and u_packed (the packed texel of a domain's, −1 where none is solved).
 //
-// With SEAMS, the reach of a seam map, islands of a UV map have numbers. u_place has the texel's in z, and u_packed the
-// number of the island that lies at a place, from SEAMS texels outside the domain on. What lies past a border is told by
-// island: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y, island past whose
-// border the place is, next entry) fill the last rows of u_place, from the last one upward.
+// With SEAMS, the reach of a seam map (geometry/seams.py), u_place has in z the chart and in w the island of a texel, and
+// u_packed in z the chart that lies at a place, from SEAMS texels outside the domain on. What a chart sees elsewhere is
+// told place by place: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y, the
+// chart that sees it there, next entry) fill the last rows of u_place, from the last one upward.
 
 ivec2 place_of(ivec2 packed_texel)
 {
@@ -23,18 +23,18 @@ ivec2 packed_at(ivec2 place)
     return ivec2(texelFetch(u_packed, place, 0).xy);
 }
 
-// Where a packed texel is on the surface: x, y, and the number of its island.
-ivec3 surface_place_of(ivec2 packed_texel)
+// Where a packed texel is on the surface: x, y, chart and island.
+ivec4 surface_place_of(ivec2 packed_texel)
 {
 #ifdef SEAMS
-    return ivec3(texelFetch(u_place, packed_texel, 0).xyz);
+    return ivec4(texelFetch(u_place, packed_texel, 0));
 #else
-    return ivec3(place_of(packed_texel), 0);
+    return ivec4(place_of(packed_texel), 0, 0);
 #endif
 }
 
 // Returns the packed texel that lies so far away on the surface, across UV seams, or (−1, −1) where none is solved.
-ivec2 neighbour_at(ivec3 from, ivec2 by)
+ivec2 neighbour_at(ivec4 from, ivec2 by)
 {
 #ifdef SEAMS
     ivec2 place = from.xy + by + SEAMS;
@@ -42,7 +42,8 @@ ivec2 neighbour_at(ivec3 from, ivec2 by)
         return ivec2(-1);
     }
     vec4 there = texelFetch(u_packed, place, 0);
-    if (int(there.z) == from.z) {
+    int chart = int(there.z);
+    if (chart == from.z || chart == from.w) {
         return ivec2(there.xy);
     }
     ivec2 size = textureSize(u_place, 0);

@@ -55,7 +55,7 @@ void neighbourhood_mean(ivec2 texel, Frame f, out float mean[8])
         mean[i] = 0.0;
     }
     float count = 0.0;
-    ivec3 place = surface_place_of(texel);
+    ivec4 place = surface_place_of(texel);
     for (int y = -REACH; y <= REACH; y++) {
         for (int x = -REACH; x <= REACH; x++) {
             ivec2 other = neighbour_at(place, ivec2(x, y));

@@ -63,7 +63,7 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(own, c);
     Frame f = frame_at(texel);
-    ivec3 place = surface_place_of(texel);
+    ivec4 place = surface_place_of(texel);
     Material tried[OFFERS];
     float sum[OFFERS];
     bool there[OFFERS];

@@ -58,7 +58,7 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
         p.weights_squared[i] = 0.0;
         p.count[i] = 0.0;
     }
-    ivec3 place = surface_place_of(texel);
+    ivec4 place = surface_place_of(texel);
     for (int t = 0; t < TAPS; t++) {
         ivec2 other = neighbour_at(place, tap_at(t));
         if (other.x < 0) {

@@ -17,7 +17,7 @@ bool texel_kernel(ivec2 texel)
 {
     vec4 own = texelFetch(u_noise, texel, 0);
     if (state_at(texel) == TEXEL_SOLVED) {
-        ivec3 place = surface_place_of(texel);
+        ivec4 place = surface_place_of(texel);
         float sum = 0.0;
         float freedom = 0.0;
         for (int t = 0; t < TAPS; t++) {

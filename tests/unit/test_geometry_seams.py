@@ -7,24 +7,26 @@ import pytest
 
 from irpso_addon.geometry.coarsen import coarser, finer_map
 from irpso_addon.geometry.domain import tile
-from irpso_addon.geometry.seams import seam_edges, seams_of
+from irpso_addon.geometry.seam_edges import seam_edges
+from irpso_addon.geometry.seams import seams_of
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.memory import Memory
 from irpso_addon.solver.need import recovery_need
 from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.plan import Borders, plan_recovery
 from irpso_addon.solver.schedule import load_schedule
-from tests.geometry_oracle import joined, mesh_from_corners
+from tests.geometry_oracle import bake_uv, joined, mesh_from_corners
 from tests.seam_subjects import LEFT, START, TURNS, sheet
 
 
 def looked_up(seams, texel, by):
     """Return the texel (x, y) that a seam map tells, None where there is none: what shaders do, written plainly."""
-    place, island = (texel[0] + by[0], texel[1] + by[1]), seams.island[texel[1], texel[0]]
+    place, chart = (texel[0] + by[0], texel[1] + by[1]), seams.chart[texel[1], texel[0]]
     height, width = seams.shape
-    if 0 <= place[0] < width and 0 <= place[1] < height and seams.island[place[1], place[0]] == island:
+    inside = 0 <= place[0] < width and 0 <= place[1] < height
+    if inside and seams.chart[place[1], place[0]] in (chart, seams.island[texel[1], texel[0]]):
         return place
-    entry = np.flatnonzero((seams.place == place).all(axis=1) & (seams.of == island))
+    entry = np.flatnonzero((seams.place == place).all(axis=1) & (seams.of == chart))
     assert len(entry) <= 1
     return tuple(int(c) for c in np.divmod(seams.target[entry[0]], width)[::-1]) if len(entry) else None
 
@@ -79,6 +81,48 @@ def test_corners_that_differ_by_rounding_are_one_and_an_edge_of_three_triangles_
     assert len(np.unique(islands)) > 1 and (edges.other == -1).all()
 
 
+ARM, GAP, LONG, FOOT = 9, 3, 36, 6  # texels
+CORNER = (4, 5)  # the foot's first texel
+
+
+def two_arms(sewn):
+    """Return the seams of an island like a U, reach 4; sewn: whether the arms' inner edges are one on the surface."""
+    x, y = np.meshgrid(np.arange(2 * ARM + GAP + 1.0), np.arange(-FOOT, LONG + 1.0))
+    bent = np.where((x >= ARM + GAP) & sewn, GAP * np.clip(y, 0, 1), 0)
+    points = np.stack([x - bent, y, 0 * x], axis=-1)
+    uv = (np.stack([x, y + FOOT], axis=-1) + CORNER) / (40, 64)
+
+    def triangles(values):
+        a, b, c, d = values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]
+        gap = (x[:-1, :-1] >= ARM) & (x[:-1, :-1] < ARM + GAP) & (y[:-1, :-1] >= 0)
+        quads = np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)[~gap]
+        return quads.reshape(-1, 3, values.shape[-1])
+
+    frames = np.zeros((*x.shape, 3)) + (0, 0, 1), np.zeros((*x.shape, 4)) + (1, 0, 0, 1)
+    mesh = mesh_from_corners(*(triangles(v) for v in (points, *frames, uv)))
+    return seams_of(mesh, bake_uv(mesh, 40, 64)[0].triangle, reach=4)
+
+
+@pytest.mark.parametrize("sewn", [False, True])
+def test_the_banks_of_a_gap_in_an_island_see_each_other_only_where_they_are_sewn_together(sewn):
+    seams = two_arms(sewn)
+    assert (seams.island >= 0).sum() == 2 * ARM * LONG + FOOT * (2 * ARM + GAP) and seams.island.max() == 0
+    left, right = CORNER[0] + ARM - 1, CORNER[0] + ARM + GAP  # the columns along the gap
+    bottom = CORNER[1] + FOOT
+    for y in range(bottom + 16, bottom + LONG - 5):  # farther from the foot than three blocks and a reach
+        for by in [(x, dy) for x in range(-4, 5) for dy in (-3, 0, 2)]:
+            for column, step in ((left, 1), (left - 2, 1), (right, -1), (right + 1, -1)):
+                across = (left - column if step > 0 else column - right) < step * by[0]
+                shift = step * GAP if across and sewn else 0
+                wanted = (column + by[0] + shift, y + by[1]) if not across or sewn else None
+                assert looked_up(seams, (column, y), by) == wanted, (column, y, by)
+    for y in range(CORNER[1], bottom):  # in the foot all lie side by side
+        assert looked_up(seams, (left, y), (4, 0)) == (left + 4, y)
+    # Where the gap ends, both arms see the foot, and it sees them.
+    assert looked_up(seams, (left, bottom + 1), (0, -3)) == (left, bottom - 2)
+    assert looked_up(seams, (right, bottom - 1), (1, 4)) == (right + 1, bottom + 3)
+
+
 @pytest.mark.parametrize("turn", ["turned by 180°", "mirrored and turned"])
 def test_at_half_the_size_the_same_surface_lies_across_a_cut(turn):
     subject = sheet(turn)
@@ -119,7 +163,7 @@ def test_a_tile_sees_across_seams_what_the_whole_does(turn):
             for by in [(1, 0), (-3, 0), (0, 2), (0, -1), (3, 3), (2, -3)]:
                 at = x + part.origin[0], y + part.origin[1]
                 entry = np.flatnonzero((part.seams.place == (x + by[0], y + by[1])).all(axis=1)
-                                       & (part.seams.of == part.seams.island[y, x]))  # fmt: skip
+                                       & (part.seams.of == part.seams.chart[y, x]))  # fmt: skip
                 wanted = looked_up(whole.seams, at, by)
                 if wanted is None or not len(entry):
                     assert not len(entry)
