@@ -17,19 +17,21 @@ from .frames import Frame
 # Read noise² / gain, with the largest code as 1: 5 electrons of read noise at a full well of 30 000 electrons.
 _READ = 5.0**2 / 30_000
 SATURATED = 0.98  # of the largest code: sensors bend before they clip, and JPEG rings about what is clipped
-_BLACK = {8: 2.5 / 255, 16: 64 / 65535}  # of the largest code, by bits: cut off, or a few steps of the file
+# Of the largest code, by bits: a step or two of the file, or cut off. To choose by noisy values would favour bright
+# noise; files of 16 bits and more have the weights alone, which leave next to nothing to such pixels.
+_BLACK = {8: 2.5 / 255}
 
 
 def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = SATURATED) -> np.ndarray:
     """Return (H, W, 4) float32: radiance for an exposure of 1, and weight, of a bracket's frames.
 
     amounts: exposures, above 0. saturated: code / largest code from which a pixel is left out, but in the shortest
-    frame, which keeps all that is not clipped. Nearly black pixels are left out where a longer frame shows them. What
-    no frame shows has weight 0 and the shortest frame's value, a lower bound.
+    frame, which keeps all that is not clipped. Nearly black pixels of 8-bit files are left out where a longer frame
+    shows them. What no frame shows has weight 0 and the shortest frame's value, a lower bound.
     """
     order = np.argsort(amounts)
     usable = np.stack([_usable(frames[i], saturated if rank else np.inf) for rank, i in enumerate(order)])
-    dark = np.stack([frames[i].low <= _BLACK.get(frames[i].bits, 0.0) for i in order])
+    dark = np.stack([frames[i].low <= _BLACK.get(frames[i].bits, -np.inf) for i in order])
     longest = len(order) - 1 - usable[::-1].argmax(axis=0)
     usable &= ~dark | (np.arange(len(order))[:, None, None] == longest)
     light, time = 0.0, 0.0

@@ -4,7 +4,7 @@ First phase correlation of edges (Kuglin and Hines 1975), to parts of a pixel by
 (Guizar-Sicairos, Thurman and Fienup 2008). Then each frame is fitted by three images made of the others, which is all
 that a matt surface can show under any distant light (Shashua 1997), and by its own derivatives, whose factors are
 what is left of the shift (Hager and Belhumeur 1998). Measured on cards with texture, relief and 2 % noise: the first
-step is off by 0.02 px where texture prevails and by 1.4 px where relief does, the second by 0.01 px in both.
+step is off by 0.02 px where texture prevails and by 1.4 px where relief does, the second by 0.03 px and less in both.
 """
 
 from __future__ import annotations

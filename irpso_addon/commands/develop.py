@@ -187,6 +187,12 @@ class _Work:
             except StopIteration as stop:
                 self.shifts = stop.value
                 break
+        if not self.shifts[2].any():
+            self.warnings.append(
+                f"{self.options.capture}: its images do not agree well enough to be registered (a shiny subject, or one"
+                " in deep shadow), so none is moved"
+            )
+            return
         for k in np.flatnonzero(~self.shifts[2]):
             self.warnings.append(f"{names[k]}: agrees with no other image, so it is not moved; look whether it belongs")
 

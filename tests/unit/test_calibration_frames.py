@@ -134,7 +134,7 @@ def test_white_gains_make_the_patch_neutral_or_its_reflectance():
 
 def test_merged_brackets_are_unbiased_and_as_sharp_as_their_noise_allows():
     rng = np.random.default_rng(2)
-    truth = np.exp(np.linspace(np.log(2e-4), np.log(0.95), 60))[None, :, None] * np.ones((600, 1, 3))
+    truth = np.exp(np.linspace(np.log(2e-6), np.log(0.95), 60))[None, :, None] * np.ones((600, 1, 3))
     amounts = [1.0, 4.0, 16.0, 64.0]
     frames = [frame(sensed(truth * t, rng), clip=False) for t in amounts]
     frames = [Frame(np.minimum(f.rgb, 1), (f.high < 1).astype(float), f.high, f.low, 16) for f in frames]
@@ -149,7 +149,7 @@ def test_merged_brackets_are_unbiased_and_as_sharp_as_their_noise_allows():
     best = 1 / np.sqrt(best) / truth[0, :, 0]
     spread = error.std(axis=(0, 2))
     assert np.abs(error.mean(axis=(0, 2)) / best).max() < 0.15  # 1800 samples: 0.02 of a deviation by chance
-    assert np.median(spread / best) == pytest.approx(1, abs=0.03) and (spread / best).max() < 1.3
+    assert np.median(spread / best) == pytest.approx(1, abs=0.03) and (spread / best).max() < 1.15
     plain = np.mean([f.rgb / t for f, t in zip(frames, amounts, strict=True)], axis=0)
     assert (plain[:, :10] / truth[:, :10] - 1).std() > 3 * error[:, :10].std()
 
@@ -170,7 +170,7 @@ def test_black_codes_are_left_out_where_a_longer_exposure_shows_the_pixel():
     # Code 1 of 255 stands for anything up to 1.5 of 255.
     dark, light = frame(np.full((1, 1, 3), 1 / 255), bits=8), frame(np.full((1, 1, 3), 0.4), bits=8)
     np.testing.assert_allclose(merge([dark, light], [1.0, 64.0])[0, 0, :3], 0.4 / 64, rtol=1e-5)
-    alone = merge([dark, frame(np.full((1, 1, 3), 2 / 255), bits=8)], [1.0, 2.0])
+    alone = merge([frame(np.zeros((1, 1, 3)), bits=8), frame(np.full((1, 1, 3), 2 / 255), bits=8)], [1.0, 2.0])
     np.testing.assert_allclose(alone[0, 0, :3], 1 / 255, rtol=1e-5)
 
 

@@ -78,6 +78,16 @@ def test_a_frame_of_something_else_is_told_of_and_not_moved():
     assert np.hypot(*(found.pixels - shifts)[keep].T).mean() < 0.05
 
 
+def test_frames_that_no_three_images_explain_are_not_moved_though_their_edges_agree():
+    rng = np.random.default_rng(4)
+    frames, _ = photographs(12, relief=0.1, noise=0.0, widest=0.0)
+    clouds = np.exp(
+        1.5 * ndimage.gaussian_filter(rng.standard_normal(frames.shape), (0, 8, 8)) * 8 * np.sqrt(4 * np.pi)
+    )
+    found = find_shifts(frames * clouds)
+    assert found.agreement.min() < 0.8 and not found.trusted.any() and not found.pixels.any()
+
+
 def test_where_hardly_any_frames_agree_none_is_moved():
     frames = np.random.default_rng(3).random((12, 64, 64))
     found = find_shifts(frames)

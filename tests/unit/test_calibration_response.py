@@ -83,6 +83,12 @@ def test_pixels_that_moved_hardly_bend_the_curve():
     assert relative_error(response, srgb, 1).mean() < 0.01
 
 
+def test_a_curve_rises_even_where_the_photographs_contradict_each_other():
+    times = 2.0 ** np.arange(-4, 1)
+    response = response_from_brackets([np.random.default_rng(0).random((200, 5, 3))], [times])
+    assert (np.diff(response.linear, axis=0) >= 0).all() and np.isfinite(response.linear).all()
+
+
 def test_several_brackets_of_other_lights_count_together():
     times = [2.0 ** np.arange(-4, 1), 3 * 2.0 ** np.arange(-2, 1)]
     samples = [photographed(srgb, t / t.max(), seed, 1500) for seed, t in enumerate(times)]
