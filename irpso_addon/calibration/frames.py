@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,17 +92,18 @@ class Dark:
         return low + (high - low) * np.float32((amount - a) / (b - a))
 
 
-def mean_dark(frames: Sequence[tuple[float | None, np.ndarray]], scaled: bool = False) -> Dark:
-    """Return the means of dark frames (exposure or None, (H, W, 3) linear), one for each exposure."""
-    groups: list[tuple[float | None, list[np.ndarray]]] = []
+def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = False) -> Dark:
+    """Return the means of dark frames (exposure or None, (H, W, 3) linear), one for each exposure, read one by one."""
+    groups: list[tuple[float | None, list]] = []  # exposure, [sum, count]
     for amount, rgb in frames:
-        for other, members in groups:
+        for other, total in groups:
             if amount is other or (None not in (amount, other) and abs(np.log2(amount / other)) < _SAME):
-                members.append(rgb)
+                total[0] = total[0] + rgb
+                total[1] += 1
                 break
         else:
-            groups.append((amount, [rgb]))
-    return Dark(tuple((a, np.mean(m, axis=0, dtype=np.float64).astype(np.float32)) for a, m in groups), scaled)
+            groups.append((amount, [rgb.astype(np.float32), 1]))
+    return Dark(tuple((amount, total / np.float32(count)) for amount, (total, count) in groups), scaled)
 
 
 def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
@@ -121,20 +122,27 @@ class Flat:
     usable: np.ndarray
 
 
-def mean_flat(frames: Sequence[Frame], floor: float = FLAT_FLOOR) -> Flat:
-    """Return the flat field of photographs of something evenly white, less their dark frames.
+def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
+    """Return the flat field of photographs of something evenly white, less their dark frames, read one by one.
 
     Each is divided by its own mean first, so that their exposures may differ. Not usable is what is clipped in one of
     them, or below ``floor`` times the mean. Raises InputError where that is more than half.
     """
-    usable = np.all([frame.weight > 0 for frame in frames], axis=0)
-    if usable.mean() < 0.5:
-        raise InputError(f"{1 - usable.mean():.0%} of the flat field is clipped; photograph it with a shorter exposure")
-    field = np.mean([f.rgb / f.rgb[usable].mean(axis=0, dtype=np.float64) for f in frames], axis=0)
-    usable &= (field > floor).all(axis=-1)
+    field, usable = np.float32(0), np.True_
+    for frame in frames:
+        seen = frame.weight > 0
+        usable = usable & seen
+        if usable.mean() < 0.5:
+            raise InputError(f"{1 - usable.mean():.0%} of the flat field is clipped; photograph it with less exposure")
+        mean = frame.rgb[seen].mean(axis=0, dtype=np.float64)
+        if not (mean > 0).all():
+            raise InputError("the flat field is black in a channel; check which files --flat names")
+        field = field + frame.rgb / mean.astype(np.float32)
+    field = field / field[usable].mean(axis=0, dtype=np.float64).astype(np.float32)
+    usable = usable & (field > floor).all(axis=-1)
     if usable.mean() < 0.5:
         raise InputError(f"{1 - usable.mean():.0%} of the flat field is black; check which files --flat names")
-    field = field / field[usable].mean(axis=0)
+    field = field / field[usable].mean(axis=0, dtype=np.float64).astype(np.float32)
     return Flat(np.where(usable[..., None], field, 1).astype(np.float32), usable)
 
 

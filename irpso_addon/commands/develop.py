@@ -88,17 +88,16 @@ class _Work:
         size = shots[0].size
         dark = flat = None
         if darks:
-            frames = [(self._amount(p), read_frame(self.store, ImageRef(p, colour_space=space), response, size).rgb)
-                      for p in darks]  # fmt: skip
+            frames = ((self._amount(p), read_frame(self.store, ImageRef(p, colour_space=space), response, size).rgb)
+                      for p in darks)  # fmt: skip
             dark = mean_dark(frames, self.options.scale_dark)
             self.measured["dark"] = {"files": [str(p) for p in darks],
                                      "mean": [round(float(level.mean()), 7) for _, level in dark.levels]}  # fmt: skip
         if flats:
-            read = [read_frame(self.store, ImageRef(p, colour_space=space), response, size) for p in flats]
+            read = ((p, read_frame(self.store, ImageRef(p, colour_space=space), response, size)) for p in flats)
             if dark is not None:
-                read = [without_dark(frame, dark.of(self._amount(p), str(p)), str(p))
-                        for frame, p in zip(read, flats, strict=True)]  # fmt: skip
-            flat = mean_flat(read)
+                read = ((p, without_dark(frame, dark.of(self._amount(p), str(p)), str(p))) for p, frame in read)
+            flat = mean_flat(frame for _, frame in read)
             low, high = np.quantile(flat.field[flat.usable], (0.001, 0.999))
             self.measured["flat"] = {"files": [str(p) for p in flats],
                                      "range": [round(float(low), 4), round(float(high), 4)],

@@ -97,12 +97,12 @@ def test_pixels_where_the_flat_is_black_or_clipped_have_weight_0():
     assert np.isfinite(found.rgb).all()
 
 
-@pytest.mark.parametrize(("value", "words"), [(1.0, "clipped"), (0.0, "black")])
+@pytest.mark.parametrize(("value", "words"), [(1.0, "clipped"), (0.0, "black"), (-0.5, "black in a channel")])
 def test_a_flat_field_that_is_useless_is_refused(value, words):
     values = np.full((*SHAPE, 3), value)
     values[:5] = 0.9
     with pytest.raises(InputError, match=words):
-        mean_flat([frame(values)])
+        mean_flat([frame(values, clip=value > 0)])
 
 
 def test_a_patch_is_counted_from_the_upper_left_corner():
@@ -172,6 +172,12 @@ def test_black_codes_are_left_out_where_a_longer_exposure_shows_the_pixel():
     np.testing.assert_allclose(merge([dark, light], [1.0, 64.0])[0, 0, :3], 0.4 / 64, rtol=1e-5)
     alone = merge([frame(np.zeros((1, 1, 3)), bits=8), frame(np.full((1, 1, 3), 2 / 255), bits=8)], [1.0, 2.0])
     np.testing.assert_allclose(alone[0, 0, :3], 1 / 255, rtol=1e-5)
+
+
+def test_a_pixel_black_in_short_exposures_and_clipped_in_the_long_one_is_still_shown():
+    frames = [frame(np.full((1, 1, 3), v), bits=8) for v in (0.0, 2 / 255, 1.0)]
+    merged = merge(frames, [1.0, 2.0, 500.0])
+    np.testing.assert_allclose(merged[0, 0], [1 / 255] * 3 + [1], rtol=1e-5)
 
 
 def test_floats_above_1_are_not_taken_for_clipped():
