@@ -188,8 +188,8 @@ class _Work:
                 break
         if not self.shifts[2].any():
             self.warnings.append(
-                f"{self.options.capture}: its images do not agree well enough to be registered (a shiny subject, or one"
-                " in deep shadow), so none is moved"
+                f"{self.options.capture}: its images do not agree well enough to be registered (no texture, a shiny"
+                " subject, or deep shadows), so none is moved"
             )
             return
         for k in np.flatnonzero(~self.shifts[2]):
