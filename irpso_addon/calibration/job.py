@@ -1,0 +1,179 @@
+"""A calibration from its options to what is written, for the command line and the window alike."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.draft import Draft, build_capture
+from ..capture.images import ImageRef, ImageStore
+from ..capture.picture import Decoder
+from ..capture.problems import CaptureError
+from ..errors import InputError
+from .ball import Ball, fit_ball, outline_of_circle, outline_of_mask
+from .lights import Calibration, Request, calibration_steps
+from .photographs import calibrated_table
+
+_FEWEST = 0.5  # of the photographs that must tell a light
+
+
+@dataclass(frozen=True)
+class BallRequest:
+    """Where a ball is. mask: a file that is white on it; or numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
+
+    Pixels count from the upper left corner, as in image programs.
+    """
+
+    mask: Path | None = None
+    numbers: tuple[float, ...] = ()
+
+
+def ball_of_text(text: str) -> BallRequest:
+    """Return what "mask.png", "X,Y,R" or "X1,Y1,X2,Y2,X3,Y3,…" says. Raises InputError."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        if not Path(text).is_file():
+            raise InputError(
+                f"--ball {text}: there is no such file; give a mask, X,Y,RADIUS, or three or more points X1,Y1,X2,Y2,…"
+            ) from None
+        return BallRequest(Path(text))
+    if not np.isfinite(numbers).all() or not (len(numbers) == 3 or (len(numbers) >= 6 and len(numbers) % 2 == 0)):
+        raise InputError(f"--ball {text}: give X,Y,RADIUS, or three or more points X1,Y1,X2,Y2,X3,Y3,…")
+    if len(numbers) == 3 and numbers[2] <= 0:
+        raise InputError(f"--ball {text}: the radius, the third number, must be above 0")
+    return BallRequest(None, numbers)
+
+
+def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: int, radius: float | None) -> Ball:
+    """Return the ball that is asked for. Raises InputError where a mask is of another size or shows no ball."""
+    name = f"ball {number}"
+    if request.mask is not None:
+        size = store.size(ImageRef(request.mask))
+        if size != (camera.width, camera.height):
+            raise CaptureError(
+                f"{request.mask}: the mask is {size[0]}×{size[1]} pixels, the photographs {camera.width}×"
+                f"{camera.height}; save it at their size",
+                "mask_size",
+            )
+        mask = store.mask(ImageRef(request.mask))
+        if not mask.any() or mask.all():
+            raise InputError(f"{request.mask}: shows no ball; paint the ball white and the rest black")
+        return fit_ball(outline_of_mask(mask), camera, f"{name} ({request.mask.name})", radius)
+    if len(request.numbers) == 3:
+        x, y, size = request.numbers
+        return fit_ball(outline_of_circle(x, camera.height - y, size), camera, name, radius, measured=False)
+    points = np.reshape(request.numbers, (-1, 2)) * (1, -1) + (0, camera.height)
+    return fit_ball(points, camera, name, radius, measured=False)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What was found. shots: the numbers, in the draft, of the photographs. names: of them. camera: its number."""
+
+    draft: Draft
+    camera: int
+    shots: tuple[int, ...]
+    names: tuple[str, ...]
+    result: Calibration
+    warnings: tuple[str, ...]
+
+
+def calibrate_steps(
+    draft: Draft,
+    requests: Sequence[BallRequest],
+    request: Request,
+    decoder: Decoder | None = None,
+    radius: float | None = None,
+    view: str | None = None,
+) -> Generator[int, None, Calibrated]:
+    """Yield the number of each photograph before it is read, and return what the balls tell of a draft's lights.
+
+    radius: of the balls, in world units. view: the camera whose photographs are used, needed where there are several.
+    Raises InputError, also where half of the photographs or more tell no light.
+    """
+    number = _camera_number(draft, view)
+    capture = build_capture(draft, decoder)
+    shots = tuple(n for n, shot in enumerate(draft.shots) if shot.camera == number)
+    camera = capture.cameras[number]
+    store = ImageStore(decoder)
+    balls = [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
+    result = yield from calibration_steps([capture.observations[n].read for n in shots], balls, request)
+    names = tuple(draft.shots[n].name for n in shots)
+    found = sum(light.light is not None for light in result.lights)
+    if found < max(1, _FEWEST * len(shots)):
+        lost = next(i for i, light in enumerate(result.lights) if light.light is None)
+        raise InputError(
+            f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - found} of {len(shots)}"
+            " photographs tell no light; check --ball and --kind)"
+        )
+    warnings = [w for ball in balls for w in ball.warnings]
+    for name, light in zip(names, result.lights, strict=True):
+        left = "; left out" if light.light is None else ""
+        warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
+    return Calibrated(draft, number, shots, names, result, tuple(warnings))
+
+
+def _camera_number(draft: Draft, view: str | None) -> int:
+    names = [v.name for v in draft.views]
+    if view is not None:
+        if view not in names:
+            raise InputError(f"--view {view}: there is no such camera; choose one of {', '.join(names)}")
+        return names.index(view)
+    if len(names) > 1:
+        raise InputError(f"{draft.source}: has {len(names)} cameras; say with --view which one saw the ball")
+    return 0
+
+
+def written_table(found: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
+    """Return the text of a capture.toml in ``folder`` with the lights that were found."""
+    lights = {n: light.light for n, light in zip(found.shots, found.result.lights, strict=True)}
+    cameras = {found.camera: camera_keys} if camera_keys else {}
+    return calibrated_table(found.draft, cameras, lights, folder)
+
+
+def report_of(found: Calibrated) -> dict[str, Any]:
+    """Return what report.json holds."""
+    result = found.result
+    balls = [
+        {
+            "name": view.ball.name,
+            "centre": [float(v) for v in view.ball.centre],
+            "radius": view.ball.radius,
+            "radius_px": round(view.ball.radius_px, 3),
+            "outline_error_px": [round(v, 4) for v in view.ball.error_px],
+        }
+        for view in result.views
+    ]
+    lights = []
+    for name, light in zip(found.names, result.lights, strict=True):
+        row: dict[str, Any] = {"name": name, "warnings": list(light.warnings)}
+        if light.light is not None:
+            row["direction" if light.light.distant else "position"] = list(light.light.vector)
+            row["intensity"] = list(light.light.intensity)
+            row["error_degrees"] = round(light.error, 4)
+        if light.distance_error is not None:
+            row["distance_error"] = round(light.distance_error, 4)
+        row["balls"] = [None if s is None else [float(v) for v in s.direction] for s in light.sights]
+        lights.append(row)
+    return {
+        "kind": result.kind,
+        "near": result.near,
+        "how": result.how,
+        "camera": "perspective" if result.views[0].ball.camera.perspective else "orthographic",
+        "bounce": [round(float(v), 4) for v in result.bounce],
+        "balls": balls,
+        "lights": lights,
+        "warnings": list(found.warnings),
+    }
+
+
+def report_text(found: Calibrated) -> str:
+    """Return report.json."""
+    return json.dumps(report_of(found), indent=1) + "\n"

@@ -1,0 +1,172 @@
+"""Where photographs of balls come from: a capture, or a folder of images whose lights nobody knows yet."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..capture import diligent, read, table
+from ..capture.draft import Draft, Shot, ViewDraft
+from ..capture.images import ImageRef, find_image
+from ..capture.lists import read_lines
+from ..capture.problems import CaptureError
+from ..capture.toml_file import CAMERA_KEYS, camera_maker, known_keys, load_toml
+from ..capture.types import Light
+
+SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
+CAMERA = "camera.toml"
+_UNKNOWN = (0.0, 0.0, 1.0)  # stands for a light until the balls have told it
+_LIGHT_KEYS = (
+    "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
+)  # fmt: skip
+_PATH_KEYS = ("image", "mask", "cameras")
+
+
+def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> Draft:
+    """Return the draft of a capture, or of a folder of images; the lights of the latter are not to be used.
+
+    Of a folder without a capture the images are those of its filenames.txt, or all, sorted by name, but for masks and
+    those in ``leave_out``; camera.toml is its camera. Raises InputError where there are none.
+    """
+    path = Path(path)
+    names = path / diligent.FILENAMES
+    if not path.is_dir() or (path / table.TABLE).exists() or (path / diligent.DIRECTIONS).exists():
+        return read.read_draft(path, colour_space)
+    if not names.exists() and len([p for p in path.iterdir() if p.suffix.lower() == ".lp"]) == 1:
+        return read.read_draft(path, colour_space)
+    hidden = {p.resolve() for p in leave_out}
+    if names.exists():
+        images = [find_image(path, name) for _, name in read_lines(names, "write the images' names into it")]
+    else:
+        images = sorted(
+            p for p in path.iterdir()
+            if p.suffix.lower() in SUFFIXES and p.name not in diligent.MASKS and p.resolve() not in hidden
+        )  # fmt: skip
+    if not images:
+        raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")
+    shots = tuple(Shot(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
+    keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
+    mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
+    view = ViewDraft("camera", camera_maker(keys, str(path / CAMERA)), str(path), None, mask and ImageRef(mask))
+    return Draft(path.resolve().name, "images", path, shots, (view,))
+
+
+def camera_keys(path: Path) -> dict[str, Any]:
+    """Return the keys of a camera.toml. Raises InputError where it has others."""
+    keys = load_toml(path)
+    known_keys(keys, CAMERA_KEYS, str(path))
+    return keys
+
+
+def with_camera(draft: Draft, keys: Mapping[str, Any], where: str) -> Draft:
+    """Return a draft whose cameras have the intrinsics of ``keys``, in their own places."""
+    views = []
+    for view in draft.views:
+        matrix = view.make(*(view.size or (1, 1))).matrix
+        views.append(replace(view, make=camera_maker(dict(keys), where, matrix)))
+    return replace(draft, views=tuple(views))
+
+
+def calibrated_table(
+    draft: Draft, cameras: Mapping[int, Mapping[str, Any]], lights: Mapping[int, Light | None], folder: Path
+) -> str:
+    """Return the text of a capture.toml in ``folder``: the draft's, with the lights of its shots replaced.
+
+    cameras: keys to be put into the table of each camera. lights: by the number of the shot; None leaves it out. Of a
+    capture.toml everything else stays as it is, but for comments; images are named relative to ``folder``.
+    """
+    if draft.kind == "capture table":
+        source = load_toml(draft.source)
+        home = draft.source.parent
+    else:
+        source, home = _as_table(draft), Path(".")
+    source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
+    for number, keys in cameras.items():
+        if number < len(source["camera"]):
+            row = {k: v for k, v in source["camera"][number].items() if k not in CAMERA_KEYS}
+            source["camera"][number] = {**row, **keys}
+    rows = []
+    for number, row in enumerate(source["observation"]):
+        if number not in lights:
+            rows.append(row)
+        elif (light := lights[number]) is not None:
+            kept = {k: v for k, v in row.items() if k not in _LIGHT_KEYS}
+            rows.append({**kept, **_light_keys(light, row.get("light_intensity"))})
+    source["observation"] = rows
+    return "\n".join(_lines(_moved(source, home, folder))) + "\n"
+
+
+def _light_keys(light: Light, former: Any) -> dict[str, Any]:
+    keys = {"light_direction" if light.distant else "light_position": list(light.vector)}
+    if tuple(light.intensity) != (1.0, 1.0, 1.0):
+        return {**keys, "light_intensity": list(light.intensity)}
+    return keys if former is None else {**keys, "light_intensity": former}
+
+
+def _as_table(draft: Draft) -> dict[str, Any]:
+    """Return what a capture.toml of a draft of another kind holds, its paths as they are."""
+    camera: dict[str, Any] = {"name": draft.views[0].name}
+    file = (draft.source if draft.source.is_dir() else draft.source.parent) / CAMERA
+    if file.exists() and draft.source.suffix.lower() != ".lp":
+        camera |= camera_keys(file)
+    if draft.views[0].mask is not None:
+        camera["mask"] = str(draft.views[0].mask.path)
+    rows = []
+    for shot in draft.shots:
+        row: dict[str, Any] = {"name": shot.name, "image": str(shot.image.path)}
+        if shot.image.colour_space != "auto":
+            row["colour_space"] = shot.image.colour_space
+        if draft.kind != "images" and tuple(shot.intensity) != (1.0, 1.0, 1.0):
+            row["light_intensity"] = list(shot.intensity)
+        rows.append(row)
+    return {"format": table.FORMAT, "name": draft.name, "camera": [camera], "observation": rows}
+
+
+def _moved(value: Any, home: Path, folder: Path) -> Any:
+    """Return a table whose image paths, relative to ``home``, are relative to ``folder``."""
+    if isinstance(value, list):
+        return [_moved(item, home, folder) for item in value]
+    if not isinstance(value, dict):
+        return value
+    moved = {}
+    for key, item in value.items():
+        if key in _PATH_KEYS and isinstance(item, str):
+            moved[key] = relative_path(home / item, folder)
+        else:
+            moved[key] = _moved(item, home, folder) if key in ("camera", "observation") else item
+    return moved
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Return a path as a file in ``folder`` names it: relative, or whole where it is on another drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
+
+
+def _lines(source: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in source.items():
+        if key not in ("camera", "observation"):
+            yield f"{key} = {_value(value)}"
+    for kind in ("camera", "observation"):
+        for row in source.get(kind, []):
+            yield from ["", f"[[{kind}]]"]
+            yield from (f"{key} = {_value(value)}" for key, value in row.items())
+
+
+def _value(value: Any) -> str:
+    """Return a TOML value: what ``tomllib`` has read, or numbers of our own."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return repr(value)
