@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Generator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,42 +22,63 @@ from .footprint import texel_steps
 from .light_shape import unshaped
 from .mesh import MeshData
 from .project import GRAZING, Projector, blocks, filled
-from .seams import seams_of, window_seams
+from .seams import SeamMap, seams_of, window_seams
 from .shadows import ShadowCaster, texel_size
 
 Window = tuple[int, int, int, int]
+Surface = tuple[SurfaceBake, SeamMap]
+Bake = TypeVar("Bake", bound=GeometryBake)
 
 
-def domain_from_card(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Domain:
+def domain_from_card(
+    capture: Capture, depth: float = 1.0, scratch: Path | None = None, window: Window | None = None
+) -> Domain:
     """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
 
     Everything is in the camera's own frame, where the card's normal is (0, 0, 1): lights and view are turned into it.
     depth: how far from a perspective camera the card lies, in world units; it matters for near lights and for how
     the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
-    file goes when the domain does. Raises InputError for several cameras, images of another size or nothing to see.
+    file goes when the domain does. window: (x0, y0, width, height) of the texels that the domain is to hold, with the
+    values and the origin that ``tile`` would give them. Raises InputError for several cameras, images of another size
+    or, without a window, nothing to see; ValueError where the window leaves the domain.
     """
-    return run_steps(card_steps(capture, depth, scratch))
+    return run_steps(card_steps(capture, depth, scratch, window))
 
 
-def card_steps(capture: Capture, depth: float = 1.0, scratch: Path | None = None) -> Generator[None, None, Domain]:
+def card_steps(
+    capture: Capture, depth: float = 1.0, scratch: Path | None = None, window: Window | None = None
+) -> Generator[None, None, Domain]:
     """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
-    mask = check_card(capture)
     camera = capture.cameras[0]
-    local = replace(camera, matrix=np.eye(4))
-    bake = _card_bake(local, mask, depth)
+    bake = card_bake(capture, depth)
+    x0, y0, width, height = window or (0, 0, *bake.coverage.shape[::-1])
+    if window is not None:
+        bake = _windowed(bake, window)
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
-    stack = new_stack(len(capture.observations), *mask.shape, scratch)
+    stack = new_stack(len(capture.observations), height, width, scratch)
     texels = np.flatnonzero(bake.coverage)
     for observation, out in zip(capture.observations, stack, strict=True):
         yield
-        image = _read(observation, capture)
+        image = _read(observation, capture)[y0 : y0 + height, x0 : x0 + width]
         seen = bake.coverage & (image[..., 3] > 0)
         out[seen] = image[seen]
-        points = bake.position.reshape(-1, 3) @ camera.matrix[:3, :3].T + camera.matrix[:3, 3]
+        # Not @, which may round off a texel's sum otherwise in an array of another size.
+        points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
         _weigh(out, texels, *_shape_of(observation.light, points, texels))
-    _check_seen(capture, stack, "the card")
-    views = np.broadcast_to(local.view, (len(stack), 4))
-    return _domain(capture.observations, bake, stack, views, inverse, card=True)
+    if window is None:
+        _check_seen(capture, stack, "the card")
+    views = np.broadcast_to(_local(camera).view, (len(stack), 4))
+    return replace(_domain(capture.observations, bake, stack, views, inverse, card=True), origin=(x0, y0))
+
+
+def card_bake(capture: Capture, depth: float = 1.0) -> GeometryBake:
+    """Return the geometry of the domain of a flat subject, without reading an image. Raises InputError."""
+    mask = check_card(capture)
+    return _card_bake(_local(capture.cameras[0]), mask, depth)
+
+
+def _local(camera: Camera) -> Camera:
+    return replace(camera, matrix=np.eye(4))
 
 
 def check_card(capture: Capture) -> np.ndarray:
@@ -85,6 +107,7 @@ def domain_from_mesh(
     falloff: bool = True,
     areas: bool = True,
     window: Window | None = None,
+    surface: Surface | None = None,
 ) -> Domain:
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
@@ -94,10 +117,11 @@ def domain_from_mesh(
     where the mesh hides them from the light. falloff: whether samples at a slant weigh less. areas: whether a texel of
     several pixels is their mean; else images are read at the texels' centres. window: (x0, y0, width, height) of the
     texels that the domain is to hold, with the values and the origin that ``tile`` would give them; what is not seen
-    there is not read. Raises InputError for overlapping UVs (unless allowed), images of another size than their
-    camera, or, without a window, when no texel is seen by any camera; ValueError where the window leaves the domain.
+    there is not read. surface: of ``mesh_surface``, where it has been made already. Raises InputError for overlapping
+    UVs (unless allowed), images of another size than their camera, or, without a window, when no texel is seen by any
+    camera; ValueError where the window leaves the domain.
     """
-    options = {"shadows": shadows, "falloff": falloff, "areas": areas, "window": window}
+    options = {"shadows": shadows, "falloff": falloff, "areas": areas, "window": window, "surface": surface}
     return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch, **options))
 
 
@@ -114,14 +138,12 @@ def mesh_steps(
     falloff: bool = True,
     areas: bool = True,
     window: Window | None = None,
+    surface: Surface | None = None,
 ) -> Generator[None, None, Domain]:
     """Yield before each camera and each image, and return what ``domain_from_mesh`` does."""
     _check_masks(capture)
-    bake = bake_uv(mesh, width, height, allow_overlap)
-    if not bake.coverage.any():
-        raise InputError(f"no texel of {width} × {height} lies on '{mesh.name}' in its UV map; raise the resolution")
+    bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
     texel = texel_size(mesh, bake)
-    seams = seams_of(mesh, bake.triangle)
     if window is not None:
         bake, seams = _windowed(bake, window), window_seams(seams, window)
     caster = ShadowCaster(mesh, bake, texel) if shadows else None
@@ -140,13 +162,21 @@ def mesh_steps(
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
 
 
-def _windowed(bake: SurfaceBake, window: Window) -> SurfaceBake:
+def mesh_surface(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> Surface:
+    """Return the bake of a mesh's UV square, width × height texels, and its seams. Raises InputError."""
+    bake = bake_uv(mesh, width, height, allow_overlap)
+    if not bake.coverage.any():
+        raise InputError(f"no texel of {width} × {height} lies on '{mesh.name}' in its UV map; raise the resolution")
+    return bake, seams_of(mesh, bake.triangle)
+
+
+def _windowed(bake: Bake, window: Window) -> Bake:
     """Return a copy of the texels of a window."""
     (x0, y0, width, height), (rows, columns) = window, bake.coverage.shape
     if not (width > 0 and height > 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
         raise ValueError(f"window {width}×{height} at ({x0}, {y0}) leaves the domain of {columns}×{rows}")
     part = (slice(y0, y0 + height), slice(x0, x0 + width))
-    return SurfaceBake(**{item.name: getattr(bake, item.name)[part].copy() for item in fields(SurfaceBake)})
+    return type(bake)(**{item.name: getattr(bake, item.name)[part].copy() for item in fields(bake)})
 
 
 def _fill(

@@ -29,18 +29,41 @@ class Meeting:
     annex: np.ndarray
 
 
-def meetings_of(tiles: Sequence[tuple[Box, Domain]]) -> list[list[Meeting]]:
-    """Return for each tile, a box of the whole domain and the domain of it with its halo, which others read its own."""
-    meetings: list[list[Meeting]] = [[] for _ in tiles]
-    for number, (box, domain) in enumerate(tiles):
-        for other, there in enumerate(tiles):
-            if number == other:
-                continue
-            here, beside = _in_halo(box, domain, *there)
-            seen, annex = _in_annex(domain, there[1])
-            if len(annex) or here[0].stop > here[0].start:
-                meetings[number].append(Meeting(other, here, beside, seen, annex))
-    return meetings
+@dataclass(frozen=True)
+class Place:
+    """Where a tile lies in the whole domain: its box, its halo, its arrays' origin, and (M, 2) the annex of its seams."""
+
+    box: Box
+    halo: tuple[int, int, int, int]  # left, right, bottom, top
+    origin: tuple[int, int]
+    annex: np.ndarray
+
+
+def place_of(box: Box, domain: Domain) -> Place:
+    """Return where a tile lies. box: its own texels; domain: the tile with its halo."""
+    annex = np.zeros((0, 2), np.int32) if domain.seams is None else domain.seams.annex
+    return Place(box, domain.halo, domain.origin, annex)
+
+
+def meetings_of(places: Sequence[Place]) -> list[list[Meeting]]:
+    """Return for each tile which others read its own texels."""
+    pairs = [
+        [meeting(place, there, other) for other, there in enumerate(places) if number != other]
+        for number, place in enumerate(places)
+    ]
+    return [[found for found in of_one if found is not None] for of_one in pairs]
+
+
+def meeting(place: Place, there: Place, other: int, reach: int | None = None) -> Meeting | None:
+    """Return what of a tile's own texels another reads, None where it reads none.
+
+    other: the number that the meeting names. reach: how much of the other's halo is read; all of it where None.
+    """
+    here, beside = _in_halo(place, there, reach)
+    seen, annex = _in_annex(place, there)
+    if not len(annex) and here[0].stop <= here[0].start:
+        return None
+    return Meeting(other, here, beside, seen, annex)
 
 
 def part_of(box: Box) -> Part:
@@ -68,24 +91,25 @@ def annex_of(domain: Domain) -> int:
     return 0 if domain.seams is None else len(domain.seams.annex)
 
 
-def _in_halo(box: Box, domain: Domain, other: Box, beside: Domain) -> tuple[Part, Part]:
+def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:
     """Return where a tile's own texels that lie in another's halo are in either's arrays: nowhere where none do."""
-    around, here = rectangle(other, beside.halo), rectangle(box, domain.halo)
-    shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(part_of(box), around, strict=True)]
+    read = other.halo if reach is None else tuple(min(side, reach) for side in other.halo)
+    shared = [
+        slice(max(a.start, b.start), min(a.stop, b.stop))
+        for a, b in zip(part_of(place.box), rectangle(other.box, read), strict=True)
+    ]
     if any(s.start >= s.stop for s in shared):
         return ((slice(0, 0), slice(0, 0)),) * 2
     return tuple(
-        tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, place, strict=True))
-        for place in (here, around)
+        tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, around, strict=True))
+        for around in (rectangle(place.box, place.halo), rectangle(other.box, other.halo))
     )
 
 
-def _in_annex(domain: Domain, other: Domain) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def _in_annex(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return rows and columns of a tile's own texels in another's annex, and which of that they are."""
-    if other.seams is None:
-        nothing = np.zeros(0, np.intp)
-        return (nothing, nothing), nothing
-    x, y = (other.seams.annex - np.array(domain.origin, np.int32)).T
-    rows, columns = own_of(domain)
-    annex = np.flatnonzero((x >= columns.start) & (x < columns.stop) & (y >= rows.start) & (y < rows.stop))
+    x, y = (other.annex - np.array(place.origin, np.int32)).T
+    left, _, bottom, _ = place.halo
+    _, _, width, height = place.box
+    annex = np.flatnonzero((x >= left) & (x < left + width) & (y >= bottom) & (y < bottom + height))
     return (y[annex], x[annex]), annex

@@ -222,7 +222,7 @@ def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borde
     """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
     count = 1
     while True:
-        boxes = list(_divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
+        boxes = list(divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
         unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, borders, in_turns=True)]
         if not unfit:
             return boxes
@@ -236,8 +236,11 @@ def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borde
         count = max(count + 1, int(1.1 * count))
 
 
-def _divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
-    """Yield ``count`` boxes of a box, cut in two across the longer side by the number of covered texels, and so on."""
+def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
+    """Yield ``count`` boxes of a box, cut in two across the longer side by the number of covered texels, and so on.
+
+    They are fewer where a box would be too small to be cut.
+    """
     x0, y0, _, _ = box
     part = coverage[_around(box, 0, coverage.shape)]
     rows, columns = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
@@ -256,7 +259,7 @@ def _divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
     else:
         halves = [(x0, y0, width, at), (x0, y0 + at, width, height - at)]
     for half, share in zip(halves, (count // 2, count - count // 2), strict=True):
-        yield from _divided(coverage, half, share)
+        yield from divided(coverage, half, share)
 
 
 def _fits(

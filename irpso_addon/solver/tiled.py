@@ -19,7 +19,7 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .checkpoint import Checkpoint
-from .meetings import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, rectangle
+from .meetings import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, place_of, rectangle
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .recovery import NOTE, Progress, Recovery, full_map, named
 from .schedule import Schedule, refuse_levels
@@ -27,7 +27,7 @@ from .schedule import Schedule, refuse_levels
 Told = tuple[Meeting, np.ndarray, np.ndarray]  # values of the halo's texels, and of the annex's
 
 
-class _TileRecovery(Recovery):
+class TileRecovery(Recovery):
     """A recovery that does not stop at the threshold by itself: only the whole domain may."""
 
     reached = False  # whether the last iteration ended with every swarm of the tile at the threshold
@@ -64,7 +64,7 @@ class _Tile:
     prepared: prepare.Prepared
     known: dict[str, np.ndarray]
     solved: int
-    recovery: _TileRecovery | None = None
+    recovery: TileRecovery | None = None
     progress: Progress | None = None
     reached: bool = False
     state: Checkpoint | None = None
@@ -111,7 +111,7 @@ class TiledRecovery:
         _check_boxes(boxes, domain)
         prepared = prepare.prepare(domain, model, schedule, pack=False)
         self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
-        self._meetings = meetings_of([(part.box, part.domain) for part in self._tiles])
+        self._meetings = meetings_of([place_of(part.box, part.domain) for part in self._tiles])
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
         self._active = 0  # the tile that was used last
         self._told = False  # whether strips are those of the iteration that all tiles are at
@@ -296,7 +296,7 @@ class TiledRecovery:
         """The tiles, those on the device first: every turn spared is an upload of a part of the sample stack."""
         return sorted(range(len(self._tiles)), key=lambda number: self._tiles[number].recovery is None)
 
-    def _recovery(self, number: int) -> _TileRecovery:
+    def _recovery(self, number: int) -> TileRecovery:
         """Return a tile's recovery, put on the device if it is not there."""
         part = self._tiles[number]
         if part.recovery is None:
@@ -306,7 +306,7 @@ class TiledRecovery:
                 last.state = self._stored(last, last.recovery.state())
                 last.recovery.close()
                 last.recovery = None
-            part.recovery = _TileRecovery(
+            part.recovery = TileRecovery(
                 part.domain, self.model, self.schedule, self.seed, part.known, self.entry, part.prepared, part.state
             )
             part.state = None
