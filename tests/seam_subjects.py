@@ -90,8 +90,8 @@ def sheet(turn: str, frames_seed: int = 1) -> Sheet:
     outside = "edge" in turn  # the left part against the right border of the domain: places past it lie outside
     shift = (SHAPE[1] - START[0] - LEFT if outside else 0, 0)
     parts = [
-        _part(np.arange(-LEFT, 1), lambda st: st + START + (LEFT, 0) + shift),
-        _part(np.arange(RIGHT + 1), lambda st: st @ linear.T + origin),
+        part(np.arange(-LEFT, 1), lambda st: st + START + (LEFT, 0) + shift),
+        part(np.arange(RIGHT + 1), lambda st: st @ linear.T + origin),
     ]
     mesh = joined(*parts)
     rng = np.random.default_rng(frames_seed)
@@ -115,13 +115,14 @@ class Shifted(Sheet):
         return super()._texels(part, place) if part else place + (SHAPE[1], START[1])
 
 
-def _part(columns: np.ndarray, to_texels) -> MeshData:
-    s, t = np.meshgrid(columns.astype(float), np.arange(HIGH + 1.0))
+def part(columns: np.ndarray, to_texels, high: int = HIGH, shape: tuple[int, int] = SHAPE) -> MeshData:
+    """Return columns s and rows t = 0 … high of the sheet. to_texels: from (…, 2) s, t to places in (rows, columns)."""
+    s, t = np.meshgrid(columns.astype(float), np.arange(high + 1.0))
     grid = np.stack([s, t], axis=-1)
     angle = s / 40
     points = np.stack([40 * np.sin(angle), t, 40 * np.cos(angle)], axis=-1)
     normal = np.stack([np.sin(angle), np.zeros_like(s), np.cos(angle)], axis=-1)
-    uv = to_texels(grid) / SHAPE[::-1]
+    uv = to_texels(grid) / shape[::-1]
 
     def triangles(values: np.ndarray) -> np.ndarray:
         a, b, c, d = values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]

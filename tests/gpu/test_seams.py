@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.bake import bake_uv
+from irpso_addon.geometry.domain import Domain
 from irpso_addon.geometry.frames import from_blender
 from irpso_addon.geometry.margins import blender_maps
+from irpso_addon.geometry.seams import seams_of
 from irpso_addon.gpu import context, textures
 from irpso_addon.maps.result import Maps
 from irpso_addon.maps.tables import map_tables, map_values
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.forward import Renderer
 from irpso_addon.solver.generations import RunningGenerations
 from irpso_addon.solver.need import recovery_need
 from irpso_addon.solver.packing import Packing
@@ -20,7 +24,8 @@ from irpso_addon.solver.schedule import Polish, load_schedule
 from irpso_addon.solver.state import DomainTextures, Estimates
 from irpso_addon.solver.tiled import TiledRecovery
 from tests import swarm_oracle as oracle
-from tests.seam_subjects import sheet
+from tests.geometry_oracle import joined
+from tests.seam_subjects import part, sheet
 from tests.swarm_subjects import SHORT, make_domain, unit, with_radiance
 
 LAMBERT = load_model("lambert")
@@ -194,3 +199,59 @@ def test_where_nothing_was_solved_past_a_seam_the_margin_is_that_of_its_own_side
     values = {"base_color": np.full((*domain.shape, 3), 0.25), "normal": np.zeros((*domain.shape, 3)) + (0, 0, 1)}
     written = blender_maps(Maps(LAMBERT, values, covered), subject.mesh, domain.bake, domain.seams)
     assert not written.margin.any()
+
+
+ACROSS, ALONG, PLACE = 16, 44, (40, 3)  # texels of either part of a larger sheet, and the right part's corner, mirrored
+ROWS, COLUMNS = 50, 44
+PRINCIPLED = load_model("principled")
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """A domain of a sheet cut in two, where six lights tell little of the gloss; (s, t) of each texel; the truth."""
+    context.ensure()
+    mesh = joined(
+        part(np.arange(-ACROSS, 1), lambda st: st + (3 + ACROSS, 3), ALONG, (ROWS, COLUMNS)),
+        part(np.arange(ACROSS + 1), lambda st: st * (-1, 1) + PLACE, ALONG, (ROWS, COLUMNS)),
+    )
+    bake = bake_uv(mesh, COLUMNS, ROWS)
+    y, x = np.mgrid[:ROWS, :COLUMNS] + 0.5
+    s, t = np.where(x < 3 + ACROSS, x - 3 - ACROSS, PLACE[0] - x), y - 3
+    color = np.stack([0.5 + 0.2 * np.sin(s / 7), 0.45 + 0.15 * np.sin(s / 5 + t / 11), 0.4 + 0 * s], axis=-1)
+    relief = bake.normal + 0.2 * np.stack([np.sin(s / 3 + t / 5), np.sin(t / 3), 0 * s], axis=-1)
+    normal = np.einsum("hwij,hwj->hwi", bake.frames(), unit(relief))
+    gloss = np.full((ROWS, COLUMNS, 1), 0.4)
+    truth = {"base_color": color, "normal": normal, "roughness": gloss, "specular": gloss + 0.1}
+    truth = {name: value.astype(np.float32) for name, value in truth.items()}
+    angle, cosine = 2.39996 * np.arange(6), 1 - 0.4264 * (np.arange(6) + 0.5) / 6  # a spiral to 55° from the zenith
+    sine = np.sqrt(1 - cosine**2)
+    lights = np.stack([sine * np.cos(angle), sine * np.sin(angle), cosine, 0 * angle], axis=-1).astype(np.float32)
+    rows = lights, np.ones((6, 3), np.float32), np.tile(np.float32([0, 0, 1, 0]), (6, 1))
+    renderer = Renderer(bake, PRINCIPLED, truth, *rows)
+    stack = np.stack([renderer.render(k) for k in range(6)])
+    renderer.close()
+    noise = np.random.default_rng(1).normal(0, 0.02, stack[..., :3].shape)
+    stack[..., :3] = np.maximum(stack[..., :3] + noise, 0)
+    stack[..., 3] = bake.coverage
+    domain = Domain(bake, stack, *rows, card=False, seams=seams_of(mesh, bake.triangle))
+    return domain, s, t, truth
+
+
+def test_near_a_seam_the_error_is_no_larger_than_elsewhere_and_no_step_shows(noisy):
+    domain, s, t, truth = noisy
+    steps, lines = {}, []
+    for name, subject in (("off", replace(domain, seams=None)), ("on", domain)):
+        with Recovery(subject, PRINCIPLED, load_schedule("standard"), 1, entry="fragment") as recovery:
+            recovery.step()
+            found = recovery.maps(confidence=False).values
+        inner = domain.bake.coverage & (np.abs(t - ALONG / 2) < ALONG / 2 - 5) & (np.abs(s) < ACROSS - 5)
+        for map_name, value in found.items():
+            error = np.linalg.norm(value - truth[map_name], axis=-1)
+            near, far = error[inner & (np.abs(s) <= 4)].mean(), error[inner & (np.abs(s) > 4)].mean()
+            lines.append(f"{name} {map_name}: {near:.4f} near, {far:.4f} elsewhere")
+            assert name == "off" or near <= 1.1 * far, lines
+        # Within 3 texels of the cut, row by row: the gloss is the same all over.
+        mean = [[found["specular"][(np.floor(t) == row) & inner & (side * s > 0) & (np.abs(s) < 3)].mean()
+                 for row in range(5, ALONG - 5)] for side in (-1, 1)]  # fmt: skip
+        steps[name] = np.abs(np.subtract(*mean)).mean()
+    assert steps["on"] < 0.8 * steps["off"], steps
