@@ -21,6 +21,7 @@ from benchmarks import (
     convergence,
     fig7,
     joint,
+    killed,
     large_mesh,
     lights,
     multiview,
@@ -34,7 +35,7 @@ from benchmarks import (
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
-    swarm_scaling, window,
+    swarm_scaling, killed, window,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}

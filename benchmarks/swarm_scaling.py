@@ -52,6 +52,14 @@ def launcher() -> str | None:
     return str(beside) if beside.exists() else shutil.which("mpirun")
 
 
+def rank_environment(threads: int) -> dict[str, str]:
+    """Return the environment of an MPI job: so many threads a rank, and Open MPI content to be run by root."""
+    return os.environ | {
+        "OMP_NUM_THREADS": str(threads), "LP_NUM_THREADS": str(threads), "NUMBA_THREADING_LAYER": "omp",
+        "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    }  # fmt: skip
+
+
 def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess.CompletedProcess:
     """Run a module of Python on so many ranks, each bound to as many cores as it has threads, where there are so many.
 
@@ -64,12 +72,10 @@ def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess
     binding = (
         ["--map-by", f"slot:PE={threads}", "--bind-to", "core"] if fits else ["--oversubscribe", "--bind-to", "none"]
     )
-    environment = os.environ | {
-        "OMP_NUM_THREADS": str(threads), "NUMBA_THREADING_LAYER": "omp", "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    }  # fmt: skip
     command = [found, "-n", str(ranks), *binding, sys.executable, "-m", *arguments]
-    return subprocess.run(command, cwd=report.ROOT, env=environment, capture_output=True, text=True, check=True)
+    return subprocess.run(
+        command, cwd=report.ROOT, env=rank_environment(threads), capture_output=True, text=True, check=True
+    )
 
 
 def on_ranks(particles: int, ranks: int, threads: int, iterations: int, repeats: int) -> dict[str, Any]:

@@ -1,0 +1,183 @@
+"""Recoveries that are killed with signal 9 at random moments and gone on with: do they end in the same maps?
+
+Usage: python -m benchmarks.killed [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
+
+A small card is recovered once in one piece. Then again and again: started, killed at a random moment of its life
+(reading, searching, writing a checkpoint, writing the result), started again with --resume where a checkpoint is, until
+a run gets through; its maps are compared bit for bit. With ranks, one of them, chosen at random, is killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import report
+from benchmarks.swarm_scaling import launcher, rank_environment
+
+_KILLS = 100  # of each chain
+_CHAINS = (1, 2)  # ranks
+_TEXELS, _LIGHTS = (40, 50), 16
+_OPTIONS = ("--model", "lambert", "--preset", "swarm", "--iterations", "800", "--entry", "fragment", "--quiet",
+            "--checkpoint-every", "0.2")  # fmt: skip
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Run the chains side by side, each with its own folder."""
+    folder = report.CACHE / "killed"
+    shutil.rmtree(folder, ignore_errors=True)
+    capture = _capture(folder / "capture")
+    whole = folder / "whole"
+    took = _finished(_start(capture, whole, 1, False))
+    reference = _maps(whole)
+    kills = 4 if quick else _KILLS
+    chains = [n for n in _CHAINS if n == 1 or launcher() is not None]
+    with ThreadPoolExecutor(len(chains)) as pool:
+        found = pool.map(
+            lambda ranks: _chain(capture, folder / f"ranks-{ranks}", ranks, kills, took, reference), chains
+        )
+        return {"chains": list(found), "seconds": took, "iterations": 800}
+
+
+def _chain(
+    capture: Path, folder: Path, ranks: int, kills: int, took: float, reference: dict[str, np.ndarray]
+) -> dict[str, Any]:
+    chosen = random.Random(ranks)
+    done = {"ranks": ranks, "kills": 0, "resumed": 0, "whole": 0, "equal": 0, "failed": 0}
+    out, number, life = folder / "0", 0, 1.5 * took
+    while done["kills"] < kills:
+        resume = (out / "checkpoint.npz").exists()
+        began = time.monotonic()
+        run = _start(capture, out, ranks, resume)
+        try:
+            run.wait(chosen.uniform(0, life))
+        except subprocess.TimeoutExpired:
+            _kill(run, ranks, chosen)
+            done["kills"] += 1
+            done["resumed"] += resume
+            continue
+        if run.returncode:
+            done["failed"] += 1
+            report.say(run.stderr.read().decode())
+            break
+        life = 1.2 * (time.monotonic() - began)
+        done["whole"] += 1
+        done["equal"] += _same(_maps(out), reference)
+        number += 1
+        out = folder / str(number)
+    if (out / "checkpoint.npz").exists():  # the last one gets through as well
+        _finished(_start(capture, out, ranks, True))
+        done["whole"] += 1
+        done["equal"] += _same(_maps(out), reference)
+    report.say(f"{done}")
+    return done
+
+
+def _start(capture: Path, out: Path, ranks: int, resume: bool) -> subprocess.Popen:
+    words = [sys.executable, "-m", "irpso_addon", "recover", capture, *_OPTIONS, "-o", out]
+    words += ["--resume"] if resume else []
+    before = [launcher(), "-n", ranks, "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
+    return subprocess.Popen(
+        [str(word) for word in (*before, *words)], cwd=report.ROOT, env=rank_environment(1), stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+
+
+def _kill(run: subprocess.Popen, ranks: int, chosen: random.Random) -> None:
+    """Kill the process, or one of its ranks, after which the launcher has to end the others."""
+    if ranks > 1 and (children := _ranks_of(run.pid)):
+        with contextlib.suppress(ProcessLookupError):  # where it has ended by itself meanwhile
+            os.kill(chosen.choice(children), signal.SIGKILL)
+        try:
+            run.wait(20)
+            return
+        except subprocess.TimeoutExpired:
+            report.say("the other ranks did not end within 20 s")
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+
+
+def _ranks_of(launched: int) -> list[int]:
+    """Return the processes below a launcher that run the program."""
+    listed = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines()[1:]
+    rows = [line.split(None, 2) for line in listed]
+    return [int(pid) for pid, parent, words in rows if int(parent) == launched and "irpso_addon" in words]
+
+
+def _finished(run: subprocess.Popen) -> float:
+    """Wait for a run, and return the seconds; raises CalledProcessError where it fails."""
+    began = time.monotonic()
+    _, told = run.communicate()
+    if run.returncode:
+        report.say(told.decode())
+        raise subprocess.CalledProcessError(run.returncode, run.args)
+    return time.monotonic() - began
+
+
+def _capture(folder: Path) -> Path:
+    """Write a card's capture and return its folder."""
+    from benchmarks.subjects import NOISY, make_card
+    from irpso_addon.capture.camera import Camera
+    from irpso_addon.capture.types import Capture, Light, Observation
+    from irpso_addon.capture.write import write_capture
+
+    domain = make_card(_TEXELS, _LIGHTS, NOISY, model="lambert").domain
+    height, width = domain.shape
+    shots = tuple(
+        Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))
+        for k, (image, light) in enumerate(zip(domain.stack, domain.lights, strict=True))
+    )
+    camera = Camera.orthographic(width, height, 2.0)
+    write_capture(Capture("card", shots, (camera,), (np.ones((height, width), bool),)), folder)
+    return folder
+
+
+def _maps(folder: Path) -> dict[str, np.ndarray]:
+    from irpso_addon.capture.exr import read_exr
+
+    parts = read_exr(folder / "maps.exr")
+    return {f"{part}.{name}": values for part, channels in parts.items() for name, values in channels.items()}
+
+
+def _same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
+
+
+def write(data: dict[str, Any], folder: Path) -> list[str]:
+    """Return the page's lines."""
+    header = ("ranks", "killed", "of them resumed runs", "runs that got through", "with the same maps, bit for bit",
+              "refused to go on")  # fmt: skip
+    rows = [[c["ranks"], c["kills"], c["resumed"], c["whole"], c["equal"], c["failed"]] for c in data["chains"]]
+    return [
+        f"A card of {_TEXELS[1]} × {_TEXELS[0]} texels under {_LIGHTS} lights, {data['iterations']} iterations, a"
+        " checkpoint every 0.2 s; killed with signal 9 at random moments of its life and started again. With ranks, one"
+        " of them is killed, and the launcher ends the others. How: [killed.py](../../benchmarks/killed.py).",
+        "",
+        *report.table(header, rows),
+    ]
+
+
+def headline(data: dict[str, Any]) -> str:
+    """Return what the index says."""
+    kills, whole, equal = (sum(c[key] for c in data["chains"]) for key in ("kills", "whole", "equal"))
+    return f"{kills} kills: {equal} of {whole} runs ended in the same maps"
+
+
+PROGRAM = report.Program("killed", "Killed and gone on with", __file__, measure, write, headline)
+
+if __name__ == "__main__":
+    from irpso_addon.gpu import context
+
+    report.run(PROGRAM)
+    context.exit_process(0)
