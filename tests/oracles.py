@@ -134,6 +134,22 @@ def principled(p, light, view, albedo=specular_layer_fit):
     return np.where(c.seen[..., None], diffuse + specular[..., None], 0)
 
 
+def principled_metallic(p, light, view):
+    """Blender's Principled with distribution GGX, Specular IOR Level 0.5 and a white Specular Tint: a mixture.
+
+    base_color, normal, roughness, metallic. The metal's F82 tint model (Kutz, Hasan and Edmondson 2021) with a white
+    tint is Schlick's.
+    """
+    c = Configuration(p["normal"], light, view)
+    metallic = np.asarray(p["metallic"])[..., None]
+    dielectric_part = principled({**p, "specular": np.full(np.shape(p["roughness"]), 0.5)}, light, view)
+    alpha = np.asarray(p["roughness"]) ** 2
+    lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)
+    fresnel = p["base_color"] + (1 - p["base_color"]) * ((1 - c.between) ** 5)[..., None]
+    metal = np.where(c.seen[..., None], lobe[..., None] * fresnel, 0)
+    return (1 - metallic) * dielectric_part + metallic * metal
+
+
 def cook_torrance_two_lobe(p, light, view):
     """The paper's model: base_color, normal, r1, r2 (Beckmann m), w (weight of r1)."""
     c = Configuration(p["normal"], light, view)
@@ -202,6 +218,7 @@ MODELS = {
     "falloff_lobe": falloff_lobe,
     "lambert": lambert,
     "principled": principled,
+    "principled_metallic": principled_metallic,
     "cook_torrance_two_lobe": cook_torrance_two_lobe,
     "principled_two_lobe": principled_two_lobe,
     "ward": ward,

@@ -78,8 +78,8 @@ def compared(b):
 @pytest.mark.parametrize("loss", ["l2", "robust", "l1"])
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("lambert", 3), ("principled", 3), (TWO_LOBES, 4), ("principled_two_lobe", 4), ("blinn_phong", 4),
-     ("falloff_lobe", 2)],
+    [("lambert", 3), ("principled", 3), ("principled_metallic", 3), (TWO_LOBES, 4), ("principled_two_lobe", 4),
+     ("blinn_phong", 4), ("falloff_lobe", 2)],
 )  # fmt: skip
 def test_weights_are_those_of_scipys_bounded_least_squares(bench, path_of, name, count, loss):
     options = {"observations": 24, "colored": name != "falloff_lobe"}

@@ -150,3 +150,18 @@ def test_a_white_principled_surface_is_what_cycles_renders(facets, tmp_path, roo
     # Cycles reads the layer's albedo from 16 values a dimension; at 0.05 its lobe's peak is off by some per cent.
     assert error.max() < worst
     assert error.mean() < 0.0025
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
+def test_metals_and_what_lies_between_are_what_cycles_renders(facets, tmp_path, root, roughness, metallic):
+    gold = (0.9, 0.6, 0.25)
+    node = principled_node(facets, Base_Color=(*gold, 1), Specular_IOR_Level=0.5, Roughness=roughness)
+    node.inputs["Metallic"].default_value = metallic
+    settings = {"base_color": gold, "roughness": roughness, "metallic": metallic}
+    try:
+        error = compare(facets, tmp_path, root, load_model("principled_metallic"), settings)
+    finally:
+        node.inputs["Metallic"].default_value = 0.0
+    assert error.max() < 0.01
+    assert error.mean() < 0.0025
