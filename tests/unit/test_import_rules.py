@@ -23,7 +23,7 @@ ALLOWED = {
     "files": set(),
     "reflectance": set(),
     "capture": set(),
-    "calibration": {"capture"},
+    "calibration": {"capture", "maps"},
     "gpu": set(),
     "maps": {"reflectance", "capture"},
     "geometry": {"capture", "reflectance", "maps", "gpu"},
