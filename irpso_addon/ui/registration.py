@@ -11,6 +11,7 @@ MODULES = (
     "schedule_settings",
     "settings",
     "capture_import",
+    "ball_lights",
     "camera_import",
     "scene_setup",
     "presets",
