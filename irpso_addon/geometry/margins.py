@@ -39,7 +39,8 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
         held = np.array(values[p.name], np.float32)
         if p.is_normal:
             world = world_normals(bake, solved.values[p.name]).reshape(-1, 3)
-            found = world_to_blender(mesh, bake, beside, np.einsum("nt,ntc->nc", weights, world[taps]))
+            there = np.einsum("nt,ntc->nc", weights, world[taps])
+            found = world_to_blender(mesh, bake, beside, _carried(there, bake, taps, weights, beside))
         else:
             found = np.einsum("nt,ntc->nc", weights, held.reshape(-1, p.components)[taps])
         held.reshape(-1, held.shape[-1])[place] = found
@@ -47,6 +48,23 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
     margin = np.zeros(maps.covered.shape, bool)
     margin.ravel()[place] = True
     return replace(maps, values={**values, **filled}, margin=margin)
+
+
+def _carried(
+    normals: np.ndarray, bake: SurfaceBake, taps: np.ndarray, weights: np.ndarray, beside: np.ndarray
+) -> np.ndarray:
+    """Return (M, 3) world normals turned as the surface turns from where they are to the texel beside.
+
+    A normal map tells how far normals lean away from the surface, and past the edge a renderer has the surface's own
+    normal of the edge: on a sphere a normal left as it is would lean too far, past a crease by the crease's angle.
+    """
+    surface = bake.normal.reshape(-1, 3).astype(np.float64)
+    a, b = np.einsum("nt,ntc->nc", weights, surface[taps]), surface[beside]
+    a /= np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-30)
+    cosine, axis = (a * b).sum(axis=-1, keepdims=True), np.cross(a, b)
+    # Rodrigues' formula for the least turn from a to b; of the many that turn a back on itself, any.
+    along = axis * (axis * normals).sum(axis=-1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
+    return cosine * normals + np.cross(axis, normals) + along
 
 
 def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
