@@ -20,6 +20,7 @@ from .views import BallView, reading_steps
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
 _UNCERTAIN = 2.0  # degrees
+_MATTE_ERROR = 0.01  # radians, of what no ball is as matte as: measured in Cycles, 0.66° in the mean on a grey table
 _LEAST_LIT = 0.15  # of a matte ball: less is a light behind it
 _MISFIT, _LEFT_OUT = 0.1, 0.4
 _APART = 3.0  # standard errors, and
@@ -171,7 +172,7 @@ def _of_fit(fit: Fit, views: Sequence[BallView]) -> Meeting:
     """Return a fit as a meeting; that a ball's outline is uncertain turns its normals."""
     outline = np.mean([2 * (v.ball.error_px[0] ** 2) / v.ball.radius_px**2 for v in views]) ** 0.5
     return Meeting(
-        fit.direction, float(np.hypot(fit.error, outline)), fit.inverse,
+        fit.direction, float(np.sqrt(fit.error**2 + outline**2 + _MATTE_ERROR**2)), fit.inverse,
         float(np.hypot(fit.inverse_error, outline * _baseline(views))), fit.misfit,
     )  # fmt: skip
 
