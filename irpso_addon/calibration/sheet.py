@@ -18,7 +18,10 @@ def calibration_picture(found: Calibrated) -> np.ndarray:
     for number, (name, light) in enumerate(zip(found.names, lights, strict=True)):
         tiles += [_tile(f"{number + 1} {name}", view, number, light, b) for b, view in enumerate(found.result.views)]
     told = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
-    title = f"{len(told)} lights from {len(found.result.views)} {found.result.kind} balls: {found.result.how}"
+    balls = len(found.result.views)
+    title = (
+        f"{len(told)} lights from {balls} {found.result.kind} {'ball' if balls == 1 else 'balls'}\n{found.result.how}"
+    )
     doubtful = [bool(light.warnings) for light, _ in told]
     return ball_sheet(tiles, np.array([sight.direction for _, sight in told]), doubtful, title)
 

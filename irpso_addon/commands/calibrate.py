@@ -43,7 +43,7 @@ def run(options: Namespace) -> dict:
     write_calibration(found, out, keys)
     report = report_of(found)
     if not options.quiet and not options.json:
-        sys.stdout.write(_summary(found, out))
+        sys.stdout.write(_summary(found, out, options.radius))
     errors = [light.error for light in found.result.lights if light.light is not None]
     return {
         "output": str(out),
@@ -85,7 +85,7 @@ def _albedo(text: str | None) -> tuple[float, float, float] | None:
     return r, g, b
 
 
-def _summary(found: Calibrated, out: Path) -> str:
+def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
     result = found.result
     told = [light for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
@@ -99,6 +99,8 @@ def _summary(found: Calibrated, out: Path) -> str:
         )
     if not camera.perspective:
         lines.append("camera: orthographic; of a lens that is not very long give --fov or --camera")
+    elif result.near and radius is None:
+        lines.append("places are counted in radii of the ball; --radius makes them world units")
     lines += [f"warning: {warning}" for warning in found.warnings[:_SHOWN_WARNINGS]]
     if len(found.warnings) > _SHOWN_WARNINGS:
         lines.append(f"and {len(found.warnings) - _SHOWN_WARNINGS} more warnings in the report")

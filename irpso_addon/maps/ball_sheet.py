@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,9 +11,9 @@ import numpy as np
 from .canvas import BACKGROUND, FAINT, GRID, TEXT, Canvas
 from .encode import srgb_from_linear
 
-_TILE, _GAP, _MARGIN, _HEAD = 96, 6, 20, 34
+_TILE, _GAP, _MARGIN, _HEAD = 96, 6, 20, 52
 _COLUMNS, _MOST = 8, 64
-_DOME = 200  # radius, pixels
+_DOME = 180  # radius, pixels
 _LABEL = 8.0
 _FOUND, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30)
 
@@ -38,16 +39,17 @@ def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequ
 
     directions: (K, 3) unit, to the lights from the ball, in the camera's axes: drawn as seen from above the dome whose
     top is the camera; rings are 30°, 60° and 90° off it, and lights behind are drawn outside. Of more than 64 tiles
-    some are shown.
+    some are shown. title: one line or two.
     """
     shown = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
-    columns = min(_COLUMNS, max(len(shown), 1))
+    columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(shown)))))
     rows = -(-len(shown) // columns)
     left = _MARGIN * 2 + columns * (_TILE + _GAP)
     side = 2 * _DOME + 4 * _MARGIN
     height = _HEAD + max(rows * (_TILE + _GAP + 12), side) + _MARGIN
     canvas = Canvas(left + side, height, BACKGROUND)
-    canvas.text(_MARGIN, 22, title, 11.0)
+    for row, line in enumerate(title.splitlines()):
+        canvas.text(_MARGIN, 20 + 18 * row, line, 10.0 if row == 0 else _LABEL, FAINT if row else TEXT)
     for number, tile in enumerate(shown):
         row, column = divmod(number, columns)
         _draw_tile(canvas, _MARGIN + column * (_TILE + _GAP), _HEAD + row * (_TILE + _GAP + 12), tile)
