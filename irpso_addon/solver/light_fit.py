@@ -29,13 +29,14 @@ class LightStep:
 
     deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982). told: the
     second least eigenvalue of what the images say of the gains, which is 1 where a light's own shading is known, and
-    near 0 where the texels face one way.
+    near 0 where the texels face one way. explained: the part of the weighted squared error that the step takes away.
     """
 
     gains: np.ndarray
     moves: np.ndarray
     deviations: np.ndarray
     told: float
+    explained: float
 
 
 @dataclass(frozen=True)
@@ -264,6 +265,7 @@ class _Equations:
         return LightStep(
             np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
             self._told(whole) if self._gains else 1.0,
+            float(answer.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
         )  # fmt: skip
 
     def _reduced(self, steps: list[_Step], noise: float) -> tuple[np.ndarray, np.ndarray]:
