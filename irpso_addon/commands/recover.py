@@ -13,6 +13,7 @@ import numpy as np
 
 from ..capture.read import read_capture
 from ..capture.types import Capture
+from ..cluster.ranks import Ranks, joined
 from ..errors import InputError
 from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
@@ -33,17 +34,21 @@ from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.checkpoint import is_by_texels
 from ..solver.history import History
+from ..solver.lights import Lights
 from ..solver.memory import parse_memory
 from ..solver.pictures import error_preview, relit_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
+    AnyRecovery,
     covered_texels,
     held_out_last,
     make_plan,
     planned_recovery,
     scratch_folder,
 )
+from ..solver.progress import Progress
 from ..solver.schedule import Schedule
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
@@ -56,7 +61,7 @@ _RESOLUTION = "512"
 
 
 @dataclass
-class _Job:
+class Job:
     """What the options come down to, all checked before anything slow is begun."""
 
     capture: Capture
@@ -74,6 +79,17 @@ class _Job:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass
+class Solved:
+    """What a recovery has come to. settings: for the report, beside the options."""
+
+    maps: Maps
+    progress: Progress
+    history: History
+    settings: dict
+    warnings: list[str]
+
+
 def run(options: Namespace, opened: bool = False) -> dict:
     """Recover and write everything; returns the report. An interrupt leaves a checkpoint in the output folder.
 
@@ -81,17 +97,23 @@ def run(options: Namespace, opened: bool = False) -> dict:
     """
     if options.slots == EACH:
         return recover_each(options, _blend_of(options), partial(run, opened=True), BLEND)
+    ranks = joined()
+    if ranks is None and options.resume and is_by_texels(Path(options.output) / CHECKPOINT):
+        ranks = Ranks()  # an MPI job has left it: one rank goes on alone
+    if ranks is not None:
+        from .ranked import recover_on_ranks  # which is made of what is below
+
+        return recover_on_ranks(ranks, options)
     started = time.perf_counter()
-    job = _check(options, opened)
+    job = check(options, opened)
     probe.probe()
     context.ensure()
-    subject, mesh = job.subject, job.mesh
-    plan = _plan(options, job, mesh, covered_texels(job.capture, mesh, job.resolution))
+    plan = _plan(options, job, job.mesh, covered_texels(job.capture, job.mesh, job.resolution))
     if options.dry_run:
         if not options.quiet and not options.json:
             sys.stdout.write("\n".join(plan.lines()) + "\n")
         return {"plan": plan.as_dict()}
-    domain = _domain(options, job, mesh, plan, subject)
+    domain = _domain(options, job, job.mesh, plan)
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
     started = time.perf_counter()
@@ -99,46 +121,58 @@ def run(options: Namespace, opened: bool = False) -> dict:
     if lights is not None:
         domain = lights.applied(domain)
         job.seconds["lights"] = time.perf_counter() - started
-    plan = _plan(options, job, mesh, domain.solvable, plan.stack_on)
+    plan = _plan(options, job, job.mesh, domain.solvable, plan.stack_on)
     started = time.perf_counter()
     with planned_recovery(
         plan, subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry,
         scratch_folder(Path(options.output)),
     ) as recovery:  # fmt: skip
         job.seconds["prepare"] = time.perf_counter() - started
-        history = History(recovery, job.truth)
-        saving = Saving(job.folder / CHECKPOINT, options.resume, options.checkpoint_every)
-        job.seconds["solve"], unsaved = drive(recovery, history, saving, options.quiet or options.json)
-        maps = recovery.maps()
-        progress = recovery.progress
-        entry = recovery.entry
+        solved = solve(options, job, recovery)
+        solved.settings |= {"tiles": len(plan.tiles)}
+    return finish(options, job, domain, kept, lights, solved)
+
+
+def solve(options: Namespace, job: Job, recovery: AnyRecovery) -> Solved:
+    """Run a recovery to its end, showing how far it is."""
+    history = History(recovery, job.truth)
+    saving = Saving(job.folder / CHECKPOINT, options.resume, options.checkpoint_every)
+    job.seconds["solve"], unsaved = drive(recovery, history, saving, options.quiet or options.json)
+    return Solved(recovery.maps(), recovery.progress, history, {"entry": recovery.entry}, unsaved)
+
+
+def finish(
+    options: Namespace, job: Job, domain: Domain, kept: list[int], lights: Lights | None, solved: Solved
+) -> dict:
+    """Write everything and return the report. domain: of all observations. lights: where they were looked for."""
     started = time.perf_counter()
+    maps, mesh = solved.maps, job.mesh
     relit, relighting = relit_preview(domain, maps, job.held_out, job.capture)
     report = build_report(
-        maps, settings={**_settings(options), "preset": asdict(job.schedule), "entry": entry, "tiles": len(plan.tiles)},
-        seed=options.seed,
-        gpu=context.describe()["renderer"], iterations=progress.iterations_in_all,
-        evaluations=progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
+        maps, settings={**_settings(options), "preset": asdict(job.schedule), **solved.settings}, seed=options.seed,
+        gpu=context.describe()["renderer"], iterations=solved.progress.iterations_in_all,
+        evaluations=solved.progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
     warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
-    warnings += wide_lights_around(subject) if _is_scene(options.capture) else []
-    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *unsaved]}
+    warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
+    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
     if lights is not None:
         report["lights"] = lights.report()
-    pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": history.picture(maps)} | relit
+    pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": solved.history.picture(maps)} | relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
     extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
     if height is not None:
         report["height"] = height.described()
     write_maps(written, job.folder, report, pictures, extras)
-    _write_material(written, job, subject, mesh, height if job.extras.displacement else None)
+    _write_material(written, job, job.subject, mesh, height if job.extras.displacement else None)
     (job.folder / CHECKPOINT).unlink(missing_ok=True)
     if not options.quiet and not options.json:
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
     return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 
-def _check(options: Namespace, opened: bool) -> _Job:
+def check(options: Namespace, opened: bool) -> Job:
+    """Return what the options come down to. Raises InputError."""
     folder = check_output_folder(options.output)
     source = Path(options.capture)
     if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
@@ -170,7 +204,7 @@ def _check(options: Namespace, opened: bool) -> _Job:
     if len(capture.observations) - len(held_out) < 3:
         raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
     resolution = resolution if mesh is None else mesh.domain_size(*resolution)
-    return _Job(
+    return Job(
         capture,
         model,
         schedule,
@@ -224,7 +258,7 @@ def _subject(options: Namespace, opened: bool) -> tuple[object | None, MeshData 
 
 
 def _plan(
-    options: Namespace, job: _Job, mesh: MeshData | None, coverage: np.ndarray, stack_on: str | None = None
+    options: Namespace, job: Job, mesh: MeshData | None, coverage: np.ndarray, stack_on: str | None = None
 ) -> Plan:
     counts = len(job.capture.observations), len(job.held_out)
     resumed = job.folder / CHECKPOINT if options.resume else None
@@ -234,7 +268,7 @@ def _plan(
     )  # fmt: skip
 
 
-def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, subject: object | None) -> Domain:
+def _domain(options: Namespace, job: Job, mesh: MeshData | None, plan: Plan) -> Domain:
     scratch = scratch_folder(job.folder) if plan.stack_on == "scratch" else None
     if scratch is not None:
         job.capture, job.held_out = held_out_last(job.capture, job.held_out)
@@ -242,27 +276,30 @@ def _domain(options: Namespace, job: _Job, mesh: MeshData | None, plan: Plan, su
         domain = domain_from_card(job.capture, scratch=scratch)
     else:
         domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
+    settle(options, job, domain)
+    return domain
+
+
+def settle(options: Namespace, job: Job, domain: Domain) -> None:
+    """Check what the options say of maps and the material against the domain, and turn normals into its frames."""
     check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
     for text in options.known:
         name = text.partition("=")[0].strip()
         check_size(f"--known {text}", {name: job.known[name]}, domain.shape)
-    _try_material(job, subject)
-    if mesh is not None:  # files hold normals in Blender's tangent frame, the solver has one of its own
-        job.known = turned_normals(job.model, job.known, mesh, domain.bake, from_blender)
-        job.truth = job.truth and turned_normals(job.model, job.truth, mesh, domain.bake, from_blender)
-    return domain
+    _try_material(job, job.subject)
+    if job.mesh is not None:  # files hold normals in Blender's tangent frame, the solver has one of its own
+        job.known = turned_normals(job.model, job.known, job.mesh, domain.bake, from_blender)
+        job.truth = job.truth and turned_normals(job.model, job.truth, job.mesh, domain.bake, from_blender)
 
 
-def _try_material(job: _Job, subject: object | None) -> None:
+def _try_material(job: Job, subject: object | None) -> None:
     """Have what refuses the material do so before hours of work, and before any file."""
     material.check_material(job.model, job.name)
     if subject is not None:
         material.check_object(subject)
 
 
-def _write_material(
-    maps: Maps, job: _Job, subject: object | None, mesh: MeshData | None, height: Height | None
-) -> None:
+def _write_material(maps: Maps, job: Job, subject: object | None, mesh: MeshData | None, height: Height | None) -> None:
     uv_map = "" if mesh is None else material.other_uv_map(subject, mesh.uv_map)
     made = material.build_material(maps, job.name, uv_map=uv_map, height=height)
     if subject is None:

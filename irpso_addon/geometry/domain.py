@@ -80,6 +80,8 @@ class Domain:
         once, since it reads the whole stack.
         """
         covered = self.bake.coverage
+        if hasattr(self.stack, "lit"):  # a stack that lies with several processes knows where to ask
+            return self.stack.lit()
         lit = np.zeros(self.shape, bool)
         for layer in self.stack:
             # Channel by channel: any() over an axis of three is ten times slower.

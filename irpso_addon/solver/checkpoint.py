@@ -24,6 +24,7 @@ from .kernels import model_includes
 from .schedule import Schedule
 
 _VERSION = 2
+BY_TEXELS = "texels"  # in place of tiles: what no cut of the domain shows in
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,15 @@ def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
         return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
     except (OSError, *_DAMAGED):
         return [], 0
+
+
+def is_by_texels(path: Path) -> bool:
+    """Return whether a checkpoint is one that no cut of the domain shows in; False for what is damaged or missing."""
+    try:
+        with np.load(path) as file:
+            return json.loads(bytes(file["about"]))["identity"].get("tiles") == BY_TEXELS
+    except (OSError, *_DAMAGED):
+        return False
 
 
 def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:

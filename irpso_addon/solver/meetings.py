@@ -31,7 +31,7 @@ class Meeting:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a tile lies in the whole domain: its box, its halo, its arrays' origin, and (M, 2) the annex of its seams."""
+    """Where a tile lies in the whole domain: box, halo, its arrays' origin, and (M, 2) the annex of its seams."""
 
     box: Box
     halo: tuple[int, int, int, int]  # left, right, bottom, top

@@ -115,6 +115,16 @@ def phase_need(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
     return _polish_need(resolved, model)
 
 
+def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:
+    """Return of how many W×H tiles, one after another, the atlas of a stage's particles is; 1 where it has none."""
+    if isinstance(resolved, ResolvedSurvey):
+        resolved = resolved.stage
+    if not isinstance(resolved, ResolvedStage):
+        return 1
+    dimensions = resolved.dimensions(schedule.swarm.normal)
+    return particle_count(schedule, dimensions) * (1 if dimensions <= 4 else 2)
+
+
 def _survey_need(resolved: ResolvedSurvey, schedule: Schedule) -> PhaseNeed:
     """Return the need of a survey: of the larger of its two phases, and of its own model's estimates."""
     model = survey_model()
@@ -153,7 +163,7 @@ def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:
     particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
     blocks = 1 if dimensions <= 4 else 2
     linear = -(-sum(p.components for p in stage.solved) // 4)
-    atlas = plan_atlas(1, 1, particles * blocks, _SIDE)
+    atlas = plan_atlas(1, 1, particle_tiles(stage, schedule), _SIDE)
     tiles = atlas.across * atlas.down  # with those that stay empty
     state = (3 * FLOAT4 + FLOAT) * tiles  # position, velocity, best; fitness
     bests = FLOAT4 * (blocks + linear) + FLOAT

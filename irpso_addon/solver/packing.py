@@ -22,14 +22,15 @@ class Packing:
     """Which place of a packed grid holds which texel of a domain, row by row.
 
     solved: (H, W) bool. seams: of the domain, whose annex comes after its texels. width, height: of the packed grid;
-    its last places may be empty. A domain that is solved everywhere, and has no annex, is its own packing.
+    its last places may be empty: count are held. A domain that is solved everywhere, and has no annex, is its own
+    packing.
     """
 
     def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
         self.shape, self.seams = solved.shape, seams
         self._rows, self._columns = np.nonzero(solved)
         self.annex = 0 if seams is None else len(seams.annex)
-        count = len(self._rows) + self.annex
+        self.count = count = len(self._rows) + self.annex
         self._whole = bool(solved.all()) and not self.annex
         self.width = solved.shape[1] if self._whole else max(1, math.isqrt(max(count - 1, 0)) + 1)
         self.height = max(1, -(-count // self.width))

@@ -151,7 +151,7 @@ def plan_recovery(
     if not boxes:
         fits = _fits(coverage, whole, need, memory, limits, borders)
         boxes = [whole] if fits else _cut(coverage, need, memory, limits, borders)
-    tiles = tuple(_tile(coverage, box, need, borders) for box in boxes)
+    tiles = tuple(tile_of(coverage, box, need, borders) for box in boxes)
     largest = max(tile.device for tile in tiles)
     restored = max(tile.restored for tile in tiles)
     resident = sum(tile.device for tile in tiles) <= memory.device
@@ -198,7 +198,8 @@ def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
 
 
-def _tile(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> Tile:
+def tile_of(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> Tile:
+    """Return a box of the covered texels, (H, W) bool, as a tile."""
     texels, device, host = _amounts(coverage, box, need, borders)
     own = coverage[_around(box, 0, coverage.shape)]
     return Tile(*box, _texels(own), device, host, restored_bytes(texels, need))
@@ -227,7 +228,7 @@ def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borde
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            found = _tile(coverage, small[0], need, borders)
+            found = tile_of(coverage, small[0], need, borders)
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {found.width} ×"
                 f" {found.height} texels with a halo of {need.reach} takes {amount(found.device)}; allow more, or lower"

@@ -64,14 +64,15 @@ def make_plan(
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
         _check_boxes(boxes, coverage)
-    borders = None if mesh is None else _borders(mesh, coverage.shape)
+    borders = None if mesh is None else uv_borders(mesh, coverage.shape)
     plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes, borders)
     if not untiled(plan):
         refuse_levels(schedule)
     return plan
 
 
-def _borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
+def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
+    """Return where the islands of a mesh's UV map end at seams, on (H, W) texels."""
     edges, _ = seam_edges(mesh, shape[1], shape[0])
     edges = edges.some(edges.other >= 0)
     return Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))

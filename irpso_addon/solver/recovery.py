@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -17,11 +18,11 @@ from ..gpu import context, probe, textures
 from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
-from . import changes, checkpoint, prepare
+from . import changes, checkpoint, portable, prepare
 from .checkpoint import Checkpoint
 from .findings import Findings
 from .generations import RunningGenerations
-from .need import phase_need
+from .need import particle_tiles, phase_need
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
@@ -30,13 +31,14 @@ from .progress import Progress
 from .resolve import Resolved, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
 from .schedule import Schedule
 from .stage import RunningStage
-from .state import SOLVED, DomainTextures, Estimates, texel_states
+from .state import SOLVED, DomainTextures, Estimates, packed_states, texel_states
 from .survey import Judge, RunningSurvey
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
 _PHASE = "phase_"  # before those that are the running phase's
+_FLAT = frozenset({"surveyed"})  # arrays of a state that have no channels
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
 
@@ -264,6 +266,23 @@ class Recovery:
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
         if self._phase is not None:
             self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
+
+    def rows(self) -> Checkpoint:
+        """Return ``state`` texel by texel of those that are solved here, row by row, whatever the tile."""
+        state, packing = self.state(), self._packing
+        own = packed_states(self.domain, packing).ravel()[: packing.count] == SOLVED
+        size = packing.width, packing.height
+        rows = portable.rows_of(state.arrays, size, self._particle_tiles(state.stage), packing.count)
+        return replace(state, arrays={name: value[own] for name, value in rows.items()})
+
+    def take_rows(self, saved: Checkpoint) -> None:
+        """Go on from what ``rows`` gave of all texels that this tile holds: own and halo, then the annex."""
+        size, limit = (self._packing.width, self._packing.height), context.max_texture_size()
+        tiles = self._particle_tiles(saved.stage)
+        self.restore(replace(saved, arrays=portable.arrays_of(saved.arrays, size, tiles, limit, _FLAT)))
+
+    def _particle_tiles(self, stage: int) -> int:
+        return particle_tiles(self._stages[stage], self.schedule) if stage < len(self._stages) else 1
 
     def changed(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
         """Return a recovery that goes on from here under another schedule. This one can only be closed then.

@@ -53,7 +53,7 @@ BLENDER = {
 }
 THIRD_PARTY = {"numpy", "OpenEXR"}
 # An extra that the program works without: the one module that may import it, and only when it is asked for.
-OPTIONAL = {"rawpy": "capture/raw.py"}
+OPTIONAL = {"rawpy": "capture/raw.py", "mpi4py": "cluster/ranks.py"}
 WITHOUT_BLENDER = BASE | {"reflectance", "capture", "calibration"}
 GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)
 
@@ -185,6 +185,8 @@ def test_imports_go_down_only():
         ("geometry/a.py", "import scipy.ndimage"),
         ("maps/a.py", "def f():\n    import rawpy"),
         ("capture/raw.py", "import rawpy"),
+        ("cluster/a.py", "def f():\n    import mpi4py"),
+        ("cluster/ranks.py", "from mpi4py import MPI"),
         ("__init__.py", "from .cli import main"),
     ],
 )
@@ -198,6 +200,7 @@ def test_a_forbidden_import_is_found(file, source):
         ("capture/deep/a.py", "from ...errors import InputError\nfrom ..types import Light\nimport numpy.linalg"),
         ("gpu/a.py", "import gpu\ndef f():\n    import bpy"),
         ("capture/raw.py", "def f():\n    import rawpy"),
+        ("cluster/ranks.py", "def f():\n    from mpi4py import MPI"),
         ("ui/a.py", "import bpy\nfrom ..solver import recovery"),
         ("solver/a.py", "from __future__ import annotations\nfrom ..gpu import context\nimport math"),
         ("maps/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import bpy"),

@@ -1,0 +1,65 @@
+"""What ranks tell one another before an iteration that reads neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..geometry.domain import Domain
+from ..solver.meetings import Meeting, Place, annex_of, meeting
+from ..solver.recovery import Recovery
+from .ranks import Ranks
+
+
+class Exchange:
+    """The borders of one rank's tile: which of its texels others read, and which of theirs it does.
+
+    places: of all ranks that have texels. domain: this rank's tile.
+    """
+
+    def __init__(self, ranks: Ranks, places: Mapping[int, Place], domain: Domain):
+        self._ranks, self._places, self._domain = ranks, places, domain
+        self._found: dict[int, tuple[dict[int, Meeting], dict[int, Meeting]]] = {}
+
+    def before_iteration(self, recovery: Recovery) -> None:
+        """Tell the others, and hear from them, what the iteration that is next reads, if it reads any.
+
+        Raises ValueError where the halo is narrower than it reads.
+        """
+        reach = recovery.reach
+        if not reach or len(self._places) == 1:
+            return
+        told, heard = self._meetings(reach)
+        found = recovery.halo()
+        size = found.shape[-1]
+        if size == 0:  # a stage that searches nothing: all is solved in closed form
+            return
+        outgoing = {
+            rank: np.concatenate([found[one.here].reshape(-1, size), found[one.seen]]) for rank, one in told.items()
+        }
+        incoming = {rank: (_cells(one) + len(one.annex), size) for rank, one in heard.items()}
+        received = self._ranks.exchanged(outgoing, incoming)
+        values = np.full((*self._domain.shape, size), np.nan, np.float32)
+        annex = np.full((annex_of(self._domain), size), np.nan, np.float32)
+        for rank, one in heard.items():
+            cells = _cells(one)
+            place = values[one.there]
+            place[:] = received[rank][:cells].reshape(place.shape)
+            annex[one.annex] = received[rank][cells:]
+        recovery.set_halo(values, annex)
+
+    def _meetings(self, reach: int) -> tuple[dict[int, Meeting], dict[int, Meeting]]:
+        """Return what is told to and what is heard from each other rank, no more of halos than is read."""
+        if reach not in self._found:
+            here, own = self._ranks.rank, self._places[self._ranks.rank]
+            others = {rank: place for rank, place in self._places.items() if rank != here}
+            told = {rank: meeting(own, place, rank, reach) for rank, place in others.items()}
+            heard = {rank: meeting(place, own, here, reach) for rank, place in others.items()}
+            self._found[reach] = tuple({r: one for r, one in m.items() if one is not None} for m in (told, heard))
+        return self._found[reach]
+
+
+def _cells(one: Meeting) -> int:
+    rows, columns = one.there
+    return (rows.stop - rows.start) * (columns.stop - columns.start)

@@ -1,0 +1,166 @@
+"""``recover`` over the ranks of an MPI job: each reads and solves its own texels, rank 0 writes the result."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from argparse import Namespace
+
+import numpy as np
+
+from ..cluster.job import check_alike, choose_device, going_down_together
+from ..cluster.member import Member, Share, around
+from ..cluster.ranks import Agreed, Ranks
+from ..cluster.recovery import Crew, RankedRecovery, serve
+from ..cluster.split import Split, check_fits, split
+from ..errors import InputError, IrpsoError
+from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
+from ..geometry.domain import Domain
+from ..gpu import context, probe
+from ..solver.memory import machine_memory
+from ..solver.need import recovery_need
+from ..solver.planning import covered_texels, uv_borders
+from ..solver.schedule import refuse_levels
+from .each_slot import EACH
+from .lights import found_lights
+from .recover import Job, check, finish, settle, solve
+
+
+def recover_on_ranks(ranks: Ranks, options: Namespace) -> dict:
+    """Recover and write everything, as ``recover`` does; the report is rank 0's, the others have an exit code.
+
+    What stops one rank stops all, within seconds; the last checkpoint stays.
+    """
+    crew: Crew | None = None
+    try:
+        with going_down_together(ranks, lambda: crew is None or crew.busy):
+            member, job, found = _prepared(ranks, options)
+            if member is None:
+                result = _planned(found, options)
+            elif ranks.leads:
+                crew = Crew(member)
+                result = _led(crew, job, options)
+            else:
+                result = {"exit_code": _served(member)}
+    except Agreed as agreed:
+        ranks.close()
+        if ranks.leads:
+            raise agreed.error from agreed
+        return {"exit_code": agreed.error.exit_code}
+    except BaseException as error:
+        if crew is not None:  # the others wait for an order
+            crew.end(error.exit_code if isinstance(error, IrpsoError) else 130)
+            ranks.close()
+        raise
+    if crew is not None:
+        crew.end()
+    ranks.close()
+    return result
+
+
+def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Split]:
+    """Check everything, and read this rank's share of the observations; of a dry run the split alone is told."""
+    started = time.perf_counter()
+    job = ranks.agreed(lambda: _checked(options))
+    check_alike(ranks, options, job.capture)
+    if not ranks.leads:
+        options.quiet, options.json = True, False
+    if ranks.size > 1:
+        choose_device(ranks)
+    ranks.agreed(lambda: (probe.probe(), context.ensure()))
+    found = ranks.agreed(lambda: _split(ranks, options, job))
+    if options.dry_run:
+        return None, job, found
+    share = _share(ranks, options, job, found)
+    ranks.agreed(lambda: settle(options, job, share.whole))
+    member = Member(ranks, share, job.model, job.schedule, options.seed, job.known)
+    ranks.agreed(lambda: _check_lit(member, job))
+    job.seconds["read"] = time.perf_counter() - started
+    return member, job, found
+
+
+def _checked(options: Namespace) -> Job:
+    if options.slots == EACH:
+        raise InputError(f"--slots {EACH}: over several ranks one slot is recovered at a time; name it")
+    job = check(options, False)
+    refuse_levels(job.schedule)
+    return job
+
+
+def _split(ranks: Ranks, options: Namespace, job: Job) -> Split:
+    counts = len(job.capture.observations), len(job.held_out)
+    need = recovery_need(job.model, job.schedule, job.known, *counts, options.entry != "fragment")
+    coverage = covered_texels(job.capture, job.mesh, job.resolution)
+    borders = None if job.mesh is None else uv_borders(job.mesh, coverage.shape)
+    found = split(coverage, need, ranks.size, borders)
+    check_fits(found, ranks, machine_memory(options.memory, str(context.describe()["renderer"])))
+    return found
+
+
+def _share(ranks: Ranks, options: Namespace, job: Job, found: Split) -> Share:
+    """Read what this rank needs of the observations."""
+    box, window = found.boxes[ranks.rank], None
+    part = None if box is None else around(found.shape, box, found.halo)
+
+    def read() -> tuple:
+        if job.mesh is None:
+            bake, seams = card_bake(job.capture), None
+            return bake, seams, part and domain_from_card(job.capture, window=part)
+        surface = mesh_surface(job.mesh, *job.resolution)
+        options_of = {"shadows": options.shadows, "window": part, "surface": surface}
+        return *surface, part and domain_from_mesh(job.capture, job.mesh, *job.resolution, **options_of)
+
+    bake, seams, window = ranks.agreed(read)
+    of_all = ranks.given(window and (window.lights, window.intensities, window.views))
+    stack = np.zeros((len(of_all[0]), 0, 0, 4), np.float32)
+    whole = Domain(bake, stack, *of_all, card=job.mesh is None, seams=seams)
+    return Share(whole, found.boxes, found.halo, window)
+
+
+def _check_lit(member: Member, job: Job) -> None:
+    """Raise InputError where no rank sees anything lit, as one process would."""
+    if not member.lit(range(len(job.capture.observations))).any():
+        what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
+        raise InputError(
+            f"no image of capture '{job.capture.name}' shows {what} lit; check its cameras, masks and exposure"
+        )
+
+
+def _led(crew: Crew, job: Job, options: Namespace) -> dict:
+    """Do on rank 0 what ``recover`` does, the others at its orders."""
+    ranks = crew.ranks
+    kept = [k for k in range(crew.domain.observations) if k not in job.held_out]
+    started = time.perf_counter()
+    lights = found_lights(crew.domain, kept, job.model, job.known, options)
+    if lights is not None:
+        found = lights.applied(crew.domain)
+        crew.take_lights(found.lights, found.intensities)
+        job.seconds["lights"] = time.perf_counter() - started
+    started = time.perf_counter()
+    with RankedRecovery(crew, kept, options.entry) as recovery:
+        job.seconds["prepare"] = time.perf_counter() - started
+        solved = solve(options, job, recovery)
+        solved.settings |= {"ranks": ranks.size}
+        solved.warnings.extend(_unlike(crew.ask("renderers")))
+    return finish(options, job, crew.domain, kept, lights, solved)
+
+
+def _served(member: Member) -> int:
+    # Rank 0 hears of it too, and orders what is to be done.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    return serve(member)
+
+
+def _unlike(renderers: list[str]) -> list[str]:
+    if len(set(renderers)) == 1:
+        return []
+    names = ", ".join(sorted(set(renderers)))
+    return [f"ranks solved on unlike devices ({names}): the last bits of maps are not those of one of them alone"]
+
+
+def _planned(found: Split, options: Namespace) -> dict:
+    if not options.quiet and not options.json:
+        sys.stdout.write("\n".join(found.lines()) + "\n")
+    return {"plan": found.as_dict()}
