@@ -109,15 +109,14 @@ def light_step(
         for k in range(domain.observations):
             render, texel_part, move_part = renders.of(k)
             seen = stack[k][texels].astype(np.float64)
-            difference = np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
+            difference = _difference(seen, render)
             outlying = difference
             if gains:
-                before = np.where(seen[:, 3:] > 0, 1.0, domain.stack[k][texels][:, 3:])
-                typical = _typical(np.where(before > 0, domain.stack[k][texels][:, :3] - render, 0.0), render, before)
-                if abs(float(np.log(np.maximum(1 + typical, _DARKEST)).mean())) > _FAR:
-                    far[k] = np.log(np.maximum(1 + typical, _DARKEST))
                 # Against what the light itself does to most texels: one that is off as a whole is no outlier.
                 outlying = difference - render * _typical(difference, render, seen[:, 3:])
+                off = _off_as_a_whole(domain.stack[k][texels].astype(np.float64), render)
+                if abs(off.mean()) > _FAR:
+                    far[k] = off
             weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
             found.add(
                 difference / level, weight, render / level, texel_part / level[..., None],
@@ -317,6 +316,16 @@ class _Equations:
         return float(np.linalg.eigvalsh(blocks / np.outer(spread, spread))[min(1, count - 1)])
 
 
+def _difference(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """(T, 3) of samples (T, 4) to their render, 0 where they weigh nothing."""
+    return np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
+
+
+def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """(3,) logarithms of the factors by which most samples (T, 4), taken for no shadow, differ from their render."""
+    return np.log(np.maximum(1 + _typical(_difference(seen, render), render, seen[:, 3:]), _DARKEST))
+
+
 def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return (K, 3) factors on the intensities by which most of what the texels' images show is met."""
     renderer = Renderer(domain.bake, model, values, domain.lights, domain.intensities, domain.views, domain.card)
@@ -324,7 +333,7 @@ def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.
     factors = np.ones((domain.observations, GAINS))
     for k in range(domain.observations):
         render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack[k]))
-        difference = np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
+        difference = _difference(seen, render)
         factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
     renderer.close()
     return factors
