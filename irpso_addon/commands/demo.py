@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from ..capture.types import Light
 from ..demo import experiment, pictures, subject
-from ..geometry.frames import to_blender, turned_normals
+from ..geometry.margins import blender_maps
 from ..geometry.mesh import extract_mesh
 from ..gpu import context, probe
 from ..maps import material
@@ -108,8 +108,7 @@ def _write(
 
 
 def _turned(found: experiment.Subject, maps: Maps) -> Maps:
-    values = turned_normals(maps.model, maps.values, found.mesh, found.bake, to_blender)
-    return replace(maps, values=values)
+    return blender_maps(maps, found.mesh, found.bake, found.domain.seams)
 
 
 def _errors(found: experiment.Subject, done: experiment.Run) -> dict:
