@@ -33,7 +33,7 @@ bench: environment-bench ## what is timed, beside its peers, into docs/benchmark
 	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again)
 
 bench-scaling: environment-bench ## one swarm, and a recovery, on ranks, threads and GPUs, into docs/benchmarks; QUICK=1, AGAIN=1
-	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again) swarm_quality swarm_scaling killed
+	$(RUN) -m benchmarks.run $(if $(QUICK),--quick) $(if $(AGAIN),--again) swarm_quality swarm_scaling recovery_scaling killed
 
 test: environment-test lint ## all checks: style, unit tests, tests in headless Blender
 	$(RUN) tests/run.py

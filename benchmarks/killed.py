@@ -37,7 +37,7 @@ def measure(quick: bool) -> dict[str, Any]:
     """Run the chains side by side, each with its own folder."""
     folder = report.CACHE / "killed"
     shutil.rmtree(folder, ignore_errors=True)
-    capture = _capture(folder / "capture")
+    capture = write_card(folder / "capture", _TEXELS, _LIGHTS)
     whole = folder / "whole"
     took = _finished(_start(capture, whole, 1, False))
     reference = _maps(whole)
@@ -125,14 +125,14 @@ def _finished(run: subprocess.Popen) -> float:
     return time.monotonic() - began
 
 
-def _capture(folder: Path) -> Path:
-    """Write a card's capture and return its folder."""
+def write_card(folder: Path, shape: tuple[int, int], lights: int) -> Path:
+    """Write the capture of a card of (H, W) texels and return its folder."""
     from benchmarks.subjects import NOISY, make_card
     from irpso_addon.capture.camera import Camera
     from irpso_addon.capture.types import Capture, Light, Observation
     from irpso_addon.capture.write import write_capture
 
-    domain = make_card(_TEXELS, _LIGHTS, NOISY, model="lambert").domain
+    domain = make_card(shape, lights, NOISY, model="lambert").domain
     height, width = domain.shape
     shots = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))

@@ -26,6 +26,7 @@ from benchmarks import (
     lights,
     multiview,
     peers_table,
+    recovery_scaling,
     report,
     scenes_table,
     swarm_quality,
@@ -35,7 +36,7 @@ from benchmarks import (
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
-    swarm_scaling, killed, window,
+    swarm_scaling, recovery_scaling, killed, window,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}

