@@ -20,17 +20,17 @@ class Exchange:
 
     def __init__(self, ranks: Ranks, places: Mapping[int, Place], domain: Domain):
         self._ranks, self._places, self._domain = ranks, places, domain
-        self._found: dict[int, tuple[dict[int, Meeting], dict[int, Meeting]]] = {}
+        self._found: dict[int | None, tuple[dict[int, Meeting], dict[int, Meeting]]] = {}
 
     def before_iteration(self, recovery: Recovery) -> None:
         """Tell the others, and hear from them, what the iteration that is next reads, if it reads any.
 
-        Raises ValueError where the halo is narrower than it reads.
         """
         reach = recovery.reach
         if not reach or len(self._places) == 1:
             return
-        told, heard = self._meetings(reach)
+        # Across a seam a texel may see any of the halo, however far from the box it lies.
+        told, heard = self._meetings(reach if self._domain.seams is None else None)
         found = recovery.halo()
         size = found.shape[-1]
         if size == 0:  # a stage that searches nothing: all is solved in closed form
@@ -49,7 +49,7 @@ class Exchange:
             annex[one.annex] = received[rank][cells:]
         recovery.set_halo(values, annex)
 
-    def _meetings(self, reach: int) -> tuple[dict[int, Meeting], dict[int, Meeting]]:
+    def _meetings(self, reach: int | None) -> tuple[dict[int, Meeting], dict[int, Meeting]]:
         """Return what is told to and what is heard from each other rank, no more of halos than is read."""
         if reach not in self._found:
             here, own = self._ranks.rank, self._places[self._ranks.rank]
