@@ -28,7 +28,7 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
     maps: in the solver's frames. seams: of the domain, None to leave margins to what is written later.
     """
     values = turned_normals(maps.model, maps.values, mesh, bake, to_blender)
-    maps, solved = replace(maps, values=values, tiles=mesh.tiles), maps
+    maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
     if seams is None or maps.covered.all() or not maps.covered.any():
         return maps
     place, beside, taps, weights = _across(seams, maps.covered)

@@ -56,7 +56,7 @@ def build_material(
             surface, sockets = build(nodes, maps.model)
             folder = None if images_folder is None else Path(images_folder).resolve()
             images = material_images(maps, subject, folder)
-            sources = _map_nodes(nodes, tables, images, uv_map)
+            sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
             for name, socket in sockets.items():
                 nodes.link(sources[name], socket)
             output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
@@ -252,13 +252,20 @@ def _new_material(subject: str):
     return material
 
 
-def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str) -> dict[str, object]:
+def _map_nodes(
+    nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str, wrapped: bool
+) -> dict[str, object]:
     """Make the image nodes; return parameter name → the socket that carries its value (or the shading normal)."""
     sources = {}
+    # Repeated, the outer half of a card's border texels would be mixed with those of the opposite border.
+    extension = "REPEAT" if wrapped else "EXTEND"
     uv = nodes.node("uv", "ShaderNodeUVMap", (-1080, 0), uv_map=uv_map) if uv_map else None
     for row, table in enumerate(tables):
         y = 300 - 320 * row
-        texture = nodes.node(f"map {table.name}", "ShaderNodeTexImage", (-860, y), table.name, image=images[table.name])
+        texture = nodes.node(
+            f"map {table.name}", "ShaderNodeTexImage", (-860, y), table.name, image=images[table.name],
+            extension=extension,
+        )  # fmt: skip
         if uv is not None:
             nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
         color = texture.outputs["Color"]

@@ -19,7 +19,8 @@ class Maps:
     mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
     one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
-    bool, texels past UV seams whose values are those of the seam's other side, or None.
+    bool, texels past UV seams whose values are those of the seam's other side, or None. wrapped: whether what lies past
+    one border of the UV square may be what lies within the opposite one, as where a mesh is unwrapped all around.
     """
 
     model: ReflectanceModel
@@ -29,3 +30,4 @@ class Maps:
     confidence: dict[str, np.ndarray] | None = field(default=None)
     tiles: tuple[int, ...] = ONE_SQUARE
     margin: np.ndarray | None = None
+    wrapped: bool = False

@@ -166,6 +166,21 @@ def test_a_point_light_of_intensity_1_has_irradiance_pi_one_unit_away_and_falls_
     assert lights.point_intensity(lights.point_power(0.7)) == pytest.approx(0.7)
 
 
+def test_the_border_of_a_card_has_nothing_of_the_opposite_border(tmp_path):
+    flat = np.broadcast_to(np.float32([0, 0, 1]), (4, 4, 3))
+    albedo = np.repeat(np.float32([0.8, 0.5, 0.5, 0.0]), 3).reshape(1, 4, 3).repeat(4, axis=0)
+    maps = Maps(load_model("lambert"), {"base_color": albedo, "normal": flat}, np.ones((4, 4), bool))
+    apply_material(card_object("subject", SIZE, SIZE), build_material(maps, "subject"))
+    add_light("SUN", lights.sun_strength(1.0), (0, 0, 1))
+    row = render(tmp_path)[SIZE // 2, :, 0]
+    # Pixels lie within the outer half of a texel: repeated, the first would be 0.45, the last 0.35.
+    half = SIZE // 8 - 1
+    np.testing.assert_allclose(row[:half], 0.8, rtol=2e-3)
+    np.testing.assert_allclose(row[-half:], 0.0, atol=2e-3)
+    other = build_material(dataclasses.replace(maps, wrapped=True), "subject").node_tree.nodes["IRPSO map base_color"]
+    assert other.extension == "REPEAT"  # a mesh's UV map may go all around
+
+
 def test_the_lambert_material_renders_albedo_times_cosine(tmp_path):
     values, maps = cells_of(load_model("lambert"), 1, tilt=60)
     light = unit(0.3, -0.2, 1)
