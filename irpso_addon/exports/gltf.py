@@ -72,7 +72,9 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
         materials = {}
         for number, maps in split_maps(result.maps):
             stem = tile_stem(file_stem(result.name), number, result.maps.tiles)
-            materials[number], error = _material(made, maps, stem, Path(temporary))
+            # Of a card nothing lies past its borders; a mesh's UV map may go all around.
+            extension = "EXTEND" if TAG in obj else "REPEAT"
+            materials[number], error = _material(made, maps, stem, Path(temporary), extension)
             if error is not None:
                 report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
         with _undivided(obj):
@@ -163,8 +165,11 @@ def _removed_afterwards() -> Iterator[_Made]:
         bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images])
 
 
-def _material(made: _Made, maps: Maps, stem: str, folder: Path) -> tuple[Any, np.ndarray | None]:
-    """Make the material that the exporter understands; return it, and what is lost of two lobes in one."""
+def _material(made: _Made, maps: Maps, stem: str, folder: Path, extension: str) -> tuple[Any, np.ndarray | None]:
+    """Make the material that the exporter understands; return it, and what is lost of two lobes in one.
+
+    extension: of the image nodes, which becomes the textures' wrap mode.
+    """
     import bpy
 
     surface = surface_of(maps)
@@ -190,7 +195,7 @@ def _material(made: _Made, maps: Maps, stem: str, folder: Path) -> tuple[Any, np
         loaded.alpha_mode = "CHANNEL_PACKED"
         loaded.pack()
         node = tree.nodes.new("ShaderNodeTexImage")
-        node.image = loaded
+        node.image, node.extension = loaded, extension
         return node.outputs[output]
 
     tree.links.new(texture("_BaseColor", pixels.colour(surface.base_color, maps), "sRGB"), shader.inputs["Base Color"])

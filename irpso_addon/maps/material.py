@@ -252,9 +252,7 @@ def _new_material(subject: str):
     return material
 
 
-def _map_nodes(
-    nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str, wrapped: bool
-) -> dict[str, object]:
+def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str, wrapped: bool) -> dict[str, object]:
     """Make the image nodes; return parameter name → the socket that carries its value (or the shading normal)."""
     sources = {}
     # Repeated, the outer half of a card's border texels would be mixed with those of the opposite border.

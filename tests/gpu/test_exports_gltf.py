@@ -8,6 +8,7 @@ import pytest
 from mathutils import Matrix, Quaternion
 
 from irpso_addon.exports import gltf
+from irpso_addon.maps.material import apply_material, card_object
 from tests import oracles
 from tests.cli_maker import angle
 from tests.export_files import accessor, image_of, lean, on_a_sheet, read_glb, srgb
@@ -135,3 +136,16 @@ def test_gltf_of_lambert_has_no_highlight(tmp_path):
     gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
     (material,) = read_glb(tmp_path / "leaf.glb")[0]["materials"]
     assert material["extensions"]["KHR_materials_specular"]["specularFactor"] == 0
+
+
+@pytest.mark.parametrize(("card", "mode"), [(True, 33071), (False, 10497)])  # CLAMP_TO_EDGE, REPEAT (OpenGL)
+def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    if card:
+        obj = card_object("leaf", 32, 32)
+        apply_material(obj, bpy.data.materials["IRPSO leaf"])
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    table, _ = read_glb(tmp_path / "leaf.glb")
+    for texture in table["textures"]:
+        sampler = table["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}
