@@ -23,9 +23,7 @@ class Exchange:
         self._found: dict[int | None, tuple[dict[int, Meeting], dict[int, Meeting]]] = {}
 
     def before_iteration(self, recovery: Recovery) -> None:
-        """Tell the others, and hear from them, what the iteration that is next reads, if it reads any.
-
-        """
+        """Tell the others, and hear from them, what the iteration that is next reads, if it reads any."""
         reach = recovery.reach
         if not reach or len(self._places) == 1:
             return

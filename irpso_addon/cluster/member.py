@@ -16,13 +16,13 @@ from ..solver import prepare
 from ..solver.checkpoint import Checkpoint
 from ..solver.light_sample import with_lights
 from ..solver.meetings import Box, own_of, part_of, place_of, rectangle
+from ..solver.portable import digest_of_texels
 from ..solver.progress import Progress
 from ..solver.recovery import full_map
 from ..solver.schedule import Schedule
 from ..solver.tiled import TileRecovery
 from .exchange import Exchange
 from .ranks import Ranks
-from .samples import digest_of_texels
 
 
 @dataclass(frozen=True)
@@ -215,8 +215,7 @@ class Member:
         """Return a number that tells the samples of all solved texels, however the domain is cut."""
         found = 0
         if self._recovery is not None:
-            domain = self._recovery.domain
-            found = digest_of_texels(domain, own_of(domain))
+            found = digest_of_texels(self._recovery.domain)
         return sum(self.ranks.all(found)) % 2**64
 
     def close(self) -> None:

@@ -144,5 +144,4 @@ class RankedRecovery:
     def _identity(self) -> dict[str, Any]:
         member = self._crew.member
         settings = (self.model, self.schedule, self.seed, self.entry, member.known)
-        who = checkpoint.identity(member.domain, *settings)
-        return who | {"samples": f"{self._crew.ask('digest'):016x}", "tiles": checkpoint.BY_TEXELS}
+        return checkpoint.identity(member.domain, *settings, samples=self._crew.ask("digest"))

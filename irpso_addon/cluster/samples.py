@@ -1,4 +1,4 @@
-"""The sample stack of a domain whose texels lie with many ranks, as rank 0 may read it; and a digest of it."""
+"""The sample stack of a domain whose texels lie with many ranks, as rank 0 may read it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-
-from ..geometry.domain import Domain
-
-_ODD = np.uint64(0x9E3779B97F4A7C15)  # of Steele, Lea and Flood 2014 (SplitMix64), as are the two below
-_MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB)))
 
 Part = tuple[slice, slice]  # rows, columns
 Ask = Callable[..., np.ndarray]  # an order to all ranks, by name
@@ -65,28 +60,3 @@ class SharedStack:
         if self._last is None or self._last[0] != number:
             self._last = number, self._ask("layer", int(self._chosen[number]))[self._part]
         return self._last[1]
-
-
-def digest_of_texels(domain: Domain, own: tuple[slice, slice]) -> int:
-    """Return a 64-bit number of a tile's own solved texels, which add up, modulo 2⁶⁴, to the number of the whole.
-
-    It tells one subject from another and a changed image from the one before; it is no protection against forgery.
-    """
-    rows, columns = np.nonzero(domain.solvable[own])
-    rows, columns = rows + own[0].start, columns + own[1].start
-    place = (rows + domain.origin[1]).astype(np.uint64) << np.uint64(32)
-    place |= (columns + domain.origin[0]).astype(np.uint64)
-    found = _mixed(place)
-    for layer in domain.stack:
-        words = np.ascontiguousarray(layer[rows, columns]).view(np.uint32)
-        for word in words.T:
-            found = (found ^ word) * _MIX[0][1]
-            found ^= found >> np.uint64(29)
-    return int(_mixed(found).sum(dtype=np.uint64))
-
-
-def _mixed(values: np.ndarray) -> np.ndarray:
-    values = values + _ODD
-    for shift, factor in _MIX:
-        values = (values ^ (values >> np.uint64(shift))) * factor
-    return values ^ (values >> np.uint64(31))

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..capture.read import read_capture
 from ..capture.types import Capture
-from ..cluster.ranks import Ranks, joined
+from ..cluster.ranks import joined
 from ..errors import InputError
 from ..geometry.build import domain_from_card, domain_from_mesh
 from ..geometry.domain import Domain, subset
@@ -34,7 +34,6 @@ from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.checkpoint import is_by_texels
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
@@ -98,8 +97,6 @@ def run(options: Namespace, opened: bool = False) -> dict:
     if options.slots == EACH:
         return recover_each(options, _blend_of(options), partial(run, opened=True), BLEND)
     ranks = joined()
-    if ranks is None and options.resume and is_by_texels(Path(options.output) / CHECKPOINT):
-        ranks = Ranks()  # an MPI job has left it: one rank goes on alone
     if ranks is not None:
         from .ranked import recover_on_ranks  # which is made of what is below
 

@@ -21,10 +21,10 @@ from ..geometry.domain import Domain
 from ..gpu.library import read_source
 from ..reflectance.model import ReflectanceModel
 from .kernels import model_includes
+from .portable import digest_of_texels
 from .schedule import Schedule
 
-_VERSION = 2
-BY_TEXELS = "texels"  # in place of tiles: what no cut of the domain shows in
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,14 @@ def identity(
     seed: int,
     entry: str,
     known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    samples: int | None = None,
 ) -> dict[str, Any]:
-    """Return what must be equal for a checkpoint to be gone on from, as plain data."""
+    """Return what must be equal for a checkpoint to be gone on from, as plain data.
+
+    samples: of ``digest_of_texels``, where the domain's own stack does not hold them.
+    """
     bake = domain.bake
-    observed = (domain.stack, domain.lights, domain.intensities, domain.views)
+    samples = digest_of_texels(domain) if samples is None else samples
     shape = (bake.position, bake.normal, bake.tangent, bake.coverage)
     if domain.seams is not None:
         shape += (domain.seams.place, domain.seams.of, domain.seams.target)
@@ -59,7 +63,7 @@ def identity(
         "parameters": [*(dataclasses.asdict(p) for p in model.parameters), model.starts],
         "shader": hashlib.sha256(read_source(model.shader, model_includes(model)).encode()).hexdigest(),
         "domain": [*domain.shape, *domain.origin, *domain.halo],
-        "observations": _digest(observed),
+        "observations": [_digest((domain.lights, domain.intensities, domain.views)), f"{samples:016x}"],
         "geometry": _digest(shape),
         "known": {name: _digest([known[name]]) for name in sorted(known)},
         "tiles": None,
@@ -123,15 +127,6 @@ def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
         return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
     except (OSError, *_DAMAGED):
         return [], 0
-
-
-def is_by_texels(path: Path) -> bool:
-    """Return whether a checkpoint is one that no cut of the domain shows in; False for what is damaged or missing."""
-    try:
-        with np.load(path) as file:
-            return json.loads(bytes(file["about"]))["identity"].get("tiles") == BY_TEXELS
-    except (OSError, *_DAMAGED):
-        return False
 
 
 def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:

@@ -1,4 +1,4 @@
-"""The state of a recovery texel by texel, as no tile and no atlas has it: for whoever cuts the domain otherwise."""
+"""The state of a recovery, and what it was observed from, texel by texel: for whoever cuts the domain otherwise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..geometry.domain import Domain
 from .state import plan_atlas
+
+_ODD = np.uint64(0x9E3779B97F4A7C15)  # of Steele, Lea and Flood 2014 (SplitMix64), as are the two below
+_MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB)))
 
 
 def rows_of(arrays: Mapping[str, np.ndarray], size: tuple[int, int], tiles: int, texels: int) -> dict[str, np.ndarray]:
@@ -22,6 +26,27 @@ def arrays_of(
 ) -> dict[str, np.ndarray]:
     """Return a state's arrays of what ``rows_of`` gave. limit: texels along a texture's side. flat: those without C."""
     return {name: _array(value, size, tiles, limit, name in flat) for name, value in rows.items()}
+
+
+def digest_of_texels(domain: Domain) -> int:
+    """Return a 64-bit number of a tile's own solved texels, which add up, modulo 2⁶⁴, to the number of the whole.
+
+    It tells one subject from another and a changed image from the one before; it is no protection against forgery.
+    """
+    left, right, bottom, top = domain.halo
+    own = domain.solvable.copy()
+    own[:bottom] = own[len(own) - top :] = False
+    own[:, :left] = own[:, own.shape[1] - right :] = False
+    rows, columns = np.nonzero(own)
+    place = (rows + domain.origin[1]).astype(np.uint64) << np.uint64(32)
+    place |= (columns + domain.origin[0]).astype(np.uint64)
+    found = _mixed(place)
+    for layer in domain.stack:
+        words = np.ascontiguousarray(layer[rows, columns]).view(np.uint32)
+        for word in words.T:
+            found = (found ^ word) * _MIX[0][1]
+            found ^= found >> np.uint64(29)
+    return int(_mixed(found).sum(dtype=np.uint64))
 
 
 def _rows(array: np.ndarray, size: tuple[int, int], tiles: int, texels: int) -> np.ndarray:
@@ -44,3 +69,10 @@ def _array(rows: np.ndarray, size: tuple[int, int], tiles: int, limit: int, flat
     array = cells.reshape(height, width, down, across, channels).transpose(2, 0, 3, 1, 4)
     array = np.ascontiguousarray(array).reshape(down * height, across * width, channels)
     return array[..., 0] if flat else array
+
+
+def _mixed(values: np.ndarray) -> np.ndarray:
+    values = values + _ODD
+    for shift, factor in _MIX:
+        values = (values ^ (values >> np.uint64(shift))) * factor
+    return values ^ (values >> np.uint64(31))

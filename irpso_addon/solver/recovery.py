@@ -229,9 +229,10 @@ class Recovery:
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all.
 
-        notes: arrays of the caller's own, which ``load`` gives back.
+        notes: arrays of the caller's own, which ``load`` gives back. That of a whole domain does not tell how it was
+        solved: as one, or by any number of ranks.
         """
-        state = self.state()
+        state = self.state() if self._is_tile else self.rows()
         arrays = state.arrays | {NOTE + name: array for name, array in notes.items()}
         checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
 
@@ -241,8 +242,10 @@ class Recovery:
         Raises InputError for another's.
         """
         saved = checkpoint.read(Path(path), self._identity())
-        self.restore(saved)
-        return named(saved.arrays, NOTE)
+        notes = named(saved.arrays, NOTE)
+        arrays = {name: array for name, array in saved.arrays.items() if not name.startswith(NOTE)}
+        (self.restore if self._is_tile else self.take_rows)(replace(saved, arrays=arrays))
+        return notes
 
     def state(self) -> Checkpoint:
         """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit."""
@@ -280,6 +283,11 @@ class Recovery:
         size, limit = (self._packing.width, self._packing.height), context.max_texture_size()
         tiles = self._particle_tiles(saved.stage)
         self.restore(replace(saved, arrays=portable.arrays_of(saved.arrays, size, tiles, limit, _FLAT)))
+
+    @property
+    def _is_tile(self) -> bool:
+        seams = self.domain.seams
+        return any(self.domain.halo) or (seams is not None and len(seams.annex) > 0)
 
     def _particle_tiles(self, stage: int) -> int:
         return particle_tiles(self._stages[stage], self.schedule) if stage < len(self._stages) else 1
