@@ -102,7 +102,7 @@ def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> C
         if not any(row):
             found.append(FoundLight(None, np.inf, None, row, tuple(warnings)))
             continue
-        meeting = _meeting(row, centre, near and sum(s is not None for s in row) > 1)
+        meeting = _met(row, centre, near, request, usual)
         warnings += _contradiction(row, meeting)
         found.append(_placed(meeting, row, views[0].ball, centre, request, near, usual, (1.0,) * 3, warnings))
     return Calibration("mirror", near, how, tuple(found), tuple(views), np.zeros(3))
@@ -111,7 +111,7 @@ def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> C
 def _by_shading(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
     shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
     asked = len(views) > 1 and request.lights != "distant" and request.distance is None
-    fits, bounce = fit_lights(shadings, centre, asked)
+    fits, bounce = fit_lights(shadings, centre, asked, 1 / request.distance if request.distance else 0.0)
     meetings = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if asked else []
     near, how = _decision(meetings, request, len(views))
     if asked and not near:
@@ -160,11 +160,27 @@ def _doubts(fit: Fit) -> list[str]:
     return warnings
 
 
-def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool) -> Meeting:
+def _met(row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, usual: float | None) -> Meeting:
+    """Return where a light is. usual: 1 / the distance that is taken for one whose own cannot be told.
+
+    A direction is from where it was seen, on a ball: from the balls' middle a light 6 radii away lies up to 6° off it.
+    """
+    if not near:
+        return _meeting(row, centre, False)
+    if request.distance is not None:
+        return _meeting(row, centre, False, 1 / request.distance)
+    if sum(sight is not None for sight in row) > 1:
+        found = _meeting(row, centre, True)
+        if usual is None or found.significance > SIGNIFICANT:
+            return found
+    return _meeting(row, centre, False, usual or 0.0)
+
+
+def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, inverse: float = 0.0) -> Meeting:
     sights = [sight for sight in row if sight is not None]
     return meet(
         np.array([s.point for s in sights]), np.array([s.direction for s in sights]), [s.error for s in sights],
-        centre, near,
+        centre, near, inverse,
     )  # fmt: skip
 
 

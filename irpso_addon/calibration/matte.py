@@ -55,16 +55,19 @@ class _State:
     weights: np.ndarray
 
 
-def fit_lights(shadings: Sequence[Shading], centre: np.ndarray, near: bool) -> tuple[list[Fit | str], np.ndarray]:
+def fit_lights(
+    shadings: Sequence[Shading], centre: np.ndarray, near: bool, inverse: float = 0.0
+) -> tuple[list[Fit | str], np.ndarray]:
     """Return the light of each photograph, or in words why there is none, and (3,) the bounce.
 
     Fitted to the values of the balls is their ambient radiance + what ``shading.direct`` and ``shading.bounced`` say,
     robustly (Tukey 1960): for each photograph light and ambient, for all of them one bounce, which a single photograph
     could not tell from a turned light. Measured in Cycles on a table that reflects 40 %: without the bounce directions
-    are off by 2.5° to 4.2° in the mean. near: whether distances are fitted too; else lights are distant. Errors are a
-    jackknife's over sectors of the balls, which tells of what the model does not hold too.
+    are off by 2.5° to 4.2° in the mean. near: whether distances are fitted too; else ``inverse`` is 1 / that of all
+    lights, 0 for distant ones. Errors are a jackknife's over sectors of the balls, which tells of what the model does
+    not hold too.
     """
-    found: list[_State | str] = [_begun(shading, centre, near) for shading in shadings]
+    found: list[_State | str] = [_begun(shading, centre, near, inverse) for shading in shadings]
     states = [state for state in found if isinstance(state, _State)]
     ground = np.zeros(3)
     if len(states) >= _FEWEST_FOR_BOUNCE:
@@ -75,11 +78,11 @@ def fit_lights(shadings: Sequence[Shading], centre: np.ndarray, near: bool) -> t
     return [s if isinstance(s, str) else _fit(s, centre, ground, next(radiances), near) for s in found], ground
 
 
-def _begun(shading: Shading, centre: np.ndarray, near: bool) -> _State | str:
+def _begun(shading: Shading, centre: np.ndarray, near: bool, inverse: float) -> _State | str:
     if len(shading.values) < _FEWEST:
         return "hardly a value is neither clipped nor masked out; expose less"
     grey = shading.values.mean(axis=-1)
-    unknowns = _start(shading, grey)
+    unknowns = _start(shading, grey, centre, inverse)
     if unknowns is None:
         return "no shading"
     state = _State(shading, grey, unknowns, np.ones(len(grey)))
@@ -87,18 +90,18 @@ def _begun(shading: Shading, centre: np.ndarray, near: bool) -> _State | str:
     return state if np.linalg.norm(state.unknowns[:3]) > 0 else "no shading"
 
 
-def _start(shading: Shading, grey: np.ndarray) -> np.ndarray | None:
+def _start(shading: Shading, grey: np.ndarray, centre: np.ndarray, inverse: float) -> np.ndarray | None:
     """Return the best of many directions, each with its strength and ambient by least squares; None where all is flat.
 
     What is least is the sum of absolute residuals: a cast shadow must not win.
     """
     every = max(1, len(grey) // _GRID_VALUES)
-    normals, value = shading.normals[::every], grey[::every]
+    some, value = replace(shading, points=shading.points[::every], normals=shading.normals[::every]), grey[::every]
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(_GRID)
     height = 1 - 1.9 * (np.arange(_GRID) + 0.5) / _GRID
     flat = np.sqrt(1 - height**2)
     directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=-1)
-    shapes = np.maximum(directions @ normals.T, 0)
+    shapes = np.stack([shade.direct(some, centre, np.append(d, inverse)) for d in directions])
     spread = shapes - shapes.mean(axis=1, keepdims=True)
     power = (spread**2).sum(axis=1)
     strength = (spread @ value) / np.maximum(power, 1e-12)
@@ -108,7 +111,7 @@ def _start(shading: Shading, grey: np.ndarray) -> np.ndarray | None:
     best = int(np.argmin(cost))
     if not np.isfinite(cost[best]):
         return None
-    return np.concatenate([strength[best] * directions[best], [0.0], np.full(shading.balls, ambient[best])])
+    return np.concatenate([strength[best] * directions[best], [inverse], np.full(shading.balls, ambient[best])])
 
 
 def _refine(

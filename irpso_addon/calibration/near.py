@@ -34,19 +34,24 @@ class Meeting:
 
 
 def meet(
-    points: np.ndarray, directions: np.ndarray, errors: Sequence[float], centre: np.ndarray, near: bool
+    points: np.ndarray,
+    directions: np.ndarray,
+    errors: Sequence[float],
+    centre: np.ndarray,
+    near: bool,
+    inverse: float = 0.0,
 ) -> Meeting:
     """Return where rays from points (B, 3) along unit directions (B, 3) meet, by weighted least squares of angles.
 
     The light is sought as direction and 1 / distance from ``centre``, so that a distant one is no special case: seen
     from a point P it lies along direction − inverse (P − centre). errors: of each direction, radians. near: whether
-    the distance is fitted; else it is infinite.
+    the distance is fitted; else ``inverse`` is taken for what is known, and its error is as large as itself.
     """
     weights = 1 / np.maximum(np.asarray(errors, np.float64), 1e-9) ** 2
     axis = (directions * weights[:, None]).sum(axis=0)
     axis /= np.linalg.norm(axis)
     frames = [tangents(direction) for direction in directions]
-    inverse, count = 0.0, 3 if near else 2
+    count = 3 if near else 2
     for _ in range(_ITERATIONS):
         across, upward = tangents(axis)
 
@@ -71,7 +76,7 @@ def meet(
     chance = (here**2 * np.repeat(weights, 2)).sum() * 2 / max(2 * len(points) - count, 1)
     covariance = np.linalg.inv(square) / 2 * max(chance, 1.0)
     error = np.sqrt(covariance[0, 0] + covariance[1, 1])
-    inverse_error = np.sqrt(covariance[2, 2]) if near else 0.0
+    inverse_error = np.sqrt(covariance[2, 2]) if near else abs(inverse)
     misfit = np.sqrt((here**2).sum() / len(points))
     return Meeting(axis, float(error), float(inverse), float(inverse_error), float(misfit))
 
