@@ -193,7 +193,10 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
             f"{draft.source}: all lights lie nearly in one plane through the subject ({flat:.3f}); across it normals"
             " are uncertain: add lights off that plane",
         )
-    for i, j in checks.same_lights(directions)[:3]:
+    cameras = [shot.camera for shot in draft.shots if shot.distant]
+    # Cameras around a subject photograph it under the same lights.
+    twice = [(i, j) for i, j in checks.same_lights(directions) if cameras[i] == cameras[j]]
+    for i, j in twice[:3]:
         yield Finding("warning", "lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
 
 

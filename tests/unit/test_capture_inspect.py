@@ -5,7 +5,10 @@ import pytest
 from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
 from irpso_addon.capture import checks, enough, read_capture, write_exr
+from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.write import write_capture
 
 NORMALS, MASK = sphere(64)
 RNG = np.random.default_rng(11)
@@ -126,6 +129,18 @@ def test_one_light_given_twice_is_told(tmp_path):
     lights[7] = lights[2]
     found = report(tmp_path, lights=lights)
     assert "line 8: the same light as" in finding(found, "lights_same")
+
+
+def test_two_cameras_may_have_the_same_lights(tmp_path):
+    images = [np.repeat(frame[..., None], 3, axis=-1).astype(np.float32) for frame in FRAMES[:4]]
+    observations = [
+        Observation(f"{camera} {k}", lambda k=k: np.dstack([images[k], np.ones((64, 64), np.float32)]),
+                    Light(tuple(RINGS[k].tolist())), camera)
+        for camera in (0, 1) for k in range(4)
+    ]  # fmt: skip
+    cameras = (Camera.orthographic(64, 64, 2.0), Camera.orthographic(64, 64, 2.0, np.diag([-1.0, 1, -1, 1])))
+    write_capture(Capture("pair", tuple(observations), cameras, (MASK, MASK)), tmp_path / "pair")
+    assert "lights_same" not in inspect_capture(tmp_path / "pair").codes
 
 
 def test_a_table_on_its_side_is_told(tmp_path):
