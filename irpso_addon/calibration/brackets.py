@@ -12,8 +12,8 @@ import numpy as np
 from ..capture.exif import exposure_of
 from ..capture.headers import read_bytes
 from ..errors import InputError
+from .frames import SAME_STOPS
 
-_SAME = 1 / 6  # stops: exposures nearer than half of a camera's third are the same setting
 _NUMBER = r"\d+(?:\.\d+)?"
 # The end of a name, after a blank, _ or -: seconds as in 1-60s, 0.5s or 16ms, or stops as in ev-2, ev_1.3 or +2EV.
 _FRACTION = re.compile(rf"^(?:(?P<stem>.*)[ _-])?1-(?P<below>{_NUMBER})s$", re.I)
@@ -116,7 +116,7 @@ def brackets_of(
             f"{where}no two photographs make a bracket, all exposures stand alone; leave --brackets out, or use"
             " --exposure where frames are exposed differently"
         )
-    sets = [tuple(round(np.log2(a / b.amounts[0]) / _SAME) for a in b.amounts) for b in brackets]
+    sets = [tuple(round(np.log2(a / b.amounts[0]) / SAME_STOPS) for a in b.amounts) for b in brackets]
     usual = max(set(sets), key=sets.count)
     warnings = [
         f"{b.paths[0]}: its bracket has {len(b.paths)} exposures, or others than the {len(usual)} of most; check that"
@@ -130,7 +130,7 @@ def brackets_of(
 def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
     groups: list[list[tuple[Path, float]]] = []
     for path, amount in shots:
-        again = not groups or any(abs(np.log2(amount / other)) < _SAME for _, other in groups[-1])
+        again = not groups or any(abs(np.log2(amount / other)) < SAME_STOPS for _, other in groups[-1])
         if again or groups[-1][0][0].parent != path.parent:
             groups.append([])
         groups[-1].append((path, amount))

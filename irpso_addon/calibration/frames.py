@@ -13,7 +13,7 @@ from ..capture.picture import samples_of_picture
 from ..errors import InputError
 from .response import Response
 
-_SAME = 1 / 6  # stops: exposures nearer than half of a camera's third are the same setting
+SAME_STOPS = 1 / 6  # stops: exposures nearer than half of a camera's third are the same setting
 FLAT_FLOOR = 0.1  # of the flat's mean: below it noise would be multiplied tenfold
 _LIT = 99.0  # percentile of a frame that must be above its dark frame
 _CLIPPED_PATCH = 0.02  # of a patch's pixels
@@ -80,7 +80,7 @@ class Dark:
         if amount is None or not known:
             return np.mean([level for _, level in self.levels], axis=0, dtype=np.float32)
         nearest = min(known, key=lambda pair: abs(np.log2(pair[0] / amount)))
-        if abs(np.log2(nearest[0] / amount)) < _SAME:
+        if abs(np.log2(nearest[0] / amount)) < SAME_STOPS:
             return nearest[1]
         if not self.scaled:
             raise InputError(
@@ -97,7 +97,7 @@ def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = 
     groups: list[tuple[float | None, list]] = []  # exposure, [sum, count]
     for amount, rgb in frames:
         for other, total in groups:
-            if amount is other or (None not in (amount, other) and abs(np.log2(amount / other)) < _SAME):
+            if amount is other or (None not in (amount, other) and abs(np.log2(amount / other)) < SAME_STOPS):
                 total[0] = total[0] + rgb
                 total[1] += 1
                 break

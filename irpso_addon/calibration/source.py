@@ -21,8 +21,8 @@ from ..capture.types import Capture
 from ..errors import InputError
 from .brackets import Bracket, amounts_of, brackets_of, name_amount, natural
 from .develop import Shot
+from .photographs import SUFFIXES
 
-_SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
 _SAME_LIGHT_DEGREES = 0.01
 
 
@@ -56,7 +56,7 @@ def images_in(folder: Path) -> list[Path]:
         found = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{folder}: cannot be opened ({error.strerror}); give a folder of photographs") from error
-    return sorted((p for p in found if p.suffix.lower() in _SUFFIXES or is_raw(p)), key=natural)
+    return sorted((p for p in found if p.suffix.lower() in SUFFIXES or is_raw(p)), key=natural)
 
 
 def read_source(

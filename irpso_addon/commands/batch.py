@@ -144,7 +144,8 @@ def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace
     report = {"done": len(states) - len(failed), "failed": failed, "jobs": states}
     if file is not None:
         _write(file, report)
-    _say(options, f"{report['done']} of {len(states)} done{f'; failed: {chr(44).join(failed)}' if failed else ''}")
+    lost = f"; failed: {', '.join(failed)}" if failed else ""
+    _say(options, f"{report['done']} of {len(states)} done{lost}")
     return report | {"exit_code": InputError.exit_code if failed else 0}
 
 

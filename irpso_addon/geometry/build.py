@@ -62,9 +62,10 @@ def card_steps(
         image = _read(observation, capture)[y0 : y0 + height, x0 : x0 + width]
         seen = bake.coverage & (image[..., 3] > 0)
         out[seen] = image[seen]
-        # Not @, which may round off a texel's sum otherwise in an array of another size.
-        points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
-        _weigh(out, texels, *_shape_of(observation.light, points, texels))
+        if observation.light.axis is not None:
+            # Not @, which may round off a texel's sum otherwise in an array of another size.
+            points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
+            _weigh(out, texels, *_shape_of(observation.light, points, texels))
     if window is None:
         _check_seen(capture, stack, "the card")
     views = np.broadcast_to(_local(camera).view, (len(stack), 4))

@@ -7,6 +7,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..maps.height import Height, card_slopes, connected, integrate, relief_from_log, tangent_slopes
 from .bake import SurfaceBake
+from .footprint import texel_steps
 from .mesh import MeshData
 
 
@@ -30,12 +31,12 @@ def mesh_height(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, covered:
     normals: (H, W, 3) in the solver's frame. It is what the normals lean off the mesh's own: detail that is small
     against the bends of the mesh, whose curvature is not counted.
     """
-    along, torn = texel_steps(mesh, bake)
+    along, torn = steps_along(mesh, bake)
     values, steps = integrate(*tangent_slopes(normals, along), covered & bake.coverage, torn)
     return Height(values.astype(np.float32), covered, "world", steps)
 
 
-def texel_steps(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarray]:
+def steps_along(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarray]:
     """Return how far one texel goes on the surface, and which neighbours in the UV square are none on it.
 
     The steps are (H, W, 2, 2) float32: [along x, along y][along the tangent, along the bitangent], in world units.
@@ -45,9 +46,7 @@ def texel_steps(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarr
     along = np.zeros((height, width, 2, 2), np.float32)
     inside = bake.coverage
     number = bake.triangle[inside]
-    steps = _world_per_uv(mesh)[number] / (width, height)  # (N, 3, 2)
-    frames = bake.frames(inside)[:, :2]
-    along[inside] = np.einsum("nij,njk->nki", frames, steps)
+    along[inside] = np.einsum("nij,nkj->nki", bake.frames(inside)[:, :2], texel_steps(mesh, width, height)[number])
     island = np.full((height, width), -1)
     island[inside] = uv_islands(mesh)[number]
     torn = np.zeros((height, width, 2), bool)
@@ -64,15 +63,3 @@ def uv_islands(mesh: MeshData) -> np.ndarray:
     # Triangles and corners are nodes of one graph.
     joined = connected(len(mesh.uvs) + corner.max() + 1, triangle, corner + len(mesh.uvs))
     return joined[: len(mesh.uvs)]
-
-
-def _world_per_uv(mesh: MeshData) -> np.ndarray:
-    """Return (T, 3, 2) the world's change over u and v in every triangle; 0 where it has no area in the UV square."""
-    edges = (mesh.positions[:, 1:] - mesh.positions[:, :1]).astype(np.float64)  # (T, 2, 3)
-    flat = (mesh.uvs[:, 1:] - mesh.uvs[:, :1]).astype(np.float64)  # (T, 2, 2): edge, (u, v)
-    area = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
-    adjugate = np.stack(
-        [np.stack([flat[:, 1, 1], -flat[:, 0, 1]], -1), np.stack([-flat[:, 1, 0], flat[:, 0, 0]], -1)], axis=1
-    )
-    inverse = adjugate / np.where(area == 0, np.inf, area)[:, None, None]
-    return np.einsum("tij,tjk->tki", inverse, edges)

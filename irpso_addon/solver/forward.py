@@ -85,9 +85,11 @@ def render_domain(
             block = slice(y, y + side), slice(x, x + side)
             held = {name: value[block] for name, value in values.items()}
             renderer = Renderer(part.bake, model, held, part.lights, part.intensities, part.views, part.card)
-            for image, observation in zip(images, observations, strict=True):
-                image[block] = renderer.render(observation)
-            renderer.close()
+            try:
+                for image, observation in zip(images, observations, strict=True):
+                    image[block] = renderer.render(observation)
+            finally:
+                renderer.close()
     return images
 
 

@@ -50,7 +50,7 @@ def test_detail_on_a_ball_comes_back_in_world_units():
 def test_a_step_from_texel_to_texel_is_what_positions_say():
     mesh = geometry_oracle.sphere(columns=12, rows=8)
     texels = bake.bake_uv(mesh, 64, 48)
-    along, torn = relief.texel_steps(mesh, texels)
+    along, torn = relief.steps_along(mesh, texels)
     same = (texels.triangle[:, 1:] == texels.triangle[:, :-1]) & texels.coverage[:, 1:]
     difference = (texels.position[:, 1:] - texels.position[:, :-1])[same].astype(np.float64)
     frames = texels.frames()[:, :-1][same]
