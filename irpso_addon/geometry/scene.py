@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.distortion import NAMES
+from ..capture.problems import CaptureError
 from ..errors import InputError
 
 # Custom property of a camera object for what Blender's cameras do not have: the distortion of its lens.
@@ -92,15 +95,27 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
         scale = side / data.ortho_scale
     matrix = world_matrix(obj)
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
-    return Camera(
+    camera = Camera(
         width=width,
         height=height,
         scale=(scale, scale / tall),
         centre=(width / 2 - data.shift_x * side, height / 2 - data.shift_y * side / tall),
         matrix=matrix,
         perspective=data.type == "PERSP",
-        distortion=tuple(map(float, obj.get(DISTORTION, ()))),
     )
+    return _distorting(camera, obj)
+
+
+def _distorting(camera: Camera, obj: Any) -> Camera:
+    """Return the camera with the distortion that its object's custom property tells. Raises InputError."""
+    given = obj.get(DISTORTION, ())
+    where = f"camera '{obj.name}': its custom property {DISTORTION}"
+    try:
+        return replace(camera, distortion=tuple(map(float, given if hasattr(given, "__len__") else (given,))))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where} holds no numbers; they are {', '.join(NAMES)}, or remove it") from error
+    except CaptureError as error:
+        raise InputError(f"{where} cannot be: {error}") from error
 
 
 def middle_of(obj: Any) -> np.ndarray:

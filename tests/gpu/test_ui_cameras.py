@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import irpso_addon
-from irpso_addon.geometry.scene import DISTORTION
+from irpso_addon.errors import InputError
+from irpso_addon.geometry.scene import DISTORTION, camera_from_object
 from irpso_addon.ui import scene_capture
 from tests.unit.capture_maker import write_png
 from tests.unit.test_poses import (
@@ -149,3 +150,17 @@ def test_cameras_that_cannot_be_had_are_reported(scene, tmp_path, capfd):
     assert bpy.ops.irpso.import_cameras(filepath=str(tmp_path / "a.xml")) == {"FINISHED"}
     assert len([obj for obj in scene.objects if obj.type == "CAMERA"]) == 1
     assert "1 camera of Metashape; 2 left out: 'IMG_0002' is disabled" in capfd.readouterr().out
+
+
+def test_a_distortion_that_is_none_is_told_with_the_cameras_name(scene):
+    obj = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(obj)
+    obj[DISTORTION] = 0.1
+    assert camera_from_object(obj, 40, 30).distortion == (0.1,)
+    for wrong, words in (("strong", "holds no numbers"), ([0.1] * 9, "up to 8"), ([float("nan")], "finite")):
+        obj[DISTORTION] = wrong
+        with pytest.raises(InputError, match=f"'eye'.*{DISTORTION} .*{words}"):
+            camera_from_object(obj, 40, 30)
+    obj[DISTORTION], obj.data.type = [0.1], "ORTHO"
+    with pytest.raises(InputError, match="'eye'.*undistort"):
+        camera_from_object(obj, 40, 30)
