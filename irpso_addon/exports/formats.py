@@ -21,7 +21,7 @@ FORMATS = {  # name: (title, what is written)
     "ptm": ("PTM", "Polynomial texture map: what RTI viewers show under any light"),
     "textures": ("Textures", "PNG under the names that another program expects"),
 }
-_SUFFIXES = {"gltf": ".glb", "ptm": ".ptm"}
+ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
 
 
 def export(result: Result, kind: str, out: str | Path, convention: str, subject: Callable[[], Any]) -> dict[str, Any]:
@@ -37,8 +37,8 @@ def export(result: Result, kind: str, out: str | Path, convention: str, subject:
     if kind == "textures":
         return write_textures(result, out, convention)
     path = Path(out)
-    if path.suffix.lower() == _SUFFIXES[kind]:
+    if path.suffix.lower() == ONE_FILE[kind]:
         check_output_folder(path.parent)
     else:
-        path = check_output_folder(out) / f"{file_stem(result.name)}{_SUFFIXES[kind]}"
+        path = check_output_folder(out) / f"{file_stem(result.name)}{ONE_FILE[kind]}"
     return write_ptm(result, path) if kind == "ptm" else write_gltf(result, path, subject())

@@ -25,7 +25,6 @@ from .result import Result
 
 _LIGHTS = 64
 _WIDEST = 80.0  # degrees off the normal
-_TERMS = 6
 
 
 def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:

@@ -9,14 +9,12 @@ import bpy
 from bpy.props import StringProperty
 
 from ..errors import InputError, IrpsoError
-from ..exports.formats import FORMATS, export
+from ..exports.formats import FORMATS, ONE_FILE, export
 from ..exports.place import file_stem
 from ..exports.result import Result
 from . import session
 from .keep import NOTHING, beside, extras_of, found_maps, has_found
 from .panels import Sidebar
-
-_ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}
 
 
 class IRPSO_OT_export_as(bpy.types.Operator):
@@ -35,8 +33,8 @@ class IRPSO_OT_export_as(bpy.types.Operator):
     def invoke(self, context, event):
         """Ask where to, and propose a name."""
         running, kind = session.current(), context.scene.irpso.export.format
-        name = f"{running.job.name} {FORMATS[kind][0]}" if kind not in _ONE_FILE else running.job.name
-        self.filepath = f"{beside(running)}{os.sep}{name}{_ONE_FILE.get(kind, '')}"
+        name = f"{running.job.name} {FORMATS[kind][0]}" if kind not in ONE_FILE else running.job.name
+        self.filepath = f"{beside(running)}{os.sep}{name}{ONE_FILE.get(kind, '')}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
