@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Generator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TypeVar
@@ -149,13 +150,13 @@ def mesh_steps(
         bake, seams = _windowed(bake, window), window_seams(seams, window)
     caster = ShadowCaster(mesh, bake, texel) if shadows else None
     steps = texel_steps(mesh, width, height) if areas else None
-    projectors = {}
-    for index in sorted({observation.camera for observation in capture.observations}):
-        yield
+
+    def project(index: int) -> Projector:
         camera = capture.cameras[index]
-        projectors[index] = Projector(bake, bake_camera(mesh, camera), camera, grazing, steps, falloff)
+        return Projector(bake, bake_camera(mesh, camera), camera, grazing, steps, falloff)
+
     stack = new_stack(len(capture.observations), *bake.coverage.shape, scratch)
-    yield from _fill(stack, capture, bake, projectors, caster)
+    yield from _fill(stack, capture, bake, project, caster)
     if window is None:
         _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
@@ -184,29 +185,53 @@ def _fill(
     stack: np.ndarray,
     capture: Capture,
     bake: SurfaceBake,
-    projectors: dict[int, Projector],
+    project: Callable[[int], Projector],
     caster: ShadowCaster | None,
 ) -> Generator[None, None, None]:
-    """Read the images into the stack, yielding before each: light by light, since a light's shadows serve them all."""
-    positions = bake.position.reshape(-1, 3)
+    """Read the images into the stack, yielding before each: light by light, since a light's shadows serve them all.
+
+    project: of a camera by index. A Projector holds about 50 bytes for each texel that it sees, three times an image's
+    16, so each is made when its camera is first asked for, and goes when the last of its images has been read.
+    """
+    left = Counter(observation.camera for observation in capture.observations)
+    projectors: dict[int, Projector] = {}
     for light, numbers in _by_light(capture.observations).items():
-        seen = {index: projectors[index].visible for index in {capture.observations[k].camera for k in numbers}}
-        texels = np.flatnonzero(np.logical_or.reduce(list(seen.values())))
-        if not len(texels):
-            continue
-        gain, weight = _shape_of(light, positions, texels)
-        if caster is not None:
-            weight = weight * caster.weights(light, texels)
-        lit = np.zeros(bake.coverage.size, bool)
-        lit[texels] = weight > 0
-        for k in numbers:
-            index = capture.observations[k].camera
-            if not (lit & seen[index].ravel()).any():
-                continue
+        cameras = Counter(capture.observations[k].camera for k in numbers)
+        for index in sorted(set(cameras) - set(projectors)):
             yield
-            image = _read(capture.observations[k], capture)
-            stack[k] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
-            _weigh(stack[k], texels, gain, weight)
+            projectors[index] = project(index)
+        yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers)
+        left -= cameras
+        projectors = {index: projector for index, projector in projectors.items() if left[index]}
+
+
+def _fill_light(
+    stack: np.ndarray,
+    capture: Capture,
+    bake: SurfaceBake,
+    projectors: dict[int, Projector],
+    caster: ShadowCaster | None,
+    light: Light,
+    numbers: Sequence[int],
+) -> Generator[None, None, None]:
+    """Read the images under one light, the observations ``numbers``, yielding before each."""
+    seen = {index: projectors[index].visible for index in {capture.observations[k].camera for k in numbers}}
+    texels = np.flatnonzero(np.logical_or.reduce(list(seen.values())))
+    if not len(texels):
+        return
+    gain, weight = _shape_of(light, bake.position.reshape(-1, 3), texels)
+    if caster is not None:
+        weight = weight * caster.weights(light, texels)
+    lit = np.zeros(bake.coverage.size, bool)
+    lit[texels] = weight > 0
+    for k in numbers:
+        index = capture.observations[k].camera
+        if not (lit & seen[index].ravel()).any():
+            continue
+        yield
+        image = _read(capture.observations[k], capture)
+        stack[k] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
+        _weigh(stack[k], texels, gain, weight)
 
 
 def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:

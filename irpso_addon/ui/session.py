@@ -121,7 +121,11 @@ class Session:
         """How far the phase that is under way is: of the images that are read, then of the lights, of the work."""
         if self.recovery is not None:
             return self.recovery.progress.fraction
-        return self._read / len(self.job.capture.observations) if self.state == "loading" else self._lit
+        if self.state != "loading":
+            return self._lit
+        capture = self.job.capture  # whose cameras take a step each on a mesh, as its images do
+        steps = len(capture.observations) + (0 if self.mesh is None else len(capture.cameras))
+        return min(1.0, self._read / steps)
 
     @property
     def rate(self) -> float:

@@ -1,5 +1,6 @@
 """Windows of domains, lenses that distort, cameras at several distances, and where each texel is seen from."""
 
+import weakref
 from dataclasses import fields, replace
 
 import bpy
@@ -8,7 +9,7 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.geometry import bake
+from irpso_addon.geometry import bake, build
 from irpso_addon.geometry.build import domain_from_card, domain_from_mesh
 from irpso_addon.geometry.domain import GeometryBake, tile
 from irpso_addon.geometry.mesh import extract_mesh
@@ -174,3 +175,25 @@ def test_each_texel_of_a_mesh_is_seen_from_where_the_camera_stands():
                 assert np.abs(one - expected)[both].max() > 0.05
     finally:
         renderer.close()
+
+
+def test_what_is_known_of_a_camera_goes_with_the_last_of_its_images(monkeypatch):
+    alive, most = weakref.WeakSet(), []
+
+    class Counted(build.Projector):
+        def __init__(self, *args):
+            super().__init__(*args)
+            alive.add(self)
+            most.append(len(alive))
+
+    monkeypatch.setattr(build, "Projector", Counted)
+    mesh, capture = monkey_capture([])
+    domain_from_mesh(capture, mesh, 60, 80)
+    assert most == [1, 2]  # one after the other: under the same lights both are needed
+    own = tuple(
+        replace(o, light=replace(o.light, vector=tuple(np.add(o.light.vector, 0.1 * o.camera).tolist())))
+        for o in capture.observations
+    )
+    most.clear()
+    domain_from_mesh(replace(capture, observations=own), mesh, 60, 80)
+    assert most == [1, 1] and not alive

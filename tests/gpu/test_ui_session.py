@@ -103,6 +103,23 @@ def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain
     assert sources[0] == sources[2] != sources[1]
 
 
+def test_reading_for_a_mesh_is_done_when_its_images_and_its_camera_are(job):
+    from irpso_addon.ui import session
+
+    bpy.ops.mesh.primitive_plane_add(size=2)
+    settings = bpy.context.scene.irpso
+    settings.subject, settings.resolution = "MESH", 8
+    running = session.begin(job())
+    told = []
+    while running.recovery is None:
+        running.tick(1e-6)
+        if running.state == "loading":
+            told.append(running.fraction)
+    session.end()
+    assert told == sorted(told) and told[0] < 0.1 and told[-1] == 1.0
+    assert told.count(1.0) == 1 and len(set(told)) > len(LIGHTS)
+
+
 def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
     obj = bpy.context.object
