@@ -21,7 +21,6 @@ from ..gpu import context, probe
 from ..solver.memory import machine_memory
 from ..solver.need import recovery_need
 from ..solver.planning import covered_texels, uv_borders
-from ..solver.schedule import refuse_levels
 from .each_slot import EACH
 from .lights import found_lights
 from .recover import Job, check, finish, settle, solve
@@ -47,6 +46,7 @@ def recover_on_ranks(ranks: Ranks, options: Namespace) -> dict:
         ranks.close()
         if ranks.leads:
             raise agreed.error from agreed
+        options.json = False
         return {"exit_code": agreed.error.exit_code}
     except BaseException as error:
         if crew is not None:  # the others wait for an order
@@ -84,7 +84,11 @@ def _checked(options: Namespace) -> Job:
     if options.slots == EACH:
         raise InputError(f"--slots {EACH}: over several ranks one slot is recovered at a time; name it")
     job = check(options, False)
-    refuse_levels(job.schedule)
+    if job.schedule.levels > 1:
+        raise InputError(
+            f"levels = {job.schedule.levels}: over several ranks a domain is not solved coarse to fine; set levels = 1, or"
+            " start one process"
+        )
     return job
 
 
