@@ -86,7 +86,7 @@ def _checked(options: Namespace) -> Job:
     job = check(options, False)
     if job.schedule.levels > 1:
         raise InputError(
-            f"levels = {job.schedule.levels}: over several ranks a domain is not solved coarse to fine; set levels = 1, or"
+            f"levels = {job.schedule.levels}: several ranks do not solve a domain coarse to fine; set levels = 1, or"
             " start one process"
         )
     return job
