@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..capture.camera import Camera
@@ -19,10 +21,22 @@ def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Hei
     if not camera.perspective:
         values, steps = integrate(*card_slopes(normals, camera.scale), covered)
     else:
-        local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4))
-        values, steps = integrate(*card_slopes(normals, camera.scale, local.points()), covered)
+        rays = replace(camera, matrix=np.eye(4)).points()
+        slopes, weights = card_slopes(normals, camera.scale, rays)
+        if any(camera.distortion) and min(covered.shape) > 1:
+            slopes = _through_lens(slopes, rays[..., :2] * camera.scale)
+        values, steps = integrate(slopes, weights, covered)
         values = relief_from_log(values, camera.scale[0])
     return Height(values.astype(np.float32), covered, "texels", steps)
+
+
+def _through_lens(slopes: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return slopes (H, W, 2) along x and y per pixel of a lens, of those per pixel of a camera without distortion.
+
+    places: (H, W, 2) the pixels in that camera, NaN where the lens shows nothing.
+    """
+    along = np.nan_to_num(np.stack(np.gradient(places, axis=(1, 0)), axis=-2))
+    return np.einsum("hwka,hwa->hwk", along, np.nan_to_num(slopes))
 
 
 def mesh_height(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, covered: np.ndarray) -> Height:

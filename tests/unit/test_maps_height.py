@@ -1,5 +1,7 @@
 """Heights integrated from normals against heights that are known, and against scipy where there is no formula."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage, sparse
@@ -144,3 +146,14 @@ def test_islands_of_the_texture_are_told_apart_even_where_they_touch():
     right, left = geometry_oracle.plane(u_span=(0.5, 1.0)), geometry_oracle.plane(u_span=(0.0, 0.5), z=1.0)
     number = relief.uv_islands(geometry_oracle.joined(right, left))
     assert len(np.unique(number)) == 2 and len(np.unique(number[: len(right.uvs)])) == 1
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.25, 0.08, 0.01, -0.006)])
+def test_a_slanting_card_is_flat_through_any_lens(distortion):
+    camera = replace(Camera.from_fov(80, 60, 60, np.eye(4)), distortion=distortion)
+    rays, normal = camera.points(), np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13)
+    depth = 2.0 / -(rays @ normal)  # along the axis, of the plane at distance 2
+    found = relief.card_height(camera, np.broadcast_to(normal, rays.shape), np.ones((60, 80), bool))
+    expected = camera.scale[0] * (1 - depth / np.exp(np.log(depth).mean()))
+    assert np.ptp(expected) > 25
+    np.testing.assert_allclose(found.values, expected, atol=0.02)
