@@ -70,6 +70,9 @@ def _report(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder / REPORT}: cannot be read ({error}); recover again") from error
     if not isinstance(report, dict):
         raise InputError(f"{folder / REPORT}: is no report of a result; recover again")
+    if isinstance(report.get("slots"), dict):
+        names = ", ".join(f"'{folder / name}'" for name in report["slots"])
+        raise InputError(f"{folder}: holds a result for each material slot; give one of their folders: {names}")
     return report
 
 

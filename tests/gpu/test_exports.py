@@ -222,6 +222,8 @@ def test_what_cannot_be_exported_is_refused_in_one_line_with_nothing_written(fol
         return err
 
     assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
+    (tmp_path / "report.json").write_text('{"texels": 3, "slots": {"Skin": {}, "Eyes": {}}}')
+    assert f"give one of their folders: '{tmp_path / 'Skin'}'" in refused(tmp_path, "--format", "ptm")
     assert "no such mesh; it has 'sheet'" in refused(folder, "--format", "gltf", "--object", "cube")
     (folder / "material.blend").unlink()
     assert "holds no material.blend" in refused(folder, "--format", "gltf")
