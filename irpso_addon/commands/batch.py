@@ -21,6 +21,7 @@ from .solve import CHECKPOINT
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
 _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
+_OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # where a card is listed, no defaults of it
 _EVERY = 60.0  # seconds between checkpoints, where a job does not say
 _FIGURES = ("texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "warnings")
 
@@ -68,11 +69,18 @@ def read_list(path: Path, parse: Parse) -> list[Job]:
         raise InputError(f"{path}: may hold [defaults] and [[job]] tables, and nothing else")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise InputError(f"{path}: lists no job; add one [[job]] with a capture for each")
-    jobs = [_job({**defaults, **row}, number, path, parse) for number, row in enumerate(rows, 1)]
+    jobs = [_job(_with_defaults(row, defaults), number, path, parse) for number, row in enumerate(rows, 1)]
     names = [job.name.lower() for job in jobs]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{path}: two jobs are called '{twice}'; give them names that differ")
     return jobs
+
+
+def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return a job with what holds for all; of a card, without what is of meshes alone."""
+    found = {**defaults, **row}
+    card = "blend" not in found and not str(found.get("capture", "")).lower().endswith(".blend")
+    return {key: value for key, value in found.items() if not (card and key in _OF_MESHES and key not in row)}
 
 
 def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:

@@ -68,11 +68,12 @@ def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: 
     renders = render_domain(domain, maps.model, maps.values, observations)
     for k, label, render in zip(observations, labels, renders, strict=True):
         seen, weight = domain.stack[k, ..., :3], domain.stack[k, ..., 3] > 0
-        rendered = render[..., :3]
+        # Texels that no light told anything of, as a black background, have no material to be rendered.
+        rendered = np.where(maps.covered[..., None], render[..., :3], 0)
         white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0
         images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
         error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
-        rows.append(PreviewRow(label, *images, error, "%", domain.bake.coverage & weight))
+        rows.append(PreviewRow(label, *images, error, "%", maps.covered & weight))
     return rows
 
 

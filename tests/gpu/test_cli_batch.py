@@ -122,6 +122,15 @@ def test_a_name_that_the_list_does_not_have_is_refused(listed):
     assert code == 2 and "first, none, second" in err
 
 
+def test_defaults_of_meshes_are_not_for_cards(tmp_path):
+    from irpso_addon.cli import build_parser
+
+    text = '[defaults]\nresolution = 64\n[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\nblend = "b.blend"\n'
+    (tmp_path / "list.toml").write_text(text, encoding="utf-8")
+    card, mesh = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
+    assert "--resolution" not in card.words and "--resolution" in mesh.words
+
+
 def test_paths_are_relative_to_the_list(listed):
     from irpso_addon.cli import build_parser
 

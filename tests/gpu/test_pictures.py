@@ -1,0 +1,34 @@
+"""Pictures of a result: what no light told anything of is no part of them."""
+
+import json
+
+import numpy as np
+
+from irpso_addon.maps.result import Maps
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.pictures import image_rows
+from tests import cli_maker
+from tests.cli_maker import run_cli
+from tests.swarm_subjects import make_domain
+
+
+def test_a_black_background_without_a_mask_is_no_part_of_relit_pictures(tmp_path):
+    lights = cli_maker.dome_lights(14, widest=60)
+    values = cli_maker.smooth_maps((20, 26), {}, seed=3)
+    images = cli_maker.render_oracle("lambert", values, lights)
+    images[:, :, :9] = 0
+    capture = cli_maker.write_card(tmp_path / "card", images, lights)
+    options = ["--model", "lambert", "--preset", "swarm", "--iterations", 400, "--hold-out", "5", "--quiet"]
+    assert run_cli("recover", capture, *options, "-o", tmp_path / "out")[0] == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    assert report["relighting_psnr_db"]["light 5"] > 35
+
+
+def test_texels_without_a_material_are_black_in_the_recovered_picture():
+    domain = make_domain(6, 8, holes=False)
+    domain.stack[:, :, :3, :3] = 0
+    model = load_model("lambert")
+    values = {p.name: np.full((6, 8, p.components), p.default, np.float32) for p in model.parameters}
+    (row,) = image_rows(domain, Maps(model, values, domain.solvable), [0], ["Image 0"])
+    assert not row.recovered[:, :3].any() and row.recovered[:, 3:].any()
+    np.testing.assert_array_equal(row.covered, domain.solvable & (domain.stack[0, ..., 3] > 0))
