@@ -21,7 +21,7 @@ from benchmarks.swarms import rule
 from benchmarks.swarms.functions import FUNCTIONS, Function
 
 _DIMENSIONS = (10, 30, 100)
-_MEMBERS, _ITERATIONS, _SEEDS = 500, 400, 5
+_MEMBERS, _ITERATIONS, _SEEDS = 100, 400, 3
 
 Method = Callable[[Function, int, int, int, int], float]
 
@@ -79,7 +79,7 @@ METHODS: dict[str, Method] = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Run every method on every function, five times from other random numbers."""
+    """Run every method on every function, several times from other random numbers."""
     members, iterations, seeds = (60, 20, 1) if quick else (_MEMBERS, _ITERATIONS, _SEEDS)
     rows = []
     for function in FUNCTIONS.values():
