@@ -20,6 +20,7 @@ from . import recover
 from .solve import CHECKPOINT
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
+_NAMES_OR_PATHS = ("model", "preset")
 _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # where a card is listed, no defaults of it
 _EVERY = 60.0  # seconds between checkpoints, where a job does not say
@@ -112,7 +113,17 @@ def _words(key: str, value: Any, path: Path) -> list[str]:
         return [option] if value else []
     if isinstance(value, list):
         return [word for one in value for word in _words(key, one, path)]
-    return [option, str(path.parent / str(value)) if key in _PATHS else str(value)]
+    return [option, _beside(path, key, str(value))]
+
+
+def _beside(path: Path, key: str, value: str) -> str:
+    """Return an option's value with what is a path in it relative to the list."""
+    if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
+        return str(path.parent / value)
+    name, equals, file = value.partition("=")
+    if key == "known" and (path.parent / file).is_file():
+        return f"{name}{equals}{path.parent / file}"
+    return value
 
 
 def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.seams import SeamMap
 from ..gpu import textures
+
+_EXACT = 1 << 24  # float32 numbers whole ones up to here
 
 
 def level_size(lent: Mapping[str, Any], defines: Mapping[str, int]) -> tuple[int, int]:
@@ -86,6 +89,8 @@ class Packing:
         target = numbers[seams.target]
         held = np.flatnonzero(target >= 0)
         place, target = seams.place[held] + seams.reach, target[held]
+        if len(place) >= _EXACT:
+            raise InputError("this domain has more texels beside seams than a texture can number; solve it in tiles")
         flat = place[:, 1].astype(np.int64) * (width + 2 * seams.reach) + place[:, 0]
         begins = np.diff(flat, prepend=-1) != 0
         following = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
