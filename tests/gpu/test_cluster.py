@@ -26,6 +26,18 @@ WIDE = ["--model", "lambert", "--preset", "swarm", "--iterations", 12, "--set", 
         "neighbour_every=4", "--set", "c3_until=0"]  # fmt: skip
 STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, "--hold-out", "3"]
 
+# Python runs it at its start: rank 1 fails when the swarms have been placed and moved once.
+FAILING = """
+import os
+from irpso_addon.solver.stage import RunningStage
+advance = RunningStage.advance
+def failing(self, *arguments):
+    if os.environ.get("OMPI_COMM_WORLD_RANK") == "1" and self.iteration == 1:
+        raise RuntimeError("a driver's own words")
+    return advance(self, *arguments)
+RunningStage.advance = failing
+"""
+
 
 @pytest.fixture(scope="module", autouse=True)
 def one_probe():
@@ -123,6 +135,15 @@ def test_a_killed_rank_ends_the_job_and_another_number_of_ranks_goes_on_to_the_s
     code, _, err = mpi_maker.run(2, *options, "--resume")
     assert code == 0, err
     assert files_of(tmp_path / "out") == alone
+
+
+def test_a_rank_that_fails_in_the_middle_ends_the_job_and_is_named(card, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(FAILING)
+    there = f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}";'
+    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=there)
+    assert code == 1 and told is None
+    assert re.search(r"irpso: rank 1 on \S+: RuntimeError: a driver's own words", err) and err.count("irpso: ") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_ranks_with_unlike_versions_of_the_program_refuse(card, tmp_path):
