@@ -20,6 +20,11 @@ _CANDIDATES = 4
 _USUAL_AREA, _LARGE_AREA, _HUGE_AREA = 0.02, 0.12, 0.35  # of the ball's disc
 _COMPACT = 0.5
 _RIVAL = 0.5  # of the best candidate's score
+_SECOND = 0.1  # of it: a clipped spot may be the lamp and the larger one a thing that is exposed to white
+_DIMMER = 0.5  # of the highest peak: what a lamp lights is far darker than the lamp
+_WHITE = 0.9  # of the brightest clipped value: less is clipped in one channel only, as a red thing in full light
+_HOT = 0.2  # of a clipped value: what the mean around it is at least; of a hot pixel it is a ninth
+_SAME = np.radians(5.0)  # between highlights: one lamp in two parts
 _CONTRAST = 3.0  # between the highlight and what else the ball shows
 _GRAZING = 0.26  # n·v: lights from more than 150° off the viewer
 _SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # of a blob's radius, and pixels: what its middle is uncertain by at the least
@@ -67,8 +72,15 @@ def find_highlights(view: BallView) -> list[Sight | str]:
     found = []
     for image, usable in zip(grey, view.usable, strict=True):
         clipped = ~usable & (image > 0) & inside
-        found.append(_sight(view, np.where(shrunk, image - ambient, 0), clipped, shrunk))
+        signal = np.where(shrunk, image - ambient, 0)
+        found.append(_sight(view, signal, _saturated(image, signal, clipped), shrunk))
     return found
+
+
+def _saturated(image: np.ndarray, signal: np.ndarray, clipped: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: which of the clipped values are as bright as can be, and that by the lamp."""
+    lit = clipped & (signal > _SKIRT * signal.max())
+    return lit & (image >= _WHITE * np.max(image, where=lit, initial=0)) & (_boxed(signal) > _HOT * signal)
 
 
 def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,7 +105,8 @@ def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.n
     if not blobs:
         return f"{name}: no highlight"
     disc = inside.sum()
-    blob = max(blobs, key=lambda b: b.score)
+    lamps = _lamps(blobs)
+    blob = max(lamps, key=lambda b: b.score)
     if blob.area > _HUGE_AREA * disc:
         return f"{name}: no highlight: the bright spot covers {blob.area / disc:.0%} of the ball; expose less"
     pixel = view.pixels[0, 0] + blob.centre * view.block
@@ -104,14 +117,35 @@ def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.n
     if blob.area > _LARGE_AREA * disc:
         how = ", most of it clipped: expose less" if blob.saturated > 0.5 else ""
         warnings.append(f"{name}: the highlight covers {blob.area / disc:.0%} of the ball{how}")
-    rivals = [b for b in blobs if b is not blob and b.score > _RIVAL * blob.score]
-    if rivals:
-        warnings.append(f"{name}: {len(rivals) + 1} highlights are about as bright; cover other lamps")
+    apart = 0.0
+    for rival in [b for b in lamps if b is not blob and b.score > _SECOND * blob.score]:
+        other = reflected(ball, view.pixels[0, 0] + rival.centre * view.block)[1]
+        angle = float(np.arccos(np.clip(direction @ other, -1, 1)))
+        if rival.score > _RIVAL * blob.score:
+            apart = max(apart, angle)
+        elif rival.saturated > 0 and angle > _SAME:
+            warnings.append(f"{name}: a smaller highlight is clipped, too; expose less if that is the lamp")
+    if apart > _SAME:
+        return (
+            f"{name}: which highlight is the lamp cannot be told: two are about as bright, of lights "
+            f"{np.degrees(apart):.0f}° apart; cover other lamps and what is bright beside the ball, or expose less"
+        )
     rest = signal[inside & ~blob.region]
     if rest.size and np.percentile(rest, 99) * _CONTRAST > blob.peak:
         warnings.append(f"{name}: the highlight is hardly brighter than what else the ball reflects")
-    error = _direction_error(ball, pixel, blob.error * view.block)
+    error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart))
     return Sight(pixel, point, direction, error, tuple(warnings))
+
+
+def _lamps(blobs: list[_Blob]) -> list[_Blob]:
+    """Return the spots that may be the lamp: the saturated ones, or where none is, those that peak high.
+
+    How much a clipped spot sends is not known, so that a larger one that is not clipped says nothing against it: a
+    matte ball beside a mirror ball sends, in 8 bits, up to 1.5 times what 4 clipped pixels with their halo do.
+    """
+    saturated = [blob for blob in blobs if blob.saturated > 0]
+    highest = max(blob.peak for blob in blobs)
+    return saturated or [blob for blob in blobs if blob.peak > _DIMMER * highest]
 
 
 def _direction_error(ball: Ball, pixel: np.ndarray, blob_error: float) -> float:
@@ -130,7 +164,8 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
     """Return the brightest spots of (H, W) radiance above the ambient one, at most four; none where all is noise."""
     values = signal[inside]
     noise = 1.4826 * np.median(np.abs(values - np.median(values)))
-    smooth = _boxed(signal)
+    # A lamp of a few clipped pixels is dim in the mean over nine, and still goes before what is not clipped.
+    smooth = np.where(clipped, np.maximum(_boxed(signal), signal), _boxed(signal))
     left, blobs = inside.copy(), []
     highest = float(np.max(smooth, where=left, initial=0))
     for _ in range(_CANDIDATES):

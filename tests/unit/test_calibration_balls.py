@@ -165,6 +165,48 @@ def test_a_bright_room_and_a_window_are_not_taken_for_the_lamp():
     assert off[~near_window].max() < 2.5
 
 
+@pytest.mark.parametrize(("brightness", "grey"), [(0.08, 0.6), (0.04, 0.25)])
+def test_the_grey_of_a_matte_ball_is_not_taken_for_a_lamp_of_a_few_pixels(brightness, grey):
+    rng, lights = np.random.default_rng(1), cap(8, 60)
+    (centre, radius), view = PLACES["perspective"], CAMERAS["perspective"]
+    ball = [(centre, radius)]
+    # Another ball is seen at the side in every second photograph, so that it is no part of what is always there.
+    other = mirror_image(view, ball, unit([-0.9, 0.3, -0.1]), width=40.0, room=0.0) / 100
+    lamps = [brightness * mirror_image(view, ball, light, width=4.0, room=0.0) for light in lights]
+    images = [photographed(lamp + grey * (n % 2) * other, rng, 0.8, 0.002, 1.0) for n, lamp in enumerate(lamps)]
+    lamp_alone = [photographed(lamp, rng, 0.8) for lamp in lamps]
+    clipped = [int((image[..., :3] >= 1).all(axis=-1).sum()) for image in lamp_alone]
+    assert all(2 <= count <= 7 for count in clipped) if brightness > 0.05 else not any(clipped)
+    # What the lamp sends, clipped as it is, is less than what the grey sends.
+    assert max(np.minimum(image[..., 0], 1).sum() for image in lamp_alone) < grey * other[..., 0].sum()
+    found = calibrated(images, [ball_of(view, np.array(centre), radius)])
+    off, said = degrees(directions(found), lights), np.array([light.error for light in found.lights])
+    assert off.max() < 1.0 and (off < 4 * said).all()
+
+
+def test_a_matte_ball_that_is_exposed_to_white_is_told_of():
+    rng, (centre, radius), view = np.random.default_rng(1), PLACES["perspective"], CAMERAS["perspective"]
+    lamp = 0.08 * mirror_image(view, [(centre, radius)], unit([0.3, 0.2, 0.9]), room=0.0)
+    other = mirror_image(view, [(centre, radius)], unit([-0.9, 0.3, -0.1]), width=40.0, room=0.0) / 100
+    images = [photographed(lamp + 1.5 * other, rng, 0.8, 0.002, 1.0), photographed(lamp, rng, 0.8, 0.002, 1.0)]
+    white, dark = calibrated(images, [ball_of(view, np.array(centre), radius)]).lights
+    assert white.light is None or "expose less" in " ".join(white.warnings)
+    assert dark.light is not None and not dark.warnings
+
+
+@pytest.mark.parametrize("weaker", [0.7, 1.0])
+def test_a_photograph_with_two_lamps_tells_no_light_and_why(weaker):
+    rng, (first, second) = np.random.default_rng(1), unit(np.array([[0.5, 0.3, 0.8], [-0.5, 0.1, 0.8]]))
+    (centre, radius), view = PLACES["perspective"], CAMERAS["perspective"]
+    one, two = (mirror_image(view, [(centre, radius)], light) for light in (first, second))
+    images = [photographed(image, rng, 0.8, 0.002, 1.0) for image in (one, two, one + weaker * two)]
+    found = calibrated(images, [ball_of(view, np.array(centre), radius)]).lights
+    assert degrees([light.light.vector for light in found[:2]], [first, second]).max() < 1.0
+    assert found[2].light is None and "cannot be told" in found[2].warnings[0]
+    apart = float(found[2].warnings[0].split("° apart")[0].split()[-1])
+    assert abs(apart - degrees(first, second)) < 1.5
+
+
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
 def test_two_balls_tell_places_of_near_lights_and_that_distant_ones_are_distant(kind):
     rng, make = np.random.default_rng(1), {"mirror": mirror_image, "matte": matte_image}[kind]
