@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,12 +92,16 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
     plan = make_plan(coverage, model, schedule, (), count, memory=_BUDGETS["huge"])
     at = int(np.argmax([tile.texels for tile in plan.tiles[:-1]]))
     boxes = plan.boxes[at : at + 2]
-    x0, y0 = (max(0, min(box[i] for box in boxes) - plan.halo) for i in (0, 1))
-    x1, y1 = (min(resolution, max(box[i] + box[i + 2] for box in boxes) + plan.halo) for i in (0, 1))
+    x0, y0 = (min(box[i] for box in boxes) for i in (0, 1))
+    x1, y1 = (max(box[i] + box[i + 2] for box in boxes) for i in (0, 1))
     started = now()
     domain = domain_from_mesh(capture, mesh, resolution, resolution, window=(x0, y0, x1 - x0, y1 - y0))
     read = now()
     moved = [(x - x0, y - y0, width, height) for x, y, width, height in boxes]
+    inside = np.zeros(domain.shape, bool)
+    for x, y, width, height in moved:
+        inside[y : y + height, x : x + width] = True
+    domain = replace(domain, bake=replace(domain.bake, coverage=domain.bake.coverage & inside))
     with TiledRecovery(domain, model, schedule, boxes=moved, halo=plan.halo, on_device=2) as recovery:
         recovery.step()
         solved = recovery.maps().covered
