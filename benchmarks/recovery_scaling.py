@@ -22,7 +22,7 @@ from benchmarks import report
 from benchmarks.killed import write_card
 from benchmarks.swarm_scaling import NETWORKS, Network, binding, launcher, rank_environment
 
-_TEXELS, _LIGHTS, _ITERATIONS, _REPEATS = (192, 256), 24, 60, 5
+_TEXELS, _LIGHTS, _ITERATIONS, _REPEATS = (192, 256), 24, 60, 3
 _RANKS = (1, 2, 4)
 _MODEL, _PRESET = "principled", "swarm"
 _LARGE = 4096  # texels along a side of the domain that is modelled

@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks import report
 
-_FUNCTION, _DIMENSIONS, _ITERATIONS, _REPEATS = "griewank", 30, 200, 7
+_FUNCTION, _DIMENSIONS, _ITERATIONS, _REPEATS = "griewank", 30, 100, 3
 _PARTICLES = (8192, 50000)
 _MODELLED = tuple(2**n for n in range(11))
 
