@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from ..maps.udim import ONE_SQUARE
 from .slots import slot_names
 from .udim import SMALLEST_AREA, lay_out, layout_size, uv_areas
 
+_TOGETHER = 8000  # triangles of which Blender finds the tangents at once, in one thread
 # More of the surface than this without area in the UV map is a fault of the map.
 _DEGENERATE_LIMIT = 0.005
 
@@ -137,16 +138,52 @@ def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -
 
 
 def _tangents(coordinates: np.ndarray, vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> np.ndarray:
-    """Return (T, 3, 4) MikkTSpace tangents and signs of triangles, computed by Blender on a passing mesh of them."""
+    """Return (T, 3, 4) MikkTSpace tangents and signs of triangles, computed by Blender on passing meshes of them.
+
+    A large mesh goes in parts, each with all triangles around its corners, which is all that a tangent depends on: on
+    more than about 10 000 triangles Blender works in threads, and the last bits differ from run to run.
+    """
+    triangles = vertices.reshape(-1, 3)
+    if len(triangles) <= _TOGETHER:
+        return _tangents_together(coordinates, triangles, normals, uvs)
+    # By place: Mikkelsen welds corners by their coordinates, whatever their vertex.
+    _, places = np.unique(coordinates.reshape(-1, 3), axis=0, return_inverse=True)
+    corners = places.reshape(-1)[triangles]
+    result = np.empty((len(triangles), 3, 4), np.float32)
+    for own in _parts(coordinates.reshape(-1, 3)[triangles].mean(axis=1), np.arange(len(triangles))):
+        around = np.zeros(places.max() + 1, bool)
+        around[corners[own]] = True
+        with_ring = np.flatnonzero(around[corners].any(axis=1))
+        found = _tangents_together(coordinates, triangles[with_ring], normals[with_ring], uvs[with_ring])
+        result[own] = found[np.searchsorted(with_ring, own)]
+    return result
+
+
+def _parts(middles: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield compact parts of triangles, cut in two across their longest side again and again; in rising order."""
+    if len(chosen) <= _TOGETHER // 2:
+        yield np.sort(chosen)
+        return
+    places = middles[chosen]
+    order = np.argsort(places[:, np.ptp(places, axis=0).argmax()], kind="stable")
+    half = len(chosen) // 2
+    yield from _parts(middles, chosen[order[:half]])
+    yield from _parts(middles, chosen[order[half:]])
+
+
+def _tangents_together(
+    coordinates: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray
+) -> np.ndarray:
     import bpy
 
     count = len(uvs)
+    used, vertices = np.unique(triangles, return_inverse=True)
     mesh = bpy.data.meshes.new("irpso tangents")
     try:
-        mesh.vertices.add(len(coordinates))
-        mesh.vertices.foreach_set("co", coordinates.ravel())
+        mesh.vertices.add(len(used))
+        mesh.vertices.foreach_set("co", coordinates.reshape(-1, 3)[used].ravel())
         mesh.loops.add(3 * count)
-        mesh.loops.foreach_set("vertex_index", vertices)
+        mesh.loops.foreach_set("vertex_index", vertices.reshape(-1).astype(np.int32))
         mesh.polygons.add(count)
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
         mesh.update(calc_edges=True)

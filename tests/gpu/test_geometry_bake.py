@@ -460,3 +460,27 @@ def test_drawing_leaves_the_drawing_state_as_it_was():
     gpu.state.blend_set("NONE")
     gpu.state.depth_test_set("NONE")
     assert math.isclose(raster.triangle_numbers(np.zeros((1, 3, 4)), 2, 2, first=True).sum(), 0)
+
+
+def test_tangents_of_a_large_mesh_are_the_same_every_time_and_those_of_the_whole(monkeypatch):
+    import bpy
+
+    from irpso_addon.geometry import mesh as module
+
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=160, ring_count=120)
+    sphere = bpy.context.object
+    rng = np.random.default_rng(1)
+    for vertex in sphere.data.vertices:
+        vertex.co += 0.002 * Vector(rng.normal(size=3))
+    try:
+        first, second, third = (extract_mesh(sphere).tangents for _ in range(3))
+        monkeypatch.setattr(module, "_TOGETHER", 1 << 30)
+        whole = extract_mesh(sphere).tangents
+    finally:
+        bpy.data.objects.remove(sphere)
+    assert len(first) > 30_000
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(first, third)
+    np.testing.assert_array_equal(first[..., 3], whole[..., 3])
+    # But for a few corners of triangles without area at the poles, whose tangents are borrowed from neighbours.
+    assert np.isclose(first, whole, atol=2e-4).mean() > 0.9999
