@@ -463,8 +463,6 @@ def test_drawing_leaves_the_drawing_state_as_it_was():
 
 
 def test_tangents_of_a_large_mesh_are_the_same_every_time_and_those_of_the_whole(monkeypatch):
-    import bpy
-
     from irpso_addon.geometry import mesh as module
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=160, ring_count=120)
