@@ -34,6 +34,7 @@ from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
+from ..solver.checkpoint import entry_of
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
@@ -190,6 +191,8 @@ def check(options: Namespace, opened: bool) -> Job:
         raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
     if options.resume and not (folder / CHECKPOINT).is_file():
         raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
+    if options.resume and options.entry == "auto":
+        options.entry = entry_of(folder / CHECKPOINT) or "auto"
     subject, mesh, name = _subject(options, opened)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     extras = Extras(normals_of_text("--normals", options.normals), options.height, options.displacement)

@@ -11,6 +11,7 @@ from pathlib import Path
 from ..errors import GpuUnavailableError
 from .output import caught_output
 
+_SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")
 _ready = False
 
 
@@ -56,6 +57,11 @@ def describe() -> dict[str, str | int]:
         "max_texture_size": max_texture_size(),
         "max_texture_layers": gpu.capabilities.max_texture_layers_get(),
     }
+
+
+def is_software(renderer: str) -> bool:
+    """Return whether the renderer of that name is a program on the host's own processor and memory."""
+    return any(name in renderer.lower() for name in _SOFTWARE)
 
 
 def max_texture_size() -> int:

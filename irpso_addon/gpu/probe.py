@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -89,12 +90,18 @@ def check() -> dict[str, float]:
 @functools.cache
 def faster_entry() -> Entry:
     """Return "compute" where it is worth it on this device, else "fragment"."""
-    return chosen_entry(check())
+    return chosen_entry({**context.describe(), **check()})
 
 
-def chosen_entry(seconds: Mapping[str, float]) -> Entry:
-    """Return the entry that what ``check`` measured speaks for."""
-    return "compute" if seconds["fragment_seconds"] > COMPUTE_WORTHWHILE * seconds["compute_seconds"] else "fragment"
+def chosen_entry(found: Mapping[str, Any]) -> Entry:
+    """Return the entry that what ``probe`` found speaks for.
+
+    A software renderer runs both on the same cores: what it measures apart is noise, and so would be the choice.
+    """
+    if context.is_software(str(found["renderer"])):
+        return "fragment"
+    seconds = found["fragment_seconds"], found["compute_seconds"]
+    return "compute" if seconds[0] > COMPUTE_WORTHWHILE * seconds[1] else "fragment"
 
 
 def _run(entry: Entry) -> tuple[np.ndarray, float]:

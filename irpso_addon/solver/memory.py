@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from ..gpu.context import is_software
 
 ASSUMED_DEVICE = 4 << 30  # Blender tells no GPU's memory; less than this few GPUs have
 _SPARE = 0.8  # of what the machine has free: other programs want some, and arrays are not all that a process holds
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
-_SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")
 _MEMINFO = Path("/proc/meminfo")
 
 
@@ -60,10 +60,9 @@ def machine_memory(text: str | None, renderer: str) -> Memory:
     A software renderer's textures lie in the host's memory, which the two then share evenly.
     """
     given = parse_memory(text) if text else {}
-    software = any(name in renderer.lower() for name in _SOFTWARE)
     host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of what is free"
     device, device_from = ASSUMED_DEVICE, "assumed: no GPU tells; say with --memory device=…"
-    if software:
+    if is_software(renderer):
         host //= 2
         host_from = f"half of {host_from}"
         device, device_from = host, f"{host_from}: a software renderer"

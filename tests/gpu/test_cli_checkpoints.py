@@ -1,5 +1,6 @@
 """Runs that are killed, and checkpoints that cannot be written: nothing is lost but what came after the last one."""
 
+import json
 import random
 import signal
 import subprocess
@@ -60,6 +61,20 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_maps_bit_for_bit(
     for name, values in whole.items():
         np.testing.assert_array_equal(resumed[name], values)
     assert {path.name for path in out.iterdir()} == {path.name for path in (tmp_path / "whole").iterdir()}
+
+
+def test_a_run_goes_on_by_the_kind_of_pass_that_it_was_begun_with(capture, tmp_path):
+    out = tmp_path / "out"
+    run = start(capture, out, "--entry", "compute")
+    deadline = time.monotonic() + 100
+    while not (out / "checkpoint.npz").exists():
+        assert run.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    run.send_signal(signal.SIGKILL)
+    run.communicate()
+    code, answer, err = run_cli("recover", capture, *OPTIONS[:-2], "--json", "--resume", "-o", out)
+    assert (code, err) == (0, "")
+    assert json.loads((out / "report.json").read_text(encoding="utf-8"))["settings"]["entry"] == "compute"
 
 
 class FullDisk:

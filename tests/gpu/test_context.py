@@ -54,6 +54,14 @@ def test_the_probe_finds_the_context_of_this_process():
     assert found["fragment_seconds"] > 0 and found["compute_seconds"] > 0
 
 
+@pytest.mark.parametrize(
+    ("renderer", "entry"), [("llvmpipe (LLVM 19.1.7, 256 bits)", "fragment"), ("NVIDIA H200", "compute")]
+)
+def test_noise_does_not_choose_between_passes_that_run_on_the_same_cores(renderer, entry):
+    assert probe.chosen_entry({"renderer": renderer, "fragment_seconds": 3.0, "compute_seconds": 1.0}) == entry
+    assert probe.chosen_entry({"renderer": renderer, "fragment_seconds": 1.4, "compute_seconds": 1.0}) == "fragment"
+
+
 @pytest.mark.parametrize("facts", [{"module": False}, {}], ids=["since 4.3", "4.2"])
 def test_blender_itself_is_asked_where_python_runs_inside_it(facts, monkeypatch, tmp_path):
     assert not probe._inside_blender()
