@@ -50,6 +50,8 @@ def measure(quick: bool) -> dict[str, Any]:
                     (kind, ranks), {"kind": kind, "ranks": ranks, "texels": found["texels"], "runs": []}
                 )
                 row["runs"].append(found["seconds"]["solve"])
+                if ranks > 1:
+                    row |= {name: found["settings"][name] for name in ("messages", "bytes_sent")}
                 if kind == "strong":
                     reference = reference if reference is not None else maps
                     row["same"] = bool(row.get("same", True) and maps == reference)

@@ -211,6 +211,10 @@ class Member:
         """Return the names of all ranks' devices."""
         return self.ranks.all(str(context.describe()["renderer"]))
 
+    def sent(self) -> list[tuple[int, int]]:
+        """Return the messages and bytes that each rank has sent to others before iterations."""
+        return self.ranks.all(self.ranks.sent)
+
     def digest(self) -> int:
         """Return a number that tells the samples of all solved texels, however the domain is cut."""
         found = 0

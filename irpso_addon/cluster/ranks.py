@@ -34,6 +34,7 @@ class Ranks:
     """The processes of one job, of which this is number ``rank`` of ``size``; without MPI there is one alone.
 
     host: this machine's name. local, locals: this rank's number among those on its machine, and how many they are.
+    sent: messages and bytes that ``exchanged`` has sent so far.
     """
 
     def __init__(self, mpi: Any = None, world: Any = None):
@@ -43,6 +44,7 @@ class Ranks:
         self.host = socket.gethostname()
         here = self._world.Split_type(mpi.COMM_TYPE_SHARED) if mpi else None
         self.local, self.locals = (here.Get_rank(), here.Get_size()) if mpi else (0, 1)
+        self.sent = (0, 0)
 
     @property
     def leads(self) -> bool:
@@ -123,9 +125,9 @@ class Ranks:
             for rank, array in received.items()
             for part in _parts(array)
         ]
-        requests += [
-            self._world.Isend(part, dest=rank, tag=_STRIP) for rank, array in outgoing.items() for part in _parts(array)
-        ]
+        parts = [(rank, part) for rank, array in outgoing.items() for part in _parts(array)]
+        requests += [self._world.Isend(part, dest=rank, tag=_STRIP) for rank, part in parts]
+        self.sent = self.sent[0] + len(parts), self.sent[1] + sum(part.nbytes for _, part in parts)
         if requests:
             self._mpi.Request.Waitall(requests)
         return received

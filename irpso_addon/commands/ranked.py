@@ -145,7 +145,8 @@ def _led(crew: Crew, job: Job, options: Namespace) -> dict:
     with RankedRecovery(crew, kept, options.entry) as recovery:
         job.seconds["prepare"] = time.perf_counter() - started
         solved = solve(options, job, recovery)
-        solved.settings |= {"ranks": ranks.size}
+        messages, sent = zip(*crew.ask("sent"), strict=True)
+        solved.settings |= {"ranks": ranks.size, "messages": messages, "bytes_sent": sent}
         solved.warnings.extend(_unlike(crew.ask("renderers")))
     return finish(options, job, crew.domain, kept, lights, solved)
 

@@ -108,7 +108,9 @@ def test_a_mesh_with_seams_over_ranks_has_the_files_of_one_process(ball, tmp_pat
     assert code == 0, err
     assert files_of(tmp_path / "out") == files_of(tmp_path / "one")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["settings"]["ranks"] == 3 and told["texels"] == report["texels"]
+    settings = report["settings"]
+    assert settings["ranks"] == 3 and told["texels"] == report["texels"]
+    assert len(settings["messages"]) == len(settings["bytes_sent"]) == 3 and min(settings["bytes_sent"]) > 0
 
 
 def killed(command, variables, folder, victim):

@@ -3,6 +3,7 @@
 import sys
 from argparse import Namespace
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -196,3 +197,20 @@ def test_ranks_that_would_read_another_capture_or_hear_other_options_are_named(m
                 job.check_alike(ranks, Namespace(), None)
         else:
             job.check_alike(ranks, Namespace(), None)
+
+
+def test_what_is_sent_is_counted_message_by_message(monkeypatch):
+    monkeypatch.setattr("irpso_addon.cluster.ranks._LARGEST", 40)
+    here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
+    sent = []
+    world = SimpleNamespace(
+        **vars(here), Split_type=lambda kind: here, Irecv=lambda part, source, tag: None,
+        Isend=lambda part, dest, tag: sent.append((dest, bytes(part))),
+    )  # fmt: skip
+    mpi = SimpleNamespace(COMM_TYPE_SHARED=0, Request=SimpleNamespace(Waitall=lambda requests: None))
+    ranks = Ranks(mpi, world)
+    told = {1: np.arange(25, dtype=np.float32), 2: np.zeros((2, 3), np.float32)}
+    assert ranks.exchanged(told, {1: (4, 2)})[1].shape == (4, 2)
+    ranks.exchanged({1: np.zeros(1, np.float32)}, {})
+    assert [(rank, len(part)) for rank, part in sent] == [(1, 40), (1, 40), (1, 20), (2, 24), (1, 4)]
+    assert b"".join(part for rank, part in sent[:3]) == told[1].tobytes() and ranks.sent == (5, 128)
