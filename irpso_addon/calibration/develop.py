@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..capture.images import ImageRef, ImageStore
+from ..capture.steps import told_as
 from ..errors import InputError
 from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
@@ -137,12 +138,6 @@ def registration_steps(
     for camera in sorted({shot.camera for shot in shots}):
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
-        while True:
-            try:
-                part = next(steps)
-            except StopIteration as stop:
-                found = stop.value
-                break
-            yield 0.5 + 0.5 * (own[0] + part * len(own)) / count
+        found = yield from told_as(steps, lambda part, own=own: 0.5 + 0.5 * (own[0] + part * len(own)) / count)
         pixels[own], agreement[own], trusted[own] = found.pixels, found.agreement, found.trusted
     return pixels, agreement, trusted

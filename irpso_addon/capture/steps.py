@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import TypeVar
 
 T = TypeVar("T")
+Told = TypeVar("Told")
+Other = TypeVar("Other")
 
 
-def run_steps(steps: Generator[object, None, T]) -> T:
-    """Run steps to their end and return what they return."""
+def run_steps(steps: Generator[Told, None, T], each: Callable[[Told], object] = lambda told: None) -> T:
+    """Run steps to their end, call ``each`` with what every one yields, and return what they return."""
     while True:
         try:
-            next(steps)
+            told = next(steps)
         except StopIteration as stop:
             return stop.value
+        each(told)
+
+
+def told_as(steps: Generator[Told, None, T], tell: Callable[[Told], Other]) -> Generator[Other, None, T]:
+    """Yield for each step ``tell`` of what it yields, and return what the steps return."""
+    while True:
+        try:
+            told = next(steps)
+        except StopIteration as stop:
+            return stop.value
+        yield tell(told)

@@ -13,6 +13,7 @@ from ..calibration.job import Calibrated, ball_of_text, calibrate_steps, report_
 from ..calibration.lights import Request
 from ..calibration.photographs import camera_keys, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration
+from ..capture.steps import run_steps
 from ..errors import InputError
 from ..maps.blender_images import decode
 from .progress import ProgressBar
@@ -32,12 +33,7 @@ def run(options: Namespace) -> dict:
     request = Request(options.kind, options.lights, _positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", options.quiet or options.json)
     steps = calibrate_steps(draft, requests, request, decode, _positive("--radius", options.radius), options.view)
-    while True:
-        try:
-            bar.show(next(steps) / len(draft.shots), "reading")
-        except StopIteration as stop:
-            found = stop.value
-            break
+    found = run_steps(steps, lambda read: bar.show(read / len(draft.shots), "reading"))
     bar.show(1.0, "done")
     bar.close()
     write_calibration(found, out, keys)

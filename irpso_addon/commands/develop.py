@@ -21,6 +21,7 @@ from ..capture.exif import exposure_of
 from ..capture.exr import write_exr
 from ..capture.headers import read_bytes
 from ..capture.images import ImageRef, ImageStore
+from ..capture.steps import run_steps
 from ..capture.write import write_capture
 from ..errors import InputError
 from ..files import new_folder
@@ -180,12 +181,7 @@ class _Work:
         capture = self.source.capture
         masks = capture.masks if capture else [np.ones(shots[0].size[::-1], bool)]
         steps = registration_steps(self.store, shots, masks, self.corrections, names.index(wanted) if wanted else 0)
-        while True:
-            try:
-                self.bar.show(0.5 * next(steps), "looking for shifts")
-            except StopIteration as stop:
-                self.shifts = stop.value
-                break
+        self.shifts = run_steps(steps, lambda part: self.bar.show(0.5 * part, "looking for shifts"))
         if not self.shifts[2].any():
             self.warnings.append(
                 f"{self.options.capture}: its images do not agree well enough to be registered (no texture, a shiny"

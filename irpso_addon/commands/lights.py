@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from ..capture.steps import run_steps
 from ..capture.types import Capture
 from ..geometry.domain import Domain, subset
 from ..maps.result import Maps
@@ -35,10 +36,7 @@ def found_lights(
     )  # fmt: skip
     bar = ProgressBar("lights", options.quiet or options.json)
     try:
-        while True:
-            bar.show(next(steps), "recovering a sample of the texels under them")
-    except StopIteration as stop:
-        return stop.value
+        return run_steps(steps, lambda part: bar.show(part, "recovering a sample of the texels under them"))
     finally:
         bar.close()
 

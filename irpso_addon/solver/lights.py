@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..capture.steps import run_steps
+from ..capture.steps import run_steps, told_as
 from ..errors import InputError
 from ..geometry.domain import Domain, subset
 from ..reflectance.model import ReflectanceModel
@@ -249,7 +249,7 @@ class _Search:
                 self._intensities,
                 self._moving,
             )
-            self._step = yield from self._reported(stepping)
+            self._step = yield from told_as(stepping, lambda _: self._fraction(0.9))
             common = float(np.exp(np.log(self._factors).mean()))
             if self._intensities:
                 self._factors = normalised(self._factors * np.exp(self._step.gains)) * common
@@ -282,14 +282,6 @@ class _Search:
             return recovery.maps(confidence=False).values
         finally:
             recovery.close()
-
-    def _reported(self, stepping: Generator[None, None, LightStep]) -> Generator[float, None, LightStep]:
-        while True:
-            try:
-                next(stepping)
-            except StopIteration as stop:
-                return stop.value
-            yield self._fraction(0.9)
 
     def _fraction(self, part: float) -> float:
         """How far it is: of what is left, a round past the first ones most often takes half."""

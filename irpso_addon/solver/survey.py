@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.steps import run_steps
 from ..gpu import textures
 from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Kernel, Output, Pass
@@ -126,12 +127,7 @@ class RunningSurvey(Phase):
     def fitness(self) -> np.ndarray:
         """Return what ``measuring`` does, of what has been found so far, at once."""
         self._inner.resolve()
-        work = self.measuring(Bands(), BACKGROUND_BAND_SECONDS)
-        while True:
-            try:
-                next(work)
-            except StopIteration as stop:
-                return stop.value
+        return run_steps(self.measuring(Bands(), BACKGROUND_BAND_SECONDS))
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""

@@ -12,6 +12,7 @@ from ..calibration.job import BallRequest, calibrate_steps
 from ..calibration.lights import Request
 from ..calibration.photographs import read_photographs, with_camera
 from ..calibration.write import write_calibration
+from ..capture.steps import run_steps
 from ..capture.table import TABLE
 from ..errors import InputError
 from ..maps.blender_images import decode
@@ -109,12 +110,7 @@ class LightsFromBall(bpy.types.Operator):
         if keys:
             draft = with_camera(draft, keys, "Field of View")
         steps = calibrate_steps(draft, [ball], Request(self.kind), decode)
-        while True:
-            try:
-                manager.progress_update(next(steps) / len(draft.shots))
-            except StopIteration as stop:
-                found = stop.value
-                break
+        found = run_steps(steps, lambda read: manager.progress_update(read / len(draft.shots)))
         table = free_table(source if source.is_dir() else source.parent)
         write_calibration(found, table, keys)
         return table, found.warnings

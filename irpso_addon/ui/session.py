@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from ..capture.steps import told_as
 from ..errors import InputError, IrpsoError
 from ..geometry.domain import Domain
 from ..gpu import context
@@ -269,8 +270,7 @@ class Session:
             self.domain = _loaded.domain
         else:
             _loaded = None  # two domains at once may be more than there is room for
-            loading = self.job.loading()
-            self.domain = yield from self._counted(loading)
+            self.domain = yield from told_as(self.job.loading(), self._count_image)
             if key is not None:
                 _loaded = _Loaded(key, self.domain)
         self.state = "preparing"
@@ -288,14 +288,11 @@ class Session:
             self.display = Display(self.recovery, self.job.known)
         self.state = "running"
 
-    def _counted(self, loading: Generator[None, None, Domain]) -> Generator[None, None, Domain]:
-        while True:
-            try:
-                next(loading)
-            except StopIteration as stop:
-                return stop.value
-            self._read += 1
-            yield
+    def _count_image(self, _: None) -> None:
+        self._read += 1
+
+    def _note_lit(self, part: float) -> None:
+        self._lit = part
 
     def _lighting(self) -> Generator[None, None, Lights]:
         """Return the lights that are found, or were found for the same settings before."""
@@ -305,16 +302,11 @@ class Session:
         if kept is not None and kept.lights is not None and kept.wish == wish:
             return kept.lights
         sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.arange(self.domain.observations)))
-        steps = job.lighting(self.domain, sample)
-        while True:
-            try:
-                self._lit = next(steps)
-            except StopIteration as stop:
-                self._lit = 0.0
-                if kept is not None:
-                    kept.wish, kept.lights = wish, stop.value
-                return stop.value
-            yield
+        found = yield from told_as(job.lighting(self.domain, sample), self._note_lit)
+        self._lit = 0.0
+        if kept is not None:
+            kept.wish, kept.lights = wish, found
+        return found
 
     def _prepared(self) -> Generator[None, None, Prepared]:
         """Return what the numpy part finds, or found for the same settings before."""
