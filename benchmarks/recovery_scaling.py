@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,11 @@ from benchmarks import report
 from benchmarks.killed import write_card
 from benchmarks.swarm_scaling import NETWORKS, Network, binding, launcher, rank_environment
 
-_TEXELS, _LIGHTS, _ITERATIONS, _REPEATS = (192, 256), 24, 60, 3
+_TEXELS, _LIGHTS, _REPEATS = (192, 256), 24, 3
 _RANKS = (1, 2, 4)
-_MODEL, _PRESET = "principled", "swarm"
+_MODEL = "principled"
+# Iterations of every stage: one that talks a few times in its whole run, and the paper's, which does in each iteration.
+_PRESETS = {"swarm": 60, "paper": 25}
 _LARGE = 4096  # texels along a side of the domain that is modelled
 _MODELLED = tuple(2**n for n in range(11))
 
@@ -36,35 +39,35 @@ def measure(quick: bool) -> dict[str, Any]:
     folder = report.CACHE / "recovery_scaling"
     shutil.rmtree(folder, ignore_errors=True)
     height, width = (24, 32) if quick else _TEXELS
-    iterations, repeats = (5, 1) if quick else (_ITERATIONS, _REPEATS)
+    presets, repeats = (dict.fromkeys(_PRESETS, 5), 1) if quick else (_PRESETS, _REPEATS)
     sizes = {ranks: (height, width * ranks) for ranks in _RANKS}
     captures = {shape: write_card(folder / f"{shape[1]}", shape, _LIGHTS) for shape in sizes.values()}
-    rows: dict[tuple[str, int], dict[str, Any]] = {}
-    reference = None
+    rows: dict[tuple[str, str, int], dict[str, Any]] = {}
+    references: dict[str, bytes] = {}
     for repeat in range(repeats):
-        for kind in ("strong", "weak"):
+        for preset, kind in (("swarm", "strong"), ("swarm", "weak"), ("paper", "strong")):
             for ranks in _RANKS:
                 shape = sizes[1] if kind == "strong" else sizes[ranks]
-                found, maps = _recover(captures[shape], folder / "out", ranks, iterations)
+                found, maps = _recover(captures[shape], folder / "out", ranks, preset, presets[preset])
                 row = rows.setdefault(
-                    (kind, ranks), {"kind": kind, "ranks": ranks, "texels": found["texels"], "runs": []}
+                    (preset, kind, ranks),
+                    {"preset": preset, "kind": kind, "ranks": ranks, "texels": found["texels"], "runs": []},
                 )
                 row["runs"].append(found["seconds"]["solve"])
                 if ranks > 1:
                     row |= {name: found["settings"][name] for name in ("messages", "bytes_sent")}
                 if kind == "strong":
-                    reference = reference if reference is not None else maps
-                    row["same"] = bool(row.get("same", True) and maps == reference)
+                    row["same"] = bool(row.get("same", True) and maps == references.setdefault(preset, maps))
         report.say(f"turn {repeat + 1} of {repeats}")
-    return {"rows": list(rows.values()), "cores": os.cpu_count() or 1, "iterations": iterations}
+    return {"rows": list(rows.values()), "cores": os.cpu_count() or 1, "presets": presets, "shape": [height, width]}
 
 
-def _recover(capture: Path, out: Path, ranks: int, iterations: int) -> tuple[dict[str, Any], bytes]:
+def _recover(capture: Path, out: Path, ranks: int, preset: str, iterations: int) -> tuple[dict[str, Any], bytes]:
     """Return the report of a run on so many ranks, and the bytes of its maps."""
     shutil.rmtree(out, ignore_errors=True)
     command = [
         launcher(), "-n", ranks, *binding(ranks, 1), sys.executable, "-m", "irpso_addon", "recover", capture, "--model",
-        _MODEL, "--preset", _PRESET, "--iterations", iterations, "--entry", "fragment", "-o", out, "--quiet",
+        _MODEL, "--preset", preset, "--iterations", iterations, "--entry", "fragment", "-o", out, "--quiet",
     ]  # fmt: skip
     words = [str(word) for word in command]
     subprocess.run(words, cwd=report.ROOT, env=rank_environment(1), check=True, capture_output=True)
@@ -72,31 +75,49 @@ def _recover(capture: Path, out: Path, ranks: int, iterations: int) -> tuple[dic
     return json.loads((out / "report.json").read_text(encoding="utf-8")), maps
 
 
-def modelled(seconds: float, ranks: int, network: Network) -> tuple[float, int]:
-    """Return the seconds for a large card on so many ranks, and the bytes a rank sends in an exchange.
+@dataclass(frozen=True)
+class Traffic:
+    """What the rank that sends most does: texels that it has, messages and bytes that it sends in the whole run."""
 
-    seconds: of one rank. The ranks' texels are as uneven as they are divided; every exchange sends what the phase reads
-    to each of up to eight neighbours and waits for as much.
+    texels: int
+    messages: int
+    size: int
+
+
+def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) -> Traffic:
+    """Return what the model has ranks send of a domain of (H, W) texels.
+
+    Each exchange of a stage tells every rank that looks into this one's box the bests of the texels it looks at.
     """
     from irpso_addon.cluster.split import split
     from irpso_addon.reflectance.model import load_model
-    from irpso_addon.solver.need import recovery_need
+    from irpso_addon.solver.need import phase_need, recovery_need
+    from irpso_addon.solver.resolve import resolve
     from irpso_addon.solver.schedule import load_schedule
 
-    schedule = load_schedule(_PRESET).replaced(iterations=_ITERATIONS)
-    need = recovery_need(load_model(_MODEL), schedule, (), _LIGHTS)
-    found = split(np.ones((_LARGE, _LARGE), bool), need, ranks)
-    most = max(found.tiles, key=lambda tile: tile.texels)
-    cells = (
-        (most.width + 2 * need.reach) * (most.height + 2 * need.reach) - most.width * most.height if ranks > 1 else 0
-    )
-    sent = cells * _NUMBERS * 4
-    neighbours = min(8, ranks - 1)
-    exchange = 2 * neighbours * network.latency + 2 * sent / network.bandwidth
-    return seconds * most.texels / _LARGE**2 + need.exchanges * exchange, sent
+    schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
+    found = split(np.ones(shape, bool), recovery_need(model, schedule, (), _LIGHTS), ranks)
+    messages, size = np.zeros(len(found.tiles), int), np.zeros(len(found.tiles), int)
+    for stage in resolve(schedule, model, set(), _LIGHTS):
+        need, numbers = phase_need(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
+        told, cells = _rims(np.array(found.boxes[: len(found.tiles)]), need.reach)
+        messages += need.exchanges * told
+        size += need.exchanges * cells * numbers * 4
+    return Traffic(max(tile.texels for tile in found.tiles), int(messages.max()), int(size.max()))
 
 
-_NUMBERS = 8  # a texel's best in the search: at most eight
+def _rims(boxes: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return of (N, 4) boxes by how many others each is looked into, and at how many of its texels all in all."""
+    start, end = boxes[:, None, :2], boxes[:, None, :2] + boxes[:, None, 2:]
+    shared = np.minimum(end, end.swapaxes(0, 1) + reach) - np.maximum(start, start.swapaxes(0, 1) - reach)
+    cells = np.clip(shared, 0, None).prod(axis=-1)
+    np.fill_diagonal(cells, 0)
+    return np.count_nonzero(cells, axis=1), cells.sum(axis=1)
+
+
+def modelled(seconds: float, sent: Traffic, network: Network) -> float:
+    """Return the seconds of ranks on another network. seconds: of one rank's work on a texel."""
+    return seconds * sent.texels + 2 * sent.messages * network.latency + 2 * sent.size / network.bandwidth
 
 
 def _median(row: dict[str, Any]) -> float:
@@ -105,50 +126,69 @@ def _median(row: dict[str, Any]) -> float:
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Draw the model and return the page's lines."""
+    height, width = data["shape"]
+    stages = ", ".join(f"`{name}` with {count} iterations a stage" for name, count in data["presets"].items())
     lines = [
-        f"`mpirun -n N python -m irpso_addon recover`, a card of {_TEXELS[1]} × {_TEXELS[0]} texels under {_LIGHTS}"
-        f" lights, preset `{_PRESET}`, {data['iterations']} iterations, one thread a rank, the median of several runs"
-        f" in turns, on {data['cores']} cores. Weak: as many times the texels as ranks. How:"
+        f"`mpirun -n N python -m irpso_addon recover`, a card of {width} × {height} texels under {_LIGHTS} lights,"
+        f" model `{_MODEL}`, presets {stages}; one thread a rank, every rank bound to a core as far as there are cores"
+        " (`--map-by slot:PE=1 --bind-to core`), the median of several runs in turns, on"
+        f" {data['cores']} cores. Weak: as many times the texels as ranks. Sent: by the rank that sends most, in the"
+        " whole run, counted, and in brackets as the model below has it. How:"
         " [recovery_scaling.py](../../benchmarks/recovery_scaling.py).",
         "",
     ]
-    for kind in ("strong", "weak"):
-        rows = [row for row in data["rows"] if row["kind"] == kind]
+    for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in data["rows"]):
+        rows = [row for row in data["rows"] if (row["preset"], row["kind"]) == (preset, kind)]
         alone = _median(rows[0])
-        cells = []
-        for row in rows:
-            speedup = alone / _median(row) * (1 if kind == "strong" else row["ranks"])
-            note = "more ranks than cores" if row["ranks"] > data["cores"] else ""
-            same = {True: "yes", False: "NO"}.get(row.get("same"), "–")
-            cells.append([row["ranks"], row["texels"], f"{_median(row):.2f}", f"{speedup:.2f}",
-                          f"{speedup / row['ranks']:.0%}", same, note])  # fmt: skip
-        header = ("ranks", "texels", "s", "speed-up", "efficiency", "same maps", "")
-        lines += [f"## {kind.capitalize()} scaling", "", *report.table(header, cells)]
+        header = ("ranks", "texels", "s", "speed-up", "efficiency", "same maps", "messages sent", "KiB sent", "")
+        cells = [_cells(row, alone, data) for row in rows]
+        lines += [f"## {kind.capitalize()} scaling, `{preset}`", "", *report.table(header, cells)]
     return [*lines, *_model_lines(data, folder)]
 
 
+def _cells(row: dict[str, Any], alone: float, data: dict[str, Any]) -> list[Any]:
+    ranks, (height, width) = row["ranks"], data["shape"]
+    speedup = alone / _median(row) * (1 if row["kind"] == "strong" else ranks)
+    sent = ["–", "–"]
+    if ranks > 1:
+        wide = width if row["kind"] == "strong" else width * ranks
+        model = traffic((height, wide), ranks, row["preset"], data["presets"][row["preset"]])
+        kib = max(row["bytes_sent"]) / 1024, model.size / 1024
+        sent = [f"{max(row['messages'])} ({model.messages})", f"{kib[0]:.1f} ({kib[1]:.1f})"]
+    same = {True: "yes", False: "NO"}.get(row.get("same"), "–")
+    note = "more ranks than cores" if ranks > data["cores"] else ""
+    return [ranks, row["texels"], f"{_median(row):.2f}", f"{speedup:.2f}", f"{speedup / ranks:.0%}", same, *sent, note]
+
+
 def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
-    alone = next(row for row in data["rows"] if (row["kind"], row["ranks"]) == ("strong", 1))
-    seconds = _median(alone) / alone["texels"] * _LARGE**2
-    with report.plot(folder, PROGRAM.name, f"A card of {_LARGE}², modelled") as axes:
-        for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
-            times = [modelled(seconds, ranks, network)[0] for ranks in _MODELLED]
-            efficiency = [seconds / t / p for t, p in zip(times, _MODELLED, strict=True)]
-            axes[0, 0].plot(_MODELLED, efficiency, color=colour, label=network.name)
-        axes[0, 0].set_xscale("log", base=2)
-        axes[0, 0].set(xlabel="ranks", ylabel="efficiency", ylim=(0, 1.05))
+    words = []
+    with report.plot(folder, PROGRAM.name, f"A card of {_LARGE}², modelled", len(data["presets"])) as axes:
+        for axis, (preset, iterations) in zip(axes[0], data["presets"].items(), strict=True):
+            alone = next(row for row in data["rows"] if row["preset"] == preset and row["ranks"] == 1)
+            seconds = _median(alone) / alone["texels"]
+            sent = [traffic((_LARGE, _LARGE), ranks, preset, iterations) for ranks in _MODELLED]
+            for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
+                times = [modelled(seconds, one, network) for one in sent]
+                efficiency = [seconds * _LARGE**2 / t / p for t, p in zip(times, _MODELLED, strict=True)]
+                axis.plot(_MODELLED, efficiency, color=colour, label=network.name)
+            axis.set_xscale("log", base=2)
+            axis.set(title=preset, xlabel="ranks", ylabel="efficiency", ylim=(0, 1.05))
+            words.append(
+                f"`{preset}` on {_MODELLED[-1]} ranks: {sent[-1].messages} messages and {sent[-1].size / 1024:.0f} KiB"
+                f" a rank, {modelled(seconds, sent[-1], NETWORKS[-1]):.1f} s instead of"
+                f" {seconds * _LARGE**2 / 3600:.1f} h"
+            )
         axes[0, 0].legend(fontsize=7)
-    last = modelled(seconds, _MODELLED[-1], NETWORKS[-1])
     networks = "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
     return [
         f"## A model of a card of {_LARGE}²",
         "",
-        f"**Not measured.** The seconds of one rank above, for as many texels as the fullest of p boxes has, and for"
-        " each iteration that reads neighbours a message to and from up to eight of them, of"
-        f" {_NUMBERS} numbers a texel of the halo (on {_MODELLED[-1]} ranks {last[1] / 1024:.0f} KiB in all,"
-        f" {last[0]:.1f} s in the whole run); {networks}. It leaves out reading and gathering, ranks that"
-        " differ in speed, and that reading a halo back from a GPU costs time of its own; there it"
-        " breaks first, since an iteration over a few thousand texels takes a GPU under a millisecond.",
+        "**Not measured.** The seconds of one rank above, for as many texels as the fullest of p boxes has; before each"
+        " iteration that reads neighbours a message to and from every rank whose texels are looked at, one after the"
+        f" other ({networks}). {'; '.join(words)}. It leaves out reading and gathering, ranks that differ in speed"
+        " (each exchange waits for the slowest), ranks that share a network card, and that reading a halo back from a GPU"
+        " costs time of its own; there it breaks first, since an iteration over a few thousand texels takes a GPU under"
+        " a millisecond.",
         "",
         *report.image(PROGRAM.name, "efficiency against ranks"),
     ]
@@ -156,7 +196,7 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
 
 def headline(data: dict[str, Any]) -> str:
     """Return what the index says."""
-    rows = {row["ranks"]: _median(row) for row in data["rows"] if row["kind"] == "strong"}
+    rows = {row["ranks"]: _median(row) for row in data["rows"] if (row["preset"], row["kind"]) == ("swarm", "strong")}
     return f"two ranks at {rows[1] / rows[2] / 2:.0%}, the same maps bit for bit"
 
 
