@@ -187,8 +187,8 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
         " iteration that reads neighbours a message to and from every rank whose texels are looked at, one after the"
         f" other ({networks}). {'; '.join(words)}. It leaves out reading and gathering, ranks that differ in speed"
         " (each exchange waits for the slowest), ranks that share a network card, and that reading a halo back from a"
-        " GPU costs time of its own; there it breaks first, since an iteration over a few thousand texels takes a GPU under"
-        " a millisecond.",
+        " GPU costs time of its own; there it breaks first, since an iteration over a few thousand texels takes a GPU"
+        " under a millisecond.",
         "",
         *report.image(PROGRAM.name, "efficiency against ranks"),
     ]

@@ -129,6 +129,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--checkpoint-every", type=float, metavar="SECONDS", help="leave one in OUT now and then, for --resume"
     )
+    add.add_argument("--live", action="store_true", help="keep OUT/live.png, a picture of the maps so far")
     add.add_argument("--memory", metavar="SIZE", help="what may be used, as in 4G or device=4G,host=8G")
     add.add_argument("--dry-run", action="store_true", help="print the plan of tiles and memory, and do nothing")
     _add_solver(add)

@@ -19,7 +19,7 @@ def replacing_file(path: Path) -> Iterator[Path]:
 
     Raises InputError where the folder cannot be written to.
     """
-    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
+    partial = path.with_name(f"{_partial(path)}{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
@@ -29,6 +29,12 @@ def replacing_file(path: Path) -> Iterator[Path]:
     finally:
         if partial.exists():
             partial.unlink()
+
+
+def remove_partials(path: Path) -> None:
+    """Remove what killed processes have left half written of a file of the program's own."""
+    for left in path.parent.glob(f"{_partial(path)}*{path.suffix}"):
+        left.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -76,3 +82,7 @@ def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tup
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML: {error}") from error
+
+
+def _partial(path: Path) -> str:
+    return f".{path.stem}.partial-"

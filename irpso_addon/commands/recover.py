@@ -52,6 +52,7 @@ from ..solver.progress import Progress
 from ..solver.schedule import Schedule
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
+from .live import LIVE, LivePicture
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
 from .progress import unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
@@ -133,10 +134,12 @@ def run(options: Namespace, opened: bool = False) -> dict:
 
 def solve(options: Namespace, job: Job, recovery: AnyRecovery) -> Solved:
     """Run a recovery to its end, showing how far it is."""
-    history = History(recovery, job.truth)
+    live = LivePicture(job.folder / LIVE, recovery)
+    history = History(recovery, job.truth, live.show if options.live else None)
     saving = Saving(job.folder / CHECKPOINT, options.resume, options.checkpoint_every)
     job.seconds["solve"], unsaved = drive(recovery, history, saving, options.quiet or options.json)
-    return Solved(recovery.maps(), recovery.progress, history, {"entry": recovery.entry}, unsaved)
+    warnings = [*unsaved, *live.warnings]
+    return Solved(recovery.maps(), recovery.progress, history, {"entry": recovery.entry}, warnings)
 
 
 def finish(
@@ -163,7 +166,8 @@ def finish(
         report["height"] = height.described()
     write_maps(written, job.folder, report, pictures, extras)
     _write_material(written, job, job.subject, mesh, height if job.extras.displacement else None)
-    (job.folder / CHECKPOINT).unlink(missing_ok=True)
+    for name in (CHECKPOINT, LIVE):
+        (job.folder / name).unlink(missing_ok=True)
     if not options.quiet and not options.json:
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
     return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}

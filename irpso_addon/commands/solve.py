@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from ..files import remove_partials
 from ..solver.history import History
 from ..solver.planning import AnyRecovery
 from ..solver.tiled import TiledRecovery
@@ -77,8 +78,7 @@ class _Saver:
         self.turns = isinstance(recovery, TiledRecovery) and not recovery.resident
         self.warnings: list[str] = []
         self._last = time.perf_counter()
-        for left in saving.path.parent.glob(f".{saving.path.stem}.partial-*{saving.path.suffix}"):
-            left.unlink(missing_ok=True)
+        remove_partials(saving.path)
 
     def save(self) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""

@@ -1,4 +1,4 @@
-"""The pictures that go with a result: preview.png, convergence.png and the strip of a converging map."""
+"""The pictures that go with a result: preview.png, convergence.png, live.png and the strip of a converging map."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth"
     y = top
     for row, fit, height in zip(rows, cells, heights, strict=True):
         canvas.text_upward(_MARGIN + 6, y + height / 2, row.label, _HEADING)
-        maximum = row.maximum if row.maximum is not None else _default_maximum([row.error], row.covered)
+        maximum = row.maximum if row.maximum is not None else default_maximum([row.error], row.covered)
         error = false_color(row.error, maximum, row.covered)
         images = (_masked(row.reference, row.covered), _masked(row.recovered, row.covered), error)
         for column, image in enumerate(images):
@@ -135,6 +135,25 @@ def spread_marks(places: np.ndarray, count: int = 4) -> list[int]:
     return chosen
 
 
+def gallery(
+    heading: str, images: Sequence[np.ndarray], labels: Sequence[str], covered: np.ndarray | None = None
+) -> np.ndarray:
+    """Return (H, W, 3) display values: maps beside one another under a heading.
+
+    images: (H, W, 3) display values each. labels: one above each. covered: (H, W) bool.
+    """
+    fit = _fit(images[0].shape[:2])
+    height, width = _size(images[0].shape[:2], fit)
+    top = _MARGIN + 52
+    canvas = Canvas(2 * _MARGIN + len(images) * (width + _GAP) - _GAP, top + height + _MARGIN)
+    canvas.text(_MARGIN, _MARGIN + 10, heading, _HEADING)
+    for number, (image, label) in enumerate(zip(images, labels, strict=True)):
+        x = _MARGIN + number * (width + _GAP)
+        canvas.text(x + width / 2, top - 12, label, _LABEL, FAINT, 0.5)
+        canvas.image(x, top, _scaled(_masked(image, covered), fit))
+    return canvas.result()
+
+
 def strip(
     images: Sequence[np.ndarray],
     errors: Sequence[np.ndarray],
@@ -150,7 +169,7 @@ def strip(
     """
     fit = _fit(images[0].shape[:2])
     height, width = _size(images[0].shape[:2], fit)
-    maximum = maximum if maximum is not None else _default_maximum(list(errors[1:] or errors), covered)
+    maximum = maximum if maximum is not None else default_maximum(list(errors[1:] or errors), covered)
     top = _MARGIN + 26
     canvas = Canvas(_MARGIN + len(images) * (width + _GAP) + 86, top + 2 * height + _GAP + 40)
     for number, (image, error, label) in enumerate(zip(images, errors, labels, strict=True)):
@@ -248,7 +267,7 @@ def _linear_ticks(highest: float, about: int) -> list[float]:
     return [round(i * step, 12) for i in range(int(highest / step + 1e-9) + 1)]
 
 
-def _default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) -> float:
+def default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) -> float:
     """Return the 99th percentile of the errors, rounded up to a round number."""
     values = np.concatenate([np.ravel(e if covered is None else e[covered]) for e in errors])
     values = values[np.isfinite(values)]

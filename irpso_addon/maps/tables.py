@@ -14,7 +14,7 @@ from .result import Maps
 
 CHANNELS = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
-_RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip"}
+_RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip", "live"}
 
 
 @dataclass(frozen=True)

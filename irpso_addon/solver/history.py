@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -20,11 +20,17 @@ _LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as o
 class History:
     """Looks at a recovery about 40 times and keeps the errors of four texels.
 
-    truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white.
+    truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white. show: is
+    called with the maps of each look.
     """
 
-    def __init__(self, recovery: Recovery | Pyramid | TiledRecovery, truth: Mapping[str, np.ndarray] | None):
-        self._recovery, self._truth = recovery, truth
+    def __init__(
+        self,
+        recovery: Recovery | Pyramid | TiledRecovery,
+        truth: Mapping[str, np.ndarray] | None,
+        show: Callable[[Maps], None] | None = None,
+    ):
+        self._recovery, self._truth, self._show = recovery, truth, show
         rows, columns = np.nonzero(recovery.domain.solvable)
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
@@ -50,6 +56,8 @@ class History:
         self._iterations.append(progress.iteration_in_all)
         for name, error in self._errors_of(maps).items():
             self._errors.setdefault(name, []).append(error[self._rows, self._columns])
+        if self._show is not None:
+            self._show(maps)
 
     @property
     def notes(self) -> dict[str, np.ndarray]:

@@ -9,7 +9,8 @@ import numpy as np
 from ..capture.types import Capture
 from ..geometry.domain import Domain
 from ..maps.encode import srgb_from_linear
-from ..maps.pictures import PreviewRow, display_image, preview
+from ..maps.false_color import false_color
+from ..maps.pictures import PreviewRow, default_maximum, display_image, gallery, preview
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..maps.tables import map_tables
@@ -46,6 +47,19 @@ def relit_preview(
     return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, {"relighting_psnr_db": psnr}
 
 
+def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
+    """Return (H, W, 3) display values: every map of an unfinished recovery, then its residual in false colours."""
+    images, labels = [], []
+    for table in map_tables(maps.model):
+        images.append(display_image(table.parameters, [maps.values[p.name] for p in table.parameters]))
+        labels.append(_title(table.name))
+    residual = 100 * maps.residual
+    maximum = default_maximum([residual], maps.covered)
+    images.append(false_color(residual, maximum, maps.covered))
+    labels.append(f"Residual (red: {maximum:g} %)")
+    return gallery(heading, images, labels, maps.covered)
+
+
 def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -> list[PreviewRow]:
     """Return a row for each map that the truth holds."""
     rows = []
@@ -56,9 +70,8 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
         reference = display_image(table.parameters, [truth[name] for name in names])
         recovered = display_image(table.parameters, [maps.values[name] for name in names])
         errors = [parameter_error(p, maps.values[p.name], truth[p.name]) for p in table.parameters]
-        label = table.name.replace("_", " ").capitalize()
         unit = error_unit(table.parameters[0])
-        rows.append(PreviewRow(label, reference, recovered, np.mean(errors, axis=0), unit, covered))
+        rows.append(PreviewRow(_title(table.name), reference, recovered, np.mean(errors, axis=0), unit, covered))
     return rows
 
 
@@ -75,6 +88,10 @@ def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: 
         error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
         rows.append(PreviewRow(label, *images, error, "%", maps.covered & weight))
     return rows
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize()
 
 
 def image_psnr(row: PreviewRow) -> float:

@@ -16,6 +16,7 @@ import pytest
 
 from irpso_addon.capture.exr import write_exr
 from irpso_addon.gpu import probe
+from irpso_addon.maps import blender_images
 from tests import cli_maker
 from tests.cli_maker import MODELS, angle, read_map, run_cli
 
@@ -256,6 +257,45 @@ def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered,
     assert names == {path.name for path in (tmp_path / "whole").iterdir()}
     for name in names - {"report.json", "material.blend"}:
         assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import live
+
+    _, out, _ = recovered("lambert")
+    folder, seen = tmp_path / "out", []
+    show = live.LivePicture.show
+
+    def shown(self, maps):
+        show(self, maps)
+        seen.append(blender_images.decode(folder / "live.png").values[..., :3])
+
+    monkeypatch.setattr(live.LivePicture, "show", shown)
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 120, "--json", "-o", folder]
+    assert run_cli(*options, "--live")[0] == 0
+    assert len(seen) >= 40 and not (folder / "live.png").exists()
+    # Base colour, normal and residual side by side, whose texels have become what the finished maps hold.
+    found = blender_images.decode(folder / "base_color.png").values[..., :3]
+    assert seen[0].shape == seen[-1].shape and seen[0].shape[1] > 3 * found.shape[1]
+    assert np.abs(seen[-1] - seen[0]).max() > 0.1
+    colours = {tuple(np.rint(255 * c)) for c in found.reshape(-1, 3)}
+    shown_colours = {tuple(np.rint(255 * c)) for c in seen[-1].reshape(-1, 3)}
+    assert len(colours & shown_colours) > 0.9 * len(colours)
+
+
+def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import live
+    from irpso_addon.errors import InputError
+
+    def full(path, *_, **__):
+        raise InputError(f"{path}: cannot be written (No space left on device); choose another place")
+
+    monkeypatch.setattr(live, "encode_png", full)
+    _, out, _ = recovered("lambert")
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 40, "--json"]
+    code, answer, err = run_cli(*options, "--live", "-o", tmp_path / "out")
+    assert code == 0 and err.count("live.png: cannot be written") == 1
+    assert sum("live.png" in text for text in json.loads(answer.splitlines()[-1])["warnings"]) == 1
 
 
 def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_path, monkeypatch):

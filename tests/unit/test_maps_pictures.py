@@ -8,7 +8,16 @@ import pytest
 from irpso_addon.maps import lettering
 from irpso_addon.maps.canvas import Canvas
 from irpso_addon.maps.false_color import UNCOVERED, false_color
-from irpso_addon.maps.pictures import MARK_COLORS, Curves, PreviewRow, convergence, display_image, preview, strip
+from irpso_addon.maps.pictures import (
+    MARK_COLORS,
+    Curves,
+    PreviewRow,
+    convergence,
+    display_image,
+    gallery,
+    preview,
+    strip,
+)
 from irpso_addon.reflectance.model import Parameter
 
 
@@ -99,6 +108,22 @@ def test_large_maps_are_reduced_by_averaging():
     picture = preview([PreviewRow("Row", image, image, np.zeros((1200, 700)))])
     assert picture.shape[0] < 800
     assert (np.abs(picture - 1 / 3).max(-1) < 1e-3).sum() > 100_000
+
+
+def test_a_gallery_shows_every_map_upright_beside_the_others_and_what_is_not_covered_apart():
+    red, ramp = np.zeros((30, 40, 3), np.float32), np.zeros((30, 40, 3), np.float32)
+    red[..., 0] = 1
+    ramp[-5:] = 1  # the upper edge: row 0 is at the bottom
+    covered = np.ones((30, 40), bool)
+    covered[:, :10] = False
+    picture = gallery("50 %", [red, ramp], ["Base color", "Normal"], covered)
+    reds = (picture == (1, 0, 0)).all(axis=-1)
+    scale = round((reds.sum() / covered.sum()) ** 0.5)
+    assert scale > 1 and reds.sum() == covered.sum() * scale**2
+    rows, columns = np.nonzero((picture == 1).all(axis=-1))
+    low, high = np.nonzero(reds.any(axis=1))[0][[0, -1]]
+    assert rows.min() >= high + 1 - 5 * scale and rows.max() == high and low < rows.min()
+    assert columns.min() > np.nonzero(reds.any(axis=0))[0].max()
 
 
 def test_convergence_marks_texels_counted_from_the_lower_left_and_draws_a_curve_for_each():

@@ -1,0 +1,39 @@
+"""``recover --live``: a picture of the maps so far, while they are being found."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from ..errors import InputError
+from ..files import remove_partials
+from ..maps.blender_images import encode_png
+from ..maps.result import Maps
+from ..solver.pictures import maps_so_far
+from ..solver.planning import AnyRecovery
+
+LIVE = "live.png"
+
+
+class LivePicture:
+    """Keeps a picture of a recovery's maps in a file; what stops that does not stop the run.
+
+    warnings: that it could not be written, if so.
+    """
+
+    def __init__(self, path: Path, recovery: AnyRecovery):
+        self._path, self._recovery = path, recovery
+        self.warnings: list[str] = []
+        remove_partials(path)
+
+    def show(self, maps: Maps) -> None:
+        """Replace the picture."""
+        progress = self._recovery.progress
+        stage = "" if progress.done else f"stage {progress.title}, "
+        heading = f"{100 * progress.fraction:.0f} %, {stage}iteration {progress.iteration_in_all}"
+        try:
+            encode_png(self._path, maps_so_far(maps, heading), bits=8)
+        except InputError as error:
+            if not self.warnings:
+                self.warnings.append(f"no picture of the maps so far: {error}")
+                sys.stderr.write(f"irpso: warning: {self.warnings[0]}\n")
