@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import tomllib
 from collections.abc import Iterator
@@ -37,14 +39,25 @@ def remove_partials(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
+def check_unused(path: Path, remedy: str = "choose a new folder or delete it first") -> None:
+    """Raise InputError unless a folder can be made at ``path``: nothing is there, or an empty folder."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path}: is there already and not empty; {remedy}")
+
+
+def write_json(path: Path, table: dict[str, Any]) -> None:
+    """Write plain data as JSON, whole or not at all. Raises InputError where it cannot be written."""
+    with replacing_file(path) as partial:
+        partial.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``path``, renamed to it at the end, or deleted where an exception is raised.
 
     Raises InputError where ``path`` is there already and is not an empty folder, or cannot be made.
     """
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"{path}: is there already and not empty; choose a new folder or delete it first")
+    check_unused(path)
     partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
         partial.mkdir(parents=True)
@@ -56,6 +69,11 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def natural(name: str | Path) -> list[int | str]:
+    """Return a key that sorts names and paths as people count: "light 2" before "light 10"."""
+    return [int(word) if word.isdecimal() else word.lower() for word in re.split(r"(\d+)", str(name))]
 
 
 def shipped_names(folder: Path) -> list[str]:

@@ -17,6 +17,7 @@ from irpso_addon.geometry.scene import camera_from_object
 
 from . import render
 from .lights import dome_lights
+from .textured import opaque
 
 DISTANCE = 6.0  # of the cameras from the subject's middle
 NEAR = 3.0  # of the near lights: a face is 1.2 wide, so light falls on it unevenly
@@ -87,14 +88,10 @@ def write(folder: Path, name: str, found: list[Shot], every: int, view: render.V
         for at in range(number % every, len(shot.lights), every):
             vector = shot.lights[at]
             light = Light(tuple(map(float, vector)), (float(vector @ vector),) * 3, distant=not shot.near)
-            read = partial(_opaque, radiances[at])
+            read = partial(opaque, radiances[at])
             observations.append(Observation(f"view {number}, light {at}", read, light, number))
     write_capture(Capture(name, tuple(observations), tuple(cameras), tuple(masks)), target, half=True)
     return target
-
-
-def _opaque(image: np.ndarray) -> np.ndarray:
-    return np.concatenate([image, np.ones((*image.shape[:2], 1), np.float32)], axis=-1)
 
 
 def _direction(right: float, up: float) -> np.ndarray:

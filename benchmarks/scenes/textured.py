@@ -105,7 +105,7 @@ def photograph(
     if not (folder / CAPTURE).exists():
         camera = camera_from_object(bpy.context.scene.camera, view.width, view.height)
         shots = tuple(
-            Observation(f"light {n}", partial(_opaque, image), Light(tuple(map(float, direction))))
+            Observation(f"light {n}", partial(opaque, image), Light(tuple(map(float, direction))))
             for n, (image, direction) in enumerate(zip(radiances, directions, strict=True))
         )
         write_capture(Capture(folder.name, shots, (camera,), (mask,)), folder / CAPTURE)
@@ -149,7 +149,8 @@ def _texture(nodes, name: str, values: np.ndarray):
     return node
 
 
-def _opaque(image: np.ndarray) -> np.ndarray:
+def opaque(image: np.ndarray) -> np.ndarray:
+    """Return (H, W, 4) of colours (H, W, 3): every pixel counts."""
     return np.concatenate([image, np.ones((*image.shape[:2], 1), np.float32)], axis=-1)
 
 

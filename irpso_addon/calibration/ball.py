@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,9 +85,7 @@ def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def to_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return pixel coordinates (…, 2) of points (…, 3) in the camera's axes."""
-    local = Camera(camera.width, camera.height, camera.scale, camera.centre, np.eye(4), camera.perspective,
-                   camera.distortion)  # fmt: skip
-    return local.project(points)[0]
+    return replace(camera, matrix=np.eye(4)).project(points)[0]
 
 
 def outline_of_mask(mask: np.ndarray) -> np.ndarray:

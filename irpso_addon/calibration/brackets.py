@@ -12,6 +12,7 @@ import numpy as np
 from ..capture.exif import exposure_of
 from ..capture.headers import read_bytes
 from ..errors import InputError
+from ..files import natural
 from .frames import SAME_STOPS
 
 _NUMBER = r"\d+(?:\.\d+)?"
@@ -144,9 +145,3 @@ def _bracket(name: str, group: list[tuple[Path, float]]) -> Bracket:
             raise InputError(f"{b}: has the exposure of {a} of the same bracket; take one of them out")
     paths = tuple(path for path, _ in group)
     return Bracket(name or paths[0].stem, paths, tuple(amount for _, amount in group))
-
-
-def natural(path: Path) -> list:
-    """Return a key that sorts paths as people count: 9 before 10."""
-    parts = re.split(r"(\d+)", str(path))
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in parts if part]

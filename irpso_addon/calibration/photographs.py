@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ from ..capture.images import ImageRef, find_image
 from ..capture.lists import read_lines
 from ..capture.problems import CaptureError
 from ..capture.toml_file import CAMERA_KEYS, camera_maker, known_keys, load_toml
+from ..capture.toml_text import toml_value
 from ..capture.types import Light
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
@@ -152,21 +152,8 @@ def relative_path(path: Path, folder: Path) -> str:
 def _lines(source: Mapping[str, Any]) -> Iterator[str]:
     for key, value in source.items():
         if key not in ("camera", "observation"):
-            yield f"{key} = {_value(value)}"
+            yield f"{key} = {toml_value(value)}"
     for kind in ("camera", "observation"):
         for row in source.get(kind, []):
             yield from ["", f"[[{kind}]]"]
-            yield from (f"{key} = {_value(value)}" for key, value in row.items())
-
-
-def _value(value: Any) -> str:
-    """Return a TOML value: what ``tomllib`` has read, or numbers of our own."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    return repr(value)
+            yield from (f"{key} = {toml_value(value)}" for key, value in row.items())

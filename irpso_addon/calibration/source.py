@@ -19,7 +19,8 @@ from ..capture.read import read_draft
 from ..capture.table import TABLE
 from ..capture.types import Capture
 from ..errors import InputError
-from .brackets import Bracket, amounts_of, brackets_of, name_amount, natural
+from ..files import natural
+from .brackets import Bracket, amounts_of, brackets_of, name_amount
 from .develop import Shot
 from .photographs import SUFFIXES
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..capture.diligent import DIRECTIONS, FILENAMES, INTENSITIES
 from ..capture.table import TABLE
 from ..errors import InputError
-from ..files import new_folder
+from ..files import check_unused, new_folder
 from ..maps.blender_images import encode_png
 from .job import Calibrated, report_text, written_table
 from .sheet import calibration_picture
@@ -26,8 +26,8 @@ def checked_output(out: Path) -> Path:
         for path in (out, _beside(out, _REPORT), _beside(out, _PICTURE)):
             if path.exists():
                 raise InputError(f"{path}: is there already; choose another name for -o, or delete it first")
-    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: is there already and not empty; choose a new folder, or a .toml file for -o")
+    else:
+        check_unused(out, "choose a new folder, or a .toml file for -o")
     return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from .camera import Camera
 from .exr import write_exr
 from .problems import CaptureError
 from .table import FORMAT, TABLE
+from .toml_text import toml_value
 from .types import Capture, Light
 
 _IMAGES = "images.exr"
@@ -52,7 +52,7 @@ def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:
 
 def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: bool) -> Iterator[str]:
     yield f"format = {FORMAT}"
-    yield f"name = {_quoted(capture.name)}"
+    yield f"name = {toml_value(capture.name)}"
     yield 'colour_space = "linear"'
     if single_file:
         yield f'image = "{_IMAGES}"'
@@ -64,19 +64,19 @@ def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: 
             yield f'mask = "mask_{n}.exr"'
     for stem, observation in zip(names, capture.observations, strict=True):
         light = observation.light
-        yield from ["", "[[observation]]", f"name = {_quoted(observation.name)}"]
+        yield from ["", "[[observation]]", f"name = {toml_value(observation.name)}"]
         yield f'part = "{stem}"' if single_file else f'image = "{stem}.exr"'
-        yield f"light_{'direction' if light.distant else 'position'} = {_list(light.vector)}"
-        yield f"light_intensity = {_list(light.intensity)}"
+        yield f"light_{'direction' if light.distant else 'position'} = {_numbers(light.vector)}"
+        yield f"light_intensity = {_numbers(light.intensity)}"
         yield from _emission(light)
         yield f'camera = "camera {observation.camera + 1}"'
 
 
 def _emission(light: Light) -> Iterator[str]:
     if light.axis is not None:
-        yield f"light_axis = {_list(light.axis)}"
+        yield f"light_axis = {_numbers(light.axis)}"
     if light.cone is not None:
-        yield f"light_cone_degrees = {_number(light.cone)}"
+        yield f"light_cone_degrees = {_numbers(light.cone)}"
     if light.cosine:
         yield "light_cosine = true"
 
@@ -85,28 +85,19 @@ def _camera(camera: Camera) -> Iterator[str]:
     yield f"width = {camera.width}"
     yield f"height = {camera.height}"
     yield "matrix = ["
-    yield from (f"    {', '.join(_number(v) for v in row)}," for row in camera.matrix)
+    yield from (f"    {', '.join(_numbers(v) for v in row)}," for row in camera.matrix)
     yield "]"
     if camera.perspective:
-        yield f"focal_length_px = {_list(camera.scale)}"
+        yield f"focal_length_px = {_numbers(camera.scale)}"
     else:
         if camera.scale[0] != camera.scale[1]:
             raise CaptureError("an orthographic camera with oblong pixels cannot be written; make its pixels square")
         yield "orthographic = true"
-        yield f"world_width = {_number(camera.width / camera.scale[0])}"
-    yield f"principal_point = {_list(camera.centre)}"
+        yield f"world_width = {_numbers(camera.width / camera.scale[0])}"
+    yield f"principal_point = {_numbers(camera.centre)}"
     if camera.distortion:
-        yield f"distortion = {_list(camera.distortion)}"
+        yield f"distortion = {_numbers(camera.distortion)}"
 
 
-def _number(value: float) -> str:
-    return repr(float(value))  # the shortest text that reads back as the same number
-
-
-def _list(values) -> str:
-    return f"[{', '.join(map(_number, values))}]"
-
-
-def _quoted(value: str) -> str:
-    # A JSON string is a TOML basic string, but for the one control character that JSON lets through.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _numbers(values) -> str:
+    return toml_value(np.asarray(values, np.float64))

@@ -14,11 +14,11 @@ from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from ..solver import prepare
 from ..solver.checkpoint import Checkpoint
+from ..solver.known import full_map
 from ..solver.light_sample import with_lights
 from ..solver.meetings import Box, own_of, part_of, place_of, rectangle
 from ..solver.portable import digest_of_texels
 from ..solver.progress import Progress
-from ..solver.recovery import full_map
 from ..solver.schedule import Schedule
 from ..solver.tiled import TileRecovery
 from .exchange import Exchange

@@ -17,7 +17,6 @@ from ..gpu import probe
 from ..maps.result import Maps
 from ..solver import checkpoint
 from ..solver.progress import Progress
-from ..solver.recovery import NOTE, named
 from ..solver.schedule import Schedule
 from .member import Member
 from .samples import SharedStack
@@ -111,16 +110,14 @@ class RankedRecovery:
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save, from which any number of ranks goes on to the same maps bit for bit."""
         state = self._crew.ask("state")
-        arrays = state.arrays | {NOTE + name: array for name, array in notes.items()}
-        checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
+        checkpoint.write(Path(path), self._identity(), replace(state, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
         saved = checkpoint.read(Path(path), self._identity())
         at = saved.stage, saved.iteration, saved.evaluations
-        arrays = {name: array for name, array in saved.arrays.items() if not name.startswith(NOTE)}
-        self._progress = self._crew.ask_of_own("restore", *at, arrays, others=(*at, None))
-        return named(saved.arrays, NOTE)
+        self._progress = self._crew.ask_of_own("restore", *at, saved.arrays, others=(*at, None))
+        return dict(saved.notes)
 
     def changed(self, schedule: Schedule, seed: int | None = None) -> RankedRecovery:
         """Raise InputError: a recovery over ranks does not change its settings midway."""

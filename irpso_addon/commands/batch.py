@@ -13,10 +13,11 @@ from typing import Any
 
 from ..capture.toml_file import load_toml
 from ..errors import InputError
-from ..files import replacing_file
+from ..files import write_json
 from ..maps.report import plain
 from ..maps.write import REPORT
 from . import recover
+from .progress import silent
 from .solve import CHECKPOINT
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
@@ -137,13 +138,13 @@ def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'goes on' if resume else 'begins'}")
     state = {"name": job.name, "words": list(job.words), "state": "begun"}
-    _write(file, state)
+    write_json(file, plain(state))
     words = [
         *job.words,
         "-o",
         str(folder),
         *(["--resume"] if resume else []),
-        *(["--quiet"] if _silent(options) else []),
+        *(["--quiet"] if silent(options) else []),
     ]
     started = time.perf_counter()
     try:
@@ -153,7 +154,7 @@ def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
         state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
         sys.stderr.write(f"irpso: {job.name}: {state['error']}\n")
     state["took"] = round(time.perf_counter() - started, 1)
-    _write(file, state)
+    write_json(file, plain(state))
     return state
 
 
@@ -162,7 +163,7 @@ def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace
     failed = [state["name"] for state in states if state["state"] == "failed"]
     report = {"done": len(states) - len(failed), "failed": failed, "jobs": states}
     if file is not None:
-        _write(file, report)
+        write_json(file, plain(report))
     lost = f"; failed: {', '.join(failed)}" if failed else ""
     _say(options, f"{report['done']} of {len(states)} done{lost}")
     return report | {"exit_code": InputError.exit_code if failed else 0}
@@ -177,16 +178,7 @@ def _state(file: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _write(file: Path, table: dict[str, Any]) -> None:
-    with replacing_file(file) as partial:
-        partial.write_text(json.dumps(plain(table), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def _silent(options: Namespace) -> bool:
-    return options.quiet or options.json
-
-
 def _say(options: Namespace, text: str) -> None:
-    if not _silent(options):
+    if not silent(options):
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()

@@ -16,7 +16,8 @@ from ..calibration.write import checked_output, write_calibration
 from ..capture.steps import run_steps
 from ..errors import InputError
 from ..maps.blender_images import decode
-from .progress import ProgressBar
+from .options import numbers_of_text
+from .progress import ProgressBar, silent
 
 _SHOWN_WARNINGS = 12
 
@@ -31,14 +32,14 @@ def run(options: Namespace) -> dict:
     if keys:
         draft = with_camera(draft, keys, "--camera" if options.camera else "--fov")
     request = Request(options.kind, options.lights, _positive("--distance", options.distance), _albedo(options.albedo))
-    bar = ProgressBar("calibrate", options.quiet or options.json)
+    bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(draft, requests, request, decode, _positive("--radius", options.radius), options.view)
     found = run_steps(steps, lambda read: bar.show(read / len(draft.shots), "reading"))
     bar.show(1.0, "done")
     bar.close()
     write_calibration(found, out, keys)
     report = report_of(found)
-    if not options.quiet and not options.json:
+    if not silent(options):
         sys.stdout.write(_summary(found, out, options.radius))
     errors = [light.error for light in found.result.lights if light.light is not None]
     return {
@@ -71,10 +72,7 @@ def _positive(option: str, value: float | None) -> float | None:
 def _albedo(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
+    numbers = numbers_of_text(text) or []
     if len(numbers) not in (1, 3) or not all(0 < n <= 1 for n in numbers):
         raise InputError(f"--albedo {text}: give one number, or r,g,b, each above 0 and up to 1")
     r, g, b = np.broadcast_to(numbers, 3).tolist()

@@ -18,7 +18,7 @@ from ..maps.report import build_report, ground_truth_errors, quantiles
 from ..maps.result import Maps
 from ..maps.write import check_output_folder, write_maps
 from ..solver.schedule import load_schedule
-from .progress import ProgressBar, unseen_reports
+from .progress import ProgressBar, silent, unseen_reports
 from .recover import BLEND
 
 _VIEW_HEIGHT = 250  # pixels of the head in the figures
@@ -33,7 +33,7 @@ def run(options: Namespace) -> dict:
     probe.probe()
     context.ensure()
     size = experiment.QUICK if options.quick else experiment.PAPER
-    bar = ProgressBar("demo", options.quiet or options.json)
+    bar = ProgressBar("demo", silent(options))
 
     def report(phase: str, fraction: float) -> None:
         bar.show((_PHASES.index(phase) + fraction) / len(_PHASES), phase)
@@ -57,7 +57,7 @@ def run(options: Namespace) -> dict:
     bar.close()
     result = _write(options, folder, found, runs, joint, history, marks, photographed, head)
     result["seconds_in_all"] = round(time.perf_counter() - started, 1)
-    if not options.quiet and not options.json:
+    if not silent(options):
         sys.stdout.write(_summary(result, folder))
     return result
 

@@ -24,10 +24,10 @@ from ..capture.images import ImageRef, ImageStore
 from ..capture.steps import run_steps
 from ..capture.write import write_capture
 from ..errors import InputError
-from ..files import new_folder
+from ..files import check_unused, new_folder
 from ..maps.blender_images import decode
 from .photographs import chart_response, exposure_list, files_option, number_list, patch_option
-from .progress import ProgressBar
+from .progress import ProgressBar, silent
 
 _FILENAMES = "filenames.txt"
 
@@ -35,8 +35,7 @@ _FILENAMES = "filenames.txt"
 def run(options: Namespace) -> dict:
     """Develop everything and write it into a new folder. Raises InputError; nothing is written then."""
     out = Path(options.output)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: is there already and not empty; choose a new folder or delete it first")
+    check_unused(out)
     exposing = _exposing(options)
     darks, flats = files_option("--dark", options.dark), files_option("--flat", options.flat)
     chart = Path(options.chart) if options.chart else None
@@ -72,7 +71,7 @@ class _Work:
     def __init__(self, options: Namespace, source: Source, exposing: Exposing | None, chart: Path | None):
         self.options, self.source, self.exposing, self.chart = options, source, exposing, chart
         self.store = ImageStore(decode)
-        self.bar = ProgressBar("develop", options.quiet or options.json)
+        self.bar = ProgressBar("develop", silent(options))
         self.shifts: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.warnings, self.figures = list(source.warnings), [{} for _ in source.shots]
         self.measured: dict = {}

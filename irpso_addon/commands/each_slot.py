@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from argparse import Namespace
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..files import replacing_file
+from ..files import write_json
 from ..geometry.mesh import extract_mesh
 from ..geometry.scene import mesh_object, open_blend
 from ..geometry.slots import slot_names
@@ -54,8 +53,7 @@ def recover_each(options: Namespace, blend: str | None, recover: Callable[[Names
     result = {"texels": sum(report["texels"] for report in reports.values()), "slots": reports}
     with unseen_reports():
         material.save_blend(folder / name)
-    with replacing_file(folder / REPORT) as partial:
-        partial.write_text(json.dumps(plain(result), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(folder / REPORT, plain(result))
     return {"output": str(folder), **result}
 
 

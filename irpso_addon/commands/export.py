@@ -12,7 +12,7 @@ from ..exports.gltf import result_object
 from ..exports.result import Result, read_result
 from ..geometry.scene import open_blend
 from ..gpu import context, probe
-from .progress import unseen_reports
+from .progress import silent, unseen_reports
 
 
 def run(options: Namespace) -> dict:
@@ -22,7 +22,7 @@ def run(options: Namespace) -> dict:
         probe.probe()
         context.ensure()
     found = export(result, options.format, options.output, options.convention, lambda: _subject(result, options.object))
-    if not options.quiet and not options.json:
+    if not silent(options):
         sys.stdout.write(_summary(found))
     return found
 

@@ -13,7 +13,7 @@ from ..geometry.domain import Domain, subset
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from ..solver import lights
-from .progress import ProgressBar
+from .progress import ProgressBar, silent
 
 _GIVEN_AS_ONE = (1.0, 1.0, 1.0)  # what a capture has that tells no intensities
 
@@ -34,7 +34,7 @@ def found_lights(
         domain, model, None, options.seed, known, intensities=options.intensities == "estimate",
         refine_degrees=options.refine_directions, fitted=kept, entry=options.entry,
     )  # fmt: skip
-    bar = ProgressBar("lights", options.quiet or options.json)
+    bar = ProgressBar("lights", silent(options))
     try:
         return run_steps(steps, lambda part: bar.show(part, "recovering a sample of the texels under them"))
     finally:

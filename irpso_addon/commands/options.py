@@ -58,7 +58,7 @@ def known_from_options(
                 f"--known {text}: write NAME=VALUE, as in --known roughness=0.5 or --known normal=file.exr"
             )
         parameter = model.parameter(name.strip())
-        numbers = _numbers(value)
+        numbers = numbers_of_text(value)
         known[parameter.name] = (
             read_parameter(Path(value.strip()), parameter, tiles)
             if numbers is None
@@ -105,7 +105,7 @@ def index_list(option: str, text: str | None, count: int) -> list[int]:
     return numbers
 
 
-def _numbers(text: str) -> list[float] | None:
+def numbers_of_text(text: str) -> list[float] | None:
     """Return the numbers of "a,b,…", not finite ones included, or None where it is something else."""
     try:
         return [float(part) for part in text.split(",")]

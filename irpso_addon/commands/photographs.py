@@ -13,6 +13,7 @@ from ..calibration.source import images_in
 from ..capture.exr_header import is_exr
 from ..capture.images import ImageRef, ImageStore
 from ..errors import InputError
+from .options import numbers_of_text
 
 
 def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
@@ -31,10 +32,10 @@ def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
 
 def number_list(option: str, text: str) -> list[float]:
     """Return numbers separated by commas. Raises InputError naming the option."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"{option} {text}: give numbers separated by commas") from error
+    numbers = numbers_of_text(text)
+    if numbers is None:
+        raise InputError(f"{option} {text}: give numbers separated by commas")
+    return numbers
 
 
 def exposure_list(option: str, text: str | None) -> tuple[float, ...]:

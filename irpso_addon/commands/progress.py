@@ -6,6 +6,7 @@ import contextlib
 import io
 import sys
 import time
+from argparse import Namespace
 
 _WIDTH = 28
 _LINE_EVERY = 0.1  # of the work, where standard error is no terminal
@@ -14,6 +15,11 @@ _LINE_EVERY = 0.1  # of the work, where standard error is no terminal
 def unseen_reports() -> contextlib.AbstractContextManager:
     """Keep Blender's own reports ("Info: Saved copy as …") off standard output; its errors come as exceptions."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+def silent(options: Namespace) -> bool:
+    """Return whether a command says nothing to people: --quiet, or --json, which speaks to programs."""
+    return options.quiet or options.json
 
 
 class ProgressBar:

@@ -23,6 +23,7 @@ from ..solver.need import recovery_need
 from ..solver.planning import covered_texels, uv_borders
 from .each_slot import EACH
 from .lights import found_lights
+from .progress import silent
 from .recover import Job, check, finish, settle, solve
 
 
@@ -166,6 +167,6 @@ def _unlike(renderers: list[str]) -> list[str]:
 
 
 def _planned(found: Split, options: Namespace) -> dict:
-    if not options.quiet and not options.json:
+    if not silent(options):
         sys.stdout.write("\n".join(found.lines()) + "\n")
     return {"plan": found.as_dict()}

@@ -54,7 +54,7 @@ from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture
 from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
-from .progress import unseen_reports
+from .progress import silent, unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
 
 BLEND = "material.blend"
@@ -109,7 +109,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     context.ensure()
     plan = _plan(options, job, job.mesh, covered_texels(job.capture, job.mesh, job.resolution))
     if options.dry_run:
-        if not options.quiet and not options.json:
+        if not silent(options):
             sys.stdout.write("\n".join(plan.lines()) + "\n")
         return {"plan": plan.as_dict()}
     domain = _domain(options, job, job.mesh, plan)
@@ -137,7 +137,7 @@ def solve(options: Namespace, job: Job, recovery: AnyRecovery) -> Solved:
     live = LivePicture(job.folder / LIVE, recovery)
     history = History(recovery, job.truth, live.show if options.live else None)
     saving = Saving(job.folder / CHECKPOINT, options.resume, options.checkpoint_every)
-    job.seconds["solve"], unsaved = drive(recovery, history, saving, options.quiet or options.json)
+    job.seconds["solve"], unsaved = drive(recovery, history, saving, silent(options))
     warnings = [*unsaved, *live.warnings]
     return Solved(recovery.maps(), recovery.progress, history, {"entry": recovery.entry}, warnings)
 
@@ -168,7 +168,7 @@ def finish(
     _write_material(written, job, job.subject, mesh, height if job.extras.displacement else None)
     for name in (CHECKPOINT, LIVE):
         (job.folder / name).unlink(missing_ok=True)
-    if not options.quiet and not options.json:
+    if not silent(options):
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
     return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 

@@ -12,6 +12,7 @@ from ..capture.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
 from ..errors import InputError
+from ..files import check_unused
 from ..geometry.bake import bake_camera
 from ..geometry.frames import from_blender, turned_normals
 from ..geometry.mesh import extract_mesh
@@ -21,7 +22,7 @@ from ..maps.read import read_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.forward import camera_renderer, dome, rendered_capture, sample_maps
 from .options import size_option
-from .progress import ProgressBar, unseen_reports
+from .progress import ProgressBar, silent, unseen_reports
 
 
 def run(options: Namespace) -> dict:
@@ -29,8 +30,7 @@ def run(options: Namespace) -> dict:
     model = load_model(options.model)
     size = size_option("--size", options.size)
     lights = _lights(options)
-    if Path(options.output).exists() and (not Path(options.output).is_dir() or any(Path(options.output).iterdir())):
-        raise InputError(f"{options.output}: is there already and not empty; choose a new folder for the capture")
+    check_unused(Path(options.output), "choose a new folder for the capture")
     probe.probe()
     context.ensure()
     with unseen_reports():
@@ -38,7 +38,7 @@ def run(options: Namespace) -> dict:
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
     cameras = _cameras(options.camera, size)
-    bar = ProgressBar("render", options.quiet or options.json)
+    bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers = [
         camera_renderer(

@@ -16,7 +16,7 @@ from ..capture.images import ImageRef, ImageStore
 from ..errors import InputError
 from ..maps.blender_images import decode
 from .photographs import chart_response, exposure_list
-from .progress import ProgressBar
+from .progress import ProgressBar, silent
 
 _SAMPLES = 4000  # pixels of all brackets together
 _WIDE = 1.6  # stops: steps above it leave a part of the curve's shape to the smoothness alone
@@ -46,7 +46,7 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
     if not path.is_dir():
         raise InputError(f"{path}: is no folder of brackets; give one, or a photograph with --grey-card")
     brackets, warnings = brackets_of_images(images_in(path), exposing)
-    bar = ProgressBar("response", options.quiet or options.json)
+    bar = ProgressBar("response", silent(options))
     samples, exposures = [], []
     brackets = [bracket for bracket in brackets if len(bracket.paths) > 1]
     for k, bracket in enumerate(brackets):

@@ -15,10 +15,9 @@ import numpy as np
 from ..reflectance.model import ReflectanceModel
 from .bake import SurfaceBake
 from .mesh import MeshData
+from .spaces import BLOCK, changed_normals, unit
 
 Change = Callable[[MeshData, SurfaceBake, np.ndarray], np.ndarray]
-
-_BLOCK = 1 << 18  # texels worked on at a time
 
 
 def to_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
@@ -40,13 +39,13 @@ def world_to_blender(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, worl
     world: (N, 3) normals of any length in world axes.
     """
     result = np.zeros((len(texels), 3), np.float32)
-    for start in range(0, len(texels), _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for start in range(0, len(texels), BLOCK):
+        block = slice(start, start + BLOCK)
         frames = _blender_frames(mesh, bake, texels[block])
         axes = np.broadcast_to(np.eye(3), frames.shape)
         normals = bake.normal.reshape(-1, 3)[texels[block]].astype(np.float64)
         given = np.where(np.any(world[block] != 0, axis=-1, keepdims=True), world[block], normals)
-        result[block] = _unit(_into_blender(axes, frames, mesh.matrix[:3, :3], given))
+        result[block] = unit(_into_blender(axes, frames, mesh.matrix[:3, :3], given))
     return result
 
 
@@ -76,17 +75,12 @@ def _into_solver(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, no
 
 
 def _convert(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, change) -> np.ndarray:
-    result = np.zeros((*bake.coverage.shape, 3), np.float32)
-    result[..., 2] = 1
-    texels = np.flatnonzero(bake.coverage)
-    for start in range(0, len(texels), _BLOCK):
-        block = texels[start : start + _BLOCK]
-        given = np.asarray(normals, np.float64).reshape(-1, 3)[block]
-        frames = bake.frames(np.unravel_index(block, bake.coverage.shape))
-        changed = change(frames, _blender_frames(mesh, bake, block), mesh.matrix[:3, :3], given)
-        changed[~changed.any(axis=1)] = (0, 0, 1)
-        result.reshape(-1, 3)[block] = _unit(changed)
-    return result
+    linear = mesh.matrix[:3, :3]
+    return changed_normals(
+        bake,
+        normals,
+        lambda texels, frames, given: change(frames, _blender_frames(mesh, bake, texels), linear, given),
+    )
 
 
 def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:
@@ -94,16 +88,16 @@ def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np
     linear = mesh.matrix[:3, :3]
     number = bake.triangle.ravel()[texels]
     weights = _corner_weights(mesh.uvs[number].astype(np.float64), bake.uv.reshape(-1, 2)[texels])[..., None]
-    normal = (_unit(mesh.normals[number] @ linear) * weights).sum(axis=1)
-    if _normals_are_unit():
-        normal = _unit(normal)
+    normal = (unit(mesh.normals[number] @ linear) * weights).sum(axis=1)
+    if _normals_areunit():
+        normal = unit(normal)
     corners = mesh.tangents[number].astype(np.float64)
-    tangent = (_unit(corners[..., :3] @ np.linalg.inv(linear).T) * weights).sum(axis=1)
+    tangent = (unit(corners[..., :3] @ np.linalg.inv(linear).T) * weights).sum(axis=1)
     sign = bake.tangent.reshape(-1, 4)[texels, 3:] * np.sign(np.linalg.det(linear))
     return np.stack([tangent, sign * np.cross(normal, tangent), normal], axis=1)
 
 
-def _normals_are_unit() -> bool:
+def _normals_areunit() -> bool:
     """Return whether Cycles normalises the interpolated normal first, as it does since 5.1; up to 5.0 it does not."""
     import bpy
 
@@ -118,7 +112,3 @@ def _corner_weights(uvs: np.ndarray, uv: np.ndarray) -> np.ndarray:
     second = (place[:, 0] * edges[:, 1, 1] - place[:, 1] * edges[:, 1, 0]) / area
     third = (edges[:, 0, 0] * place[:, 1] - edges[:, 0, 1] * place[:, 0]) / area
     return np.stack([1 - second - third, second, third], axis=1)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Generator
 from typing import Any
 
@@ -13,6 +12,7 @@ from ..capture.images import ImageStore
 from ..capture.steps import run_steps
 from ..capture.types import Capture, Observation
 from ..errors import InputError
+from ..files import natural
 from ..maps.blender_images import decode
 from .scene import camera_from_object, middle_of
 from .scene_images import Photograph, open_photograph
@@ -99,11 +99,6 @@ def in_order(scene: Any) -> list:
     context = bpy.context
     objects = context.view_layer.objects if context.scene == scene else scene.objects
     return sorted(objects, key=lambda obj: natural(obj.name))
-
-
-def natural(name: str) -> list:
-    """Return a key that sorts "light 2" before "light 10"."""
-    return [int(word) if word.isdecimal() else word.lower() for word in re.split(r"(\d+)", name)]
 
 
 def _name(scene: Any, lights: list) -> str:

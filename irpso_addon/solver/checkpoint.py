@@ -25,16 +25,22 @@ from .portable import digest_of_texels
 from .schedule import Schedule
 
 _VERSION = 3
+_NOTE = "note_"  # before the names of arrays in the file that are the caller's
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """stage: index of the running stage. iteration: as the phase counts. arrays: texture contents by name."""
+    """The state of a recovery, and what its caller wants to find again.
+
+    stage: index of the running stage. iteration: as the phase counts. arrays: texture contents by name. notes: arrays
+    of the caller's own by name.
+    """
 
     stage: int
     iteration: int
     evaluations: int
     arrays: dict[str, np.ndarray]
+    notes: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def identity(
@@ -77,16 +83,20 @@ def _digest(arrays: Iterable[np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def write(
-    path: Path, who: dict[str, Any], stage: int, iteration: int, evaluations: int, arrays: dict[str, np.ndarray]
-) -> None:
+def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, named without it."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
     """Write a checkpoint to ``path`` through a temporary name beside it."""
+    arrays = state.arrays | {_NOTE + name: array for name, array in state.notes.items()}
     about = {
         "version": _VERSION,
         "identity": who,
-        "stage": stage,
-        "iteration": iteration,
-        "evaluations": evaluations,
+        "stage": state.stage,
+        "iteration": state.iteration,
+        "evaluations": state.evaluations,
         "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
     }
     with replacing_file(path) as part, part.open("wb") as file:
@@ -153,4 +163,6 @@ def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:
         return None
     if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
         raise ValueError("the arrays are not those that were written")
-    return about["identity"], Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays)
+    notes = named(arrays, _NOTE)
+    arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
+    return about["identity"], Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays, notes)

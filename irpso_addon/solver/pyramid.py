@@ -22,7 +22,9 @@ from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
 from .changes import given
 from .checkpoint import Checkpoint
-from .recovery import NOTE, Progress, Recovery, full_map, named
+from .known import full_map
+from .progress import Progress
+from .recovery import Recovery
 from .resolve import resolve
 from .schedule import Schedule
 
@@ -121,9 +123,8 @@ class Pyramid:
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save."""
         state = self._live.state()
-        arrays = state.arrays | {NOTE + name: array for name, array in notes.items()}
-        arrays[_AT] = np.array([self._level, self._before])
-        checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
+        arrays = state.arrays | {_AT: np.array([self._level, self._before])}
+        checkpoint.write(Path(path), self._identity(), replace(state, arrays=arrays, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
@@ -132,7 +133,7 @@ class Pyramid:
         self._live.close()
         self._level, self._before = level, before
         self._live = self._begin(None, saved)
-        return named(saved.arrays, NOTE)
+        return dict(saved.notes)
 
     def changed(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
         """Return a run that goes on from here under another schedule, as Recovery.changed; levels must be as many."""

@@ -19,9 +19,10 @@ from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import changes, checkpoint, portable, prepare
-from .checkpoint import Checkpoint
+from .checkpoint import Checkpoint, named
 from .findings import Findings
 from .generations import RunningGenerations
+from .known import full_map
 from .need import particle_tiles, phase_need
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
@@ -36,8 +37,7 @@ from .survey import Judge, RunningSurvey
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
-NOTE = "note_"  # before the names of a checkpoint's arrays that are the caller's
-_PHASE = "phase_"  # before those that are the running phase's
+_PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
 _FLAT = frozenset({"surveyed"})  # arrays of a state that have no channels
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
@@ -233,8 +233,7 @@ class Recovery:
         solved: as one, or by any number of ranks.
         """
         state = self.state() if self._is_tile else self.rows()
-        arrays = state.arrays | {NOTE + name: array for name, array in notes.items()}
-        checkpoint.write(Path(path), self._identity(), state.stage, state.iteration, state.evaluations, arrays)
+        checkpoint.write(Path(path), self._identity(), replace(state, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
@@ -242,10 +241,8 @@ class Recovery:
         Raises InputError for another's.
         """
         saved = checkpoint.read(Path(path), self._identity())
-        notes = named(saved.arrays, NOTE)
-        arrays = {name: array for name, array in saved.arrays.items() if not name.startswith(NOTE)}
-        (self.restore if self._is_tile else self.take_rows)(replace(saved, arrays=arrays))
-        return notes
+        (self.restore if self._is_tile else self.take_rows)(saved)
+        return dict(saved.notes)
 
     def state(self) -> Checkpoint:
         """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit."""
@@ -427,24 +424,3 @@ class Recovery:
 
 def _band_seconds(time_budget_s: float | None) -> float:
     return BACKGROUND_BAND_SECONDS if time_budget_s is None else min(BAND_SECONDS, _SHARE * time_budget_s)
-
-
-def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, named without it."""
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a known map as (H, W, components), checked against the model and the domain."""
-    parameter = model.parameter(name)
-    value = np.asarray(value, np.float32)
-    if value.ndim == 1:
-        value = np.broadcast_to(value, (*shape, len(value)))
-    if value.shape != (*shape, parameter.components):
-        raise InputError(
-            f"known {name}: its shape is {value.shape}, the domain wants {(*shape, parameter.components)};"
-            " resample it to the domain"
-        )
-    if not np.isfinite(value).all():
-        raise InputError(f"known {name}: it holds values that are not finite; fill them first")
-    return value

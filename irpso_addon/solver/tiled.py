@@ -18,10 +18,12 @@ from ..gpu import context, probe
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
-from .checkpoint import Checkpoint
+from .checkpoint import Checkpoint, named
+from .known import full_map
 from .meetings import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, place_of, rectangle
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
-from .recovery import NOTE, Progress, Recovery, full_map, named
+from .progress import Progress
+from .recovery import Recovery
 from .schedule import Schedule, refuse_levels
 
 Told = tuple[Meeting, np.ndarray, np.ndarray]  # values of the halo's texels, and of the annex's
@@ -183,9 +185,9 @@ class TiledRecovery:
         arrays = {_EVALUATIONS: np.array([part.progress.evaluations for part in self._tiles])}
         for number, state in enumerate(states):
             arrays |= {f"tile_{number}_{name}": array for name, array in (state.arrays if state else {}).items()}
-        arrays |= {NOTE + name: array for name, array in notes.items()}
         at, total = states[self._active], int(arrays[_EVALUATIONS].sum())
-        checkpoint.write(Path(path), self._identity(), at.stage, at.iteration, total, arrays)
+        whole = Checkpoint(at.stage, at.iteration, total, arrays, notes)
+        checkpoint.write(Path(path), self._identity(), whole)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain, tiles and settings, and return its notes, as Recovery.load."""
@@ -204,7 +206,7 @@ class TiledRecovery:
         for number, part in enumerate(self._tiles):
             evaluations = int(saved.arrays[_EVALUATIONS][number])
             part.progress = replace(self._tiles[0].progress, evaluations=evaluations)
-        return named(saved.arrays, NOTE)
+        return dict(saved.notes)
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each tile on the device, as Recovery.mean_error."""

@@ -17,8 +17,9 @@ from ..capture.images import ImageRef
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
+from ..files import natural
 from ..geometry import scene_images
-from ..geometry.scene_capture import ASPECT, CAPTURE, in_order, natural
+from ..geometry.scene_capture import ASPECT, CAPTURE, in_order
 from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode

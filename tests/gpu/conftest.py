@@ -1,5 +1,6 @@
 """Tests in headless Blender: one process a module, ended by force once pytest has said all it has to say."""
 
+import functools
 import os
 import sys
 
@@ -33,3 +34,23 @@ def pytest_unconfigure(config):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(config.stash[_exit_status])
+
+
+@pytest.fixture(scope="module")
+def registered():
+    """Have the extension registered."""
+    import irpso_addon
+
+    irpso_addon.register()
+    yield
+    irpso_addon.unregister()
+
+
+@pytest.fixture(scope="module")
+def one_probe():
+    """Ask the GPU once in this process: every command asks it in a child, which takes seconds."""
+    from irpso_addon.gpu import probe
+
+    before, probe.probe = probe.probe, functools.cache(probe.probe)
+    yield
+    probe.probe = before

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.exr import write_exr
-from irpso_addon.gpu import probe
 from tests import cli_maker
 from tests.cli_maker import MODELS, add_camera, add_mesh, listing, run_cli, save_scene
 
@@ -27,12 +26,7 @@ WARD_GLSL = (MODELS / "ward.glsl").read_text(encoding="utf-8")
 PRESET = (Path(__file__).resolve().parents[2] / "presets" / "swarm.toml").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """``recover --memory`` and ``--dry-run``: plans that are printed, tiles that change no file of the result."""
 
-import functools
 import json
 import os
 import re
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.gpu import probe
 from irpso_addon.solver.tiled import TiledRecovery
 from tests import cli_maker
 from tests.cli_maker import run_cli
@@ -25,12 +23,7 @@ SCRATCH = "device=1M,host=513.5M"  # and no room for 40 × 44 × 30 samples besi
 SAME = ("base_color.exr", "normal.exr", "residual.exr", "confidence.exr", "maps.exr", "convergence.png", "relit.png")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """From maps to camera images and back: ``render``, then ``recover --blend``; and what Cycles makes of the result."""
 
-import functools
 import json
 import shutil
 
@@ -11,7 +10,6 @@ import pytest
 from mathutils import Vector
 
 from irpso_addon.capture.exr import write_exr
-from irpso_addon.gpu import probe
 from irpso_addon.maps.lights import sun_strength
 from irpso_addon.maps.read import read_maps
 from irpso_addon.reflectance.model import load_model
@@ -30,12 +28,7 @@ RANGES = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 def sphere(bpy):

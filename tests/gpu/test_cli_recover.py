@@ -15,7 +15,6 @@ import OpenEXR
 import pytest
 
 from irpso_addon.capture.exr import write_exr
-from irpso_addon.gpu import probe
 from irpso_addon.maps import blender_images
 from tests import cli_maker
 from tests.cli_maker import MODELS, angle, read_map, run_cli
@@ -37,12 +36,7 @@ KNOWN = {"oren_nayar": "base_color"}
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """UDIM tiles and material slots through the command line, against the same mesh with its islands in one square."""
 
-import functools
 import json
 
 import bpy
@@ -10,7 +9,6 @@ import pytest
 from mathutils import Vector
 
 from irpso_addon.capture.exr import write_exr
-from irpso_addon.gpu import probe
 from irpso_addon.maps.lights import sun_strength
 from irpso_addon.maps.read import read_maps
 from irpso_addon.reflectance.model import load_model
@@ -31,12 +29,7 @@ LAYOUTS = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 def sheets(layout, cover=False):

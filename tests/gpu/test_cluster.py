@@ -1,6 +1,5 @@
 """``mpirun … recover``: any number of ranks gives the files of one process, and what stops one rank stops all."""
 
-import functools
 import json
 import os
 import re
@@ -13,11 +12,10 @@ import time
 import numpy as np
 import pytest
 
-from irpso_addon.gpu import probe
 from tests import cli_maker, mpi_maker
 from tests.cli_maker import run_cli
 
-pytestmark = mpi_maker.needs_mpi()
+pytestmark = [mpi_maker.needs_mpi(), pytest.mark.usefixtures("one_probe")]
 
 SHAPE = (23, 31)  # primes: no cut is even
 LIGHTS = cli_maker.dome_lights(10, widest=70)
@@ -37,14 +35,6 @@ def failing(self, *arguments):
     return advance(self, *arguments)
 RunningStage.advance = failing
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once in this process: every command asks it in a child, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Exports read back by hand: OpenLIME by its shader's formulas, PTM by its format's description."""
 
-import functools
 import json
 
 import bpy
@@ -9,20 +8,13 @@ import pytest
 
 from irpso_addon.exports import openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
-from irpso_addon.gpu import probe
 from irpso_addon.maps.height import Height
 from irpso_addon.maps.write import write_maps
 from tests import cli_maker, oracles
 from tests.cli_maker import run_cli
 from tests.export_files import SHAPE, on_a_sheet, picture, read_glb, result_of, srgb, unsrgb
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_probe():
-    """Ask the GPU once: every command asks it in a child process, which takes seconds."""
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before
+pytestmark = pytest.mark.usefixtures("one_probe")
 
 
 @pytest.fixture(autouse=True)

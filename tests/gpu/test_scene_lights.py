@@ -5,7 +5,6 @@ import numpy as np
 import OpenEXR
 import pytest
 
-import irpso_addon
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
 from irpso_addon.geometry import scene_lights
 from irpso_addon.geometry.scene_capture import wide_lights_around
@@ -14,7 +13,7 @@ from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import scene_capture, scene_objects
 from tests.unit.capture_maker import write_png
 
-pytestmark = pytest.mark.bpy_only
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 AXIS = (0.48, 0.64, -0.6)
 PLACE = (0.5, -1.5, 2.0)
 DIRECTED = {
@@ -24,13 +23,6 @@ DIRECTED = {
     "flat": Light(PLACE, (0.5, 1.0, 0.25), False, AXIS, None, True),
     "flat with a snoot": Light(PLACE, (0.5, 1.0, 0.25), False, AXIS, 33.0, True),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
 
 
 @pytest.fixture(autouse=True)

@@ -6,24 +6,16 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.ball_lights import free_table
 from tests.ball_maker import cap, degrees, mirror_image, photographed, trace
 
-pytestmark = pytest.mark.bpy_only
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 
 CAMERA, CENTRE, RADIUS = Camera.from_fov(96, 80, 30.0), np.array([0.2, -0.1, -8.0]), 1.4
 LIGHTS = cap(6, 50)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.errors import InputError
 from irpso_addon.geometry.scene import DISTORTION, camera_from_object
 from irpso_addon.ui import scene_capture
@@ -25,16 +24,9 @@ from tests.unit.test_poses import (
     row,
 )
 
-pytestmark = pytest.mark.bpy_only
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
 FLIP = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
 
 
 @pytest.fixture(autouse=True)

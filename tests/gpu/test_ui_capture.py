@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture, write_exr
 from irpso_addon.capture.inspect import inspect_steps
 from irpso_addon.errors import InputError
@@ -16,7 +15,7 @@ from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import capture_import, scene_capture, scene_setup
 from tests.unit.capture_maker import LIGHTS, shade, sphere, write_diligent, write_png
 
-pytestmark = pytest.mark.bpy_only
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 RNG = np.random.default_rng(5)
 ANYWHERE = np.array([[0.36, 0.48, -0.8, 1.5], [-0.8, 0.6, 0, -2.0], [0.48, 0.64, 0.6, 3.25], [0, 0, 0, 1]])
 CAMERAS = {
@@ -27,13 +26,6 @@ CAMERAS = {
     "lying pixels": Camera(64, 48, (60.0, 75.0), (30.0, 22.0), ANYWHERE),
     "orthographic": Camera(50, 70, (12.0, 15.0), (22.0, 33.0), ANYWHERE, False),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.solver.lights import Lights
 from tests import cli_maker
 from tests.gpu.test_ui_panels import Drawn
@@ -14,11 +13,7 @@ LIGHTS = cli_maker.dome_lights(12)
 FACTORS = gains(12, np.random.default_rng(1))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture(scope="module")

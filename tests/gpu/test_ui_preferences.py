@@ -3,18 +3,12 @@
 import bpy
 import pytest
 
-import irpso_addon
 from irpso_addon.errors import GpuUnavailableError
 from irpso_addon.paths import BASE_PACKAGE
 from irpso_addon.ui import preferences
 from tests.cli_maker import run_cli
 
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

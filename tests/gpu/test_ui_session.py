@@ -4,7 +4,6 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.capture.exr import write_exr
 from irpso_addon.errors import InputError
 from irpso_addon.maps.result import Maps
@@ -16,11 +15,7 @@ SHAPE = (10, 12)
 LIGHTS = cli_maker.dome_lights(12, widest=70)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

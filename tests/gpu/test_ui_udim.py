@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.exr import write_exr
 from irpso_addon.capture.types import Capture, Light, Observation
@@ -24,11 +23,7 @@ TILES = (1001, 1012)
 SLOTS = ("Skin", "Cloth")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

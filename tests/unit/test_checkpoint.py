@@ -26,7 +26,7 @@ ARRAYS = {"position": np.arange(24, dtype=np.float32).reshape(2, 3, 4) / 7, "fit
 def saved(tmp_path):
     """The path of a checkpoint."""
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, WHO, 1, -4, 12345678901, ARRAYS)
+    checkpoint.write(path, WHO, checkpoint.Checkpoint(1, -4, 12345678901, ARRAYS))
     return path
 
 
@@ -40,7 +40,7 @@ def test_a_checkpoint_reads_back_bit_for_bit(saved):
 
 
 def test_a_checkpoint_replaces_the_one_before(saved):
-    checkpoint.write(saved, WHO, 2, 7, 1, ARRAYS)
+    checkpoint.write(saved, WHO, checkpoint.Checkpoint(2, 7, 1, ARRAYS))
     assert checkpoint.read(saved, WHO).iteration == 7
     assert os.listdir(saved.parent) == ["run.irpso"]
 
@@ -129,7 +129,7 @@ def test_what_cannot_be_written_leaves_nothing_and_keeps_the_old(saved, monkeypa
 
     monkeypatch.setattr(np, "savez", full_disk)
     with pytest.raises(InputError, match="No space left on device"):
-        checkpoint.write(saved, WHO, 9, 9, 9, ARRAYS)
+        checkpoint.write(saved, WHO, checkpoint.Checkpoint(9, 9, 9, ARRAYS))
     assert os.listdir(saved.parent) == ["run.irpso"] and saved.read_bytes() == before
 
 
@@ -158,7 +158,7 @@ PARTS = {
 @pytest.mark.parametrize("part", PARTS)
 def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), 0, 0, 0, ARRAYS)
+    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS))
     with pytest.raises(InputError, match=f"of another recovery: .*{PARTS[part]} differ"):
         checkpoint.read(path, checkpoint.identity(changed(part), **SETTINGS))
@@ -177,7 +177,7 @@ def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
 )
 def test_other_settings_are_another_recovery_and_are_named(tmp_path, change, what):
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), 0, 0, 0, ARRAYS)
+    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     with pytest.raises(InputError, match=f"of another recovery: {what} differ"):
         checkpoint.read(path, checkpoint.identity(DOMAIN, **(SETTINGS | change)))
 
@@ -189,7 +189,7 @@ def test_a_changed_line_in_a_file_that_a_models_shader_includes_is_another_recov
     (tmp_path / "terms.glsl").write_text('#include "deeper.glsl"\n', encoding="utf-8")
     (tmp_path / "deeper.glsl").write_text("const float GAIN = 1.0;\n", encoding="utf-8")
     settings = SETTINGS | {"model": load_model(tmp_path / "mine.toml")}
-    checkpoint.write(tmp_path / "run", checkpoint.identity(DOMAIN, **settings), 0, 0, 0, ARRAYS)
+    checkpoint.write(tmp_path / "run", checkpoint.identity(DOMAIN, **settings), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     checkpoint.read(tmp_path / "run", checkpoint.identity(DOMAIN, **settings))
     (tmp_path / "deeper.glsl").write_text("const float GAIN = 1.1;\n", encoding="utf-8")
     with pytest.raises(InputError, match="of another recovery: shader differ"):
@@ -198,7 +198,7 @@ def test_a_changed_line_in_a_file_that_a_models_shader_includes_is_another_recov
 
 def test_other_known_maps_are_another_recovery(tmp_path):
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS, known=KNOWN), 0, 0, 0, ARRAYS)
+    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS, known=KNOWN), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, known=KNOWN))
     with pytest.raises(InputError, match="known differ"):
         checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, known={"normal": KNOWN["normal"] + 1}))
@@ -206,7 +206,7 @@ def test_other_known_maps_are_another_recovery(tmp_path):
 
 def test_a_tile_elsewhere_is_another_recovery(tmp_path):
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), 0, 0, 0, ARRAYS)
+    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     for change in ({"origin": (1, 0)}, {"halo": (1, 0, 0, 0)}):
         with pytest.raises(InputError, match="domain, observations differ"):
             checkpoint.read(path, checkpoint.identity(dataclasses.replace(DOMAIN, **change), **SETTINGS))
