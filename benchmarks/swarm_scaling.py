@@ -146,8 +146,7 @@ def measure(quick: bool) -> dict[str, Any]:
             note("MPI", particles, on_ranks(particles, ranks, 1, iterations, repeats))
         for threads in [n for n in counts if 1 < n <= cores]:
             note("OpenMP", particles, on_ranks(particles, 1, threads, iterations, repeats))
-        if cores >= 4:
-            note("MPI × OpenMP", particles, on_ranks(particles, cores // 2, 2, iterations, repeats))
+        note("MPI × OpenMP", particles, on_ranks(particles, max(2, cores // 2), 2, iterations, repeats))
         for every in (1, 10):
             for entry in ("fragment", "compute"):
                 found = on_gpu(particles, every, iterations, repeats, entry)
@@ -173,7 +172,7 @@ def _cells(row: dict[str, Any], alone: float, cores: int) -> list[str]:
     own = "ranks" in row
     note = f"{row['every']} steps a reduction, {row.get('entry', 'double')}" if "every" in row else ""
     if own and workers > cores:
-        note = "more ranks than cores"
+        note = "more threads than cores"
     speedup = alone / _median(row)
     comm = f"{np.median([run['told'] / run['seconds'] for run in row['runs']]):.1%}" if own else "–"
     return [

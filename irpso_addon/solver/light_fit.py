@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -328,14 +329,14 @@ def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
 
 def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return (K, 3) factors on the intensities by which most of what the texels' images show is met."""
-    renderer = Renderer(domain.bake, model, values, domain.lights, domain.intensities, domain.views, domain.card)
     texels = np.nonzero(domain.bake.coverage)
     factors = np.ones((domain.observations, GAINS))
-    for k in range(domain.observations):
-        render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack[k]))
-        difference = _difference(seen, render)
-        factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
-    renderer.close()
+    lit = domain.lights, domain.intensities, domain.views
+    with closing(Renderer(domain.bake, model, values, *lit, domain.card)) as renderer:
+        for k in range(domain.observations):
+            render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack[k]))
+            difference = _difference(seen, render)
+            factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
     return factors
 
 
