@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,7 +17,7 @@ from .draft import Draft, build_steps
 from .picture import Decoder, Samples
 from .problems import CaptureError
 from .read import read_draft
-from .steps import run_steps
+from .steps import run_steps, told_as
 from .types import Capture
 
 _T = TypeVar("_T")
@@ -124,7 +125,7 @@ def inspect_steps(
         findings += _keep(groups[observation.camera], index, str(draft.shots[index].image), found)
     for camera, frames in groups.items():
         if frames.names:
-            facts.append(_brightness(frames))
+            facts.append((f"brightness{f', camera {camera + 1}' * (len(groups) > 1)}", _brightness(frames)))
             findings += yield from _told("Comparing images", 0, _frame_steps(frames))
             findings += _geometry_findings(draft, capture, camera, frames)
     return Report(path, tuple(facts), tuple(findings))
@@ -132,14 +133,8 @@ def inspect_steps(
 
 def _told(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:
     """Yield ``what`` with a count, up to ``total`` where that is not 0, for each step, and return what they return."""
-    done = 0
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
-        done += 1
-        yield f"{what}: {min(done, total)} of {total}" if total else what
+    numbers = count(1)
+    return (yield from told_as(steps, lambda _: f"{what}: {min(next(numbers), total)} of {total}" if total else what))
 
 
 def _errors(error: CaptureError) -> tuple[Finding, ...]:
@@ -256,9 +251,9 @@ def _shrunk(image: np.ndarray, factor: int) -> np.ndarray:
     return image[:height, :width].reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3))
 
 
-def _brightness(frames: _Frames) -> tuple[str, str]:
+def _brightness(frames: _Frames) -> str:
     means = [float(thumbnail.mean()) for thumbnail in frames.thumbnails]
-    return "brightness", f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
+    return f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
 
 
 def _frame_steps(frames: _Frames) -> Generator[None, None, list[Finding]]:

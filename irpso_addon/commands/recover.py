@@ -29,7 +29,7 @@ from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.height import Height
 from ..maps.read import read_maps
-from ..maps.report import build_report, limit_warnings
+from ..maps.report import build_report, fit_warnings, limit_warnings
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
@@ -154,12 +154,15 @@ def finish(
         gpu=context.describe()["renderer"], iterations=solved.progress.iterations_in_all,
         evaluations=solved.progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
-    warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
+    warnings = fit_warnings(maps, domain.bake.coverage, domain.mean_samples)
+    warnings += light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
     if lights is not None:
         report["lights"] = lights.report()
-    pictures = {"preview": error_preview(domain, maps, job.truth), "convergence": solved.history.picture(maps)} | relit
+    names = [one.name + " (held out)" * (k in job.held_out) for k, one in enumerate(job.capture.observations)]
+    preview = error_preview(domain, maps, job.truth, names)
+    pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
     extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
     if height is not None:
@@ -170,6 +173,8 @@ def finish(
         (job.folder / name).unlink(missing_ok=True)
     if not silent(options):
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))
+    elif options.quiet and not options.json:
+        sys.stderr.write("".join(f"irpso: warning: {text}\n" for text in report["warnings"]))
     return {"output": str(job.folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 

@@ -20,18 +20,20 @@ _SHOWN = 3  # observations in a preview, the median one among them
 _WHITE = 99.5  # percentile of the reference that is shown as white
 
 
-def error_preview(domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None) -> np.ndarray:
-    """Return (H, W, 3) display values: reference | recovered | error, of maps that are known, then of images."""
+def error_preview(
+    domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str]
+) -> np.ndarray:
+    """Return (H, W, 3) display values: reference | recovered | error, of maps that are known, then of images.
+
+    names: of all observations.
+    """
     rows = map_rows(maps, truth, maps.covered) if truth else []
-    brightness = [
-        layer[..., :3][layer[..., 3] > 0].mean() if (layer[..., 3] > 0).any() else 0 for layer in domain.stack
-    ]
-    order = np.argsort(brightness)[::-1]
+    order = np.argsort(domain.mean_samples)[::-1]
     # The brightest fifth and the middle: frames that show something, under unlike lights.
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
     if rows:
         chosen = chosen[:1]
-    rows += image_rows(domain, maps, chosen, [f"Image {k}" for k in chosen])
+    rows += image_rows(domain, maps, chosen, [names[k] for k in chosen])
     return preview(rows, ("Reference", "Recovered", "Error"))
 
 

@@ -19,7 +19,7 @@ from ..maps import material
 from ..maps.extra import NORMAL_SPACES
 from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
-from ..maps.report import build_report, limit_warnings
+from ..maps.report import build_report, fit_warnings, limit_warnings
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..maps.write import write_maps
@@ -73,13 +73,16 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
     )  # fmt: skip
     lights = running.lights
-    warnings = limit_warnings(maps, job.given) + (lights.warnings() if lights is not None else [])
+    warnings = limit_warnings(maps, job.given)
+    warnings += fit_warnings(maps, running.domain.bake.coverage, running.domain.mean_samples)
+    warnings += lights.warnings() if lights is not None else []
     return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 
 
 def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
     """Return preview and, where there is a history, convergence: file stem → (H, W, 3) display values."""
-    pictures = {"preview": error_preview(running.domain, maps, None)}
+    names = [observation.name for observation in running.job.capture.observations]
+    pictures = {"preview": error_preview(running.domain, maps, None, names)}
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:

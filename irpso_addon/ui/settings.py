@@ -235,7 +235,7 @@ class Settings(bpy.types.PropertyGroup):
         name="Light Strengths", description="Whether the capture's light intensities are known", items=_STRENGTHS
     )
     refine_directions: FloatProperty(
-        name="Refine Directions", description="How far off the lights' directions may be: they are corrected by the"
+        name="Refine Lights", description="How far off the lights' directions may be: they are corrected by the"
         " photographs before the search. 0 leaves them as they are", subtype="ANGLE", min=0,
         max=math.radians(MOST_DEGREES), default=0,
     )  # fmt: skip
