@@ -2,7 +2,6 @@
 
 import bpy
 import numpy as np
-import OpenEXR
 import pytest
 
 from irpso_addon.capture.camera import Camera
@@ -13,6 +12,7 @@ from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
 from tests import geometry_oracle
 from tests.cli_maker import angle
+from tests.cycles_passes import normals_of, rendered_passes
 
 SIZE = 96
 
@@ -94,21 +94,9 @@ def card(tmp_path_factory):
 
 def passes(path):
     """Return the depth (H, W) and normal (H, W, 3) passes of Cycles, row 0 at the bottom."""
-    settings, cycles = bpy.context.scene.render, bpy.context.scene.cycles
-    settings.engine, settings.filepath = "CYCLES", str(path)
-    settings.resolution_x = settings.resolution_y = SIZE
-    if hasattr(settings.image_settings, "media_type"):
-        settings.image_settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.image_settings.file_format, settings.image_settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    cycles.samples, cycles.pixel_filter_type, cycles.filter_width = 1, "BOX", 0.01
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    layer = bpy.context.view_layer
-    layer.use_pass_normal = layer.use_pass_z = True
-    bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name: channel.pixels[::-1] for part in file.parts for name, channel in part.channels.items()}
-    normal = np.stack([channels[f"ViewLayer.Normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
-    return next(pixels for name, pixels in channels.items() if name.startswith("ViewLayer.Depth")), normal
+    channels = rendered_passes(path, SIZE)
+    depth = next(pixels for name, pixels in channels.items() if name.startswith("ViewLayer.Depth"))
+    return depth, normals_of(channels)
 
 
 INNER = (slice(4, -4), slice(4, -4))

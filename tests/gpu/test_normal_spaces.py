@@ -2,7 +2,6 @@
 
 import bpy
 import numpy as np
-import OpenEXR
 import pytest
 from mathutils import Euler, Matrix, Vector
 
@@ -14,6 +13,7 @@ from irpso_addon.maps.material import apply_material, build_material
 from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
 from tests.cli_maker import angle
+from tests.cycles_passes import normals_of, rendered_passes
 
 TEXELS, PIXELS = 512, 128
 SCALE, TURN = (1.5, 0.8, -1.2), (0.4, -0.3, 0.7)
@@ -79,19 +79,7 @@ def view_of(obj):
 
 def normal_pass(path):
     """Return (PIXELS, PIXELS, 3): the normal pass that Cycles writes, at the pixels' centres, row 0 at the bottom."""
-    settings, cycles = bpy.context.scene.render, bpy.context.scene.cycles
-    settings.engine, settings.filepath = "CYCLES", str(path)
-    settings.resolution_x = settings.resolution_y = PIXELS
-    if hasattr(settings.image_settings, "media_type"):
-        settings.image_settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.image_settings.file_format, settings.image_settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    cycles.samples, cycles.pixel_filter_type, cycles.filter_width = 1, "BOX", 0.01
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    bpy.context.view_layer.use_pass_normal = True
-    bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
-    return np.stack([channels[f"ViewLayer.Normal.{axis}"] for axis in "XYZ"], axis=-1)[::-1].astype(np.float64)
+    return normals_of(rendered_passes(path, PIXELS))
 
 
 @pytest.fixture(scope="module")
