@@ -27,6 +27,7 @@ from benchmarks import report
 _FUNCTION, _DIMENSIONS, _ITERATIONS, _REPEATS = "griewank", 30, 100, 3
 _PARTICLES = (8192, 50000)
 _MODELLED = tuple(2**n for n in range(11))
+_REDUCED = {1: "a reduction every step", 10: "a reduction every tenth step"}
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def _median(row: dict[str, Any]) -> float:
 def _cells(row: dict[str, Any], alone: float, cores: int) -> list[str]:
     workers = row.get("ranks", 1) * row.get("threads", 1)
     own = "ranks" in row
-    note = f"{row['every']} steps a reduction, {row.get('entry', 'double')}" if "every" in row else ""
+    note = f"{_REDUCED[row['every']]}, {row.get('entry', 'double')}" if "every" in row else ""
     if own and workers > cores:
         note = "more threads than cores"
     speedup = alone / _median(row)
@@ -205,19 +206,14 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 
 def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
-    with report.plot(folder, PROGRAM.name, "Efficiency, measured here (dots) and modelled (lines)", 2) as axes:
-        for axis, particles in zip(axes[0], _PARTICLES, strict=True):
-            rows = [r for r in data["rows"] if r["particles"] == particles and r["how"] == "MPI"]
-            alone = _median(rows[0])
-            for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
-                times = [modelled(alone, data["iterations"], _told(data), ranks, network) for ranks in _MODELLED]
-                axis.plot(_MODELLED, [alone / t / p for t, p in zip(times, _MODELLED, strict=True)], color=colour,
-                          label=network.name)  # fmt: skip
-            fits = [r for r in rows if r["ranks"] <= data["cores"]]
-            axis.plot([r["ranks"] for r in fits], [alone / _median(r) / r["ranks"] for r in fits], "o", color="black")
-            axis.set_xscale("log", base=2)
-            axis.set(title=f"{particles} particles", xlabel="ranks", ylabel="efficiency", ylim=(0, 1.05))
-        axes[0, 0].legend(fontsize=7)
+    title = "Measured here (dots: ranks, triangles: threads) and modelled (lines)"
+    with report.plot(folder, PROGRAM.name, title, len(_PARTICLES), 3) as axes:
+        for column, particles in zip(axes.T, _PARTICLES, strict=True):
+            _draw(column, [row for row in data["rows"] if row["particles"] == particles], data)
+            column[0].set(title=f"{particles} particles")
+        for axis, label in zip(axes[:, 0], ("seconds", "speed-up", "efficiency"), strict=True):
+            axis.set(ylabel=label)
+        axes[2, 0].legend(fontsize=7)
     return [
         "## A model of more ranks",
         "",
@@ -229,6 +225,29 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
         "",
         *report.image(PROGRAM.name, "efficiency against ranks"),
     ]
+
+
+def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any]) -> None:
+    """Draw seconds, speed-up and efficiency of one number of particles, beneath each other."""
+    alone = _median(rows[0])
+
+    def draw(workers: Sequence[int], seconds: Sequence[float], *style: str, **settings: Any) -> None:
+        speedup = [alone / one for one in seconds]
+        efficiency = [one / count for one, count in zip(speedup, workers, strict=True)]
+        for axis, values in zip(axes, (seconds, speedup, efficiency), strict=True):
+            axis.plot(workers, values, *style, **settings)
+
+    for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
+        times = [modelled(alone, data["iterations"], _told(data), ranks, network) for ranks in _MODELLED]
+        draw(_MODELLED, times, color=colour, label=network.name)
+    for how, count, mark in (("MPI", "ranks", "o"), ("OpenMP", "threads", "^")):
+        found = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
+        draw([row[count] for row in found], [_median(row) for row in found], mark, color="black")
+    for axis, level in zip(axes, ("log", "log", "linear"), strict=True):
+        axis.set_xscale("log", base=2)
+        axis.set_yscale(level)
+        axis.set(xlabel="ranks or threads")
+    axes[2].set(ylim=(0, 1.05))
 
 
 def _told(data: dict[str, Any]) -> float:

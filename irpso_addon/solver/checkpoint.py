@@ -8,7 +8,7 @@ import json
 import os
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -40,7 +40,7 @@ class Checkpoint:
     iteration: int
     evaluations: int
     arrays: dict[str, np.ndarray]
-    notes: Mapping[str, np.ndarray] = MappingProxyType({})
+    notes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def identity(
