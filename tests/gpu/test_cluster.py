@@ -100,7 +100,8 @@ def test_a_mesh_with_seams_over_ranks_has_the_files_of_one_process(ball, tmp_pat
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     settings = report["settings"]
     assert settings["ranks"] == 3 and told["texels"] == report["texels"]
-    assert len(settings["messages"]) == len(settings["bytes_sent"]) == 3 and min(settings["bytes_sent"]) > 0
+    sent = settings["bytes_sent"]  # one rank has the texels that no camera sees
+    assert len(settings["messages"]) == len(sent) == 3 and sorted(sent)[1] > 0
 
 
 def killed(command, variables, folder, victim):
