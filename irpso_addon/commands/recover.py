@@ -29,7 +29,7 @@ from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.height import Height
 from ..maps.read import read_maps
-from ..maps.report import build_report, fit_warnings, limit_warnings
+from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
@@ -154,10 +154,10 @@ def finish(
         gpu=context.describe()["renderer"], iterations=solved.progress.iterations_in_all,
         evaluations=solved.progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
     )  # fmt: skip
-    warnings = fit_warnings(maps, domain.bake.coverage, domain.mean_samples)
-    warnings += light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
+    warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
+    report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
     if lights is not None:
         report["lights"] = lights.report()
     names = [one.name + " (held out)" * (k in job.held_out) for k, one in enumerate(job.capture.observations)]
@@ -324,6 +324,8 @@ def _settings(options: Namespace) -> dict:
 
 def _summary(report: dict, folder: Path, seconds: float) -> str:
     lines = [f"{report['texels']} texels, {report['seconds']['solve']:.1f} s, written to {folder} in {seconds:.1f} s"]
+    if unseen := report["unseen_texels"]:
+        lines.append(f"{unseen} more texels are seen lit by no camera and hold what lies nearest")
     if residual := report.get("residual"):
         lines.append(f"residual: mean {residual['mean']:.5f}, 99th percentile {residual['p99']:.5f}")
     for name, error in report.get("ground_truth", {}).items():

@@ -15,8 +15,6 @@ from ..reflectance.model import Parameter
 from .result import Maps
 
 _LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative; of the covered texels
-_UNEXPLAINED = 0.25  # residual over brightness: real captures end at …
-_UNSEEN = 0.01  # of the covered texels
 
 
 def build_report(
@@ -76,29 +74,6 @@ def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
                 f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
                 " the lights allow, and normals suffer; give the lights greater intensities"
             )
-    return lines
-
-
-def fit_warnings(maps: Maps, covered: np.ndarray, brightness: np.ndarray) -> list[str]:
-    """Return a line where the maps do not explain the photographs, and one where many texels were never seen.
-
-    covered: (H, W) bool, all texels of the subject. brightness: mean of each observation's samples.
-    """
-    lines = []
-    seen = float(np.mean(brightness[brightness > 0])) if (brightness > 0).any() else 0.0
-    if maps.residual is not None and seen > 0 and maps.covered.any():
-        share = float(np.nanmean(np.asarray(maps.residual).reshape(maps.covered.shape)[maps.covered])) / seen
-        if share > _UNEXPLAINED:
-            lines.append(
-                f"the maps explain the photographs badly: they differ by {share:.0%} of the brightness in the mean;"
-                " check that the lights are in the order of the images, the cameras, and the images' colour space"
-            )
-    unseen = int((covered & ~maps.covered).sum())
-    if unseen > _UNSEEN * covered.sum():
-        lines.append(
-            f"{unseen} of {int(covered.sum())} texels are seen lit by no camera and hold what lies nearest; photograph"
-            " them too, or paint them"
-        )
     return lines
 
 

@@ -19,7 +19,7 @@ from ..maps import material
 from ..maps.extra import NORMAL_SPACES
 from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
-from ..maps.report import build_report, fit_warnings, limit_warnings
+from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..maps.write import write_maps
@@ -74,7 +74,6 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
     )  # fmt: skip
     lights = running.lights
     warnings = limit_warnings(maps, job.given)
-    warnings += fit_warnings(maps, running.domain.bake.coverage, running.domain.mean_samples)
     warnings += lights.warnings() if lights is not None else []
     return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 

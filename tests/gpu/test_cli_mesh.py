@@ -102,6 +102,8 @@ def test_maps_rendered_onto_a_mesh_come_back_where_they_are_seen(ball):
     print(f"\n{seen.mean():.0%} of the texels seen")
     print_errors({"normal": (normal, "°"), "base_color": (color, " %"), "roughness": (rough, " %")})
     assert 0.35 < seen.mean() < 0.7
+    report = json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))
+    assert report["texels"] == seen.sum() and report["unseen_texels"] == seen.size - seen.sum()
     # Many texels show no highlight in any image, and there nothing but the albedo tells of the roughness.
     assert normal.mean() < 0.4 and color.mean() < 2.0 and np.median(rough) < 12
 

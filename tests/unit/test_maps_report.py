@@ -1,13 +1,12 @@
 """Error measures and the report against numbers worked out by hand."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from irpso_addon.maps.report import build_report, fit_warnings, limit_warnings, parameter_error, plain, quantiles
+from irpso_addon.maps.report import build_report, limit_warnings, parameter_error, plain, quantiles
 from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 
@@ -55,20 +54,6 @@ def test_an_albedo_at_its_limit_is_warned_of_with_its_share_of_the_covered_texel
 def test_few_texels_at_the_limit_or_a_given_albedo_are_nothing_to_warn_of():
     assert limit_warnings(albedo_maps(0.05)) == []
     assert limit_warnings(albedo_maps(0.4), given={"albedo"}) == []
-
-
-def test_maps_that_explain_less_than_three_quarters_of_the_photographs_are_warned_of():
-    maps = replace(albedo_maps(0.0), residual=np.where(np.arange(200).reshape(2, 100) < 100, 0.09, np.nan))
-    (line,) = fit_warnings(maps, maps.covered, np.array([0.2, 0.0, 0.4]))
-    assert "differ by 30% of the brightness" in line
-    assert fit_warnings(maps, maps.covered, np.array([0.2, 0.0, 0.6])) == []
-    assert fit_warnings(maps, maps.covered, np.zeros(3)) == []
-
-
-def test_texels_that_no_camera_saw_are_warned_of_with_their_number():
-    maps = albedo_maps(0.0)
-    (line,) = fit_warnings(maps, np.ones((2, 100), bool), np.ones(3))
-    assert line.startswith("100 of 200 texels are seen lit by no camera")
 
 
 @pytest.fixture
