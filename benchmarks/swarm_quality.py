@@ -110,6 +110,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " own, scipy's differential evolution is not polished at the end. How:"
         " [swarm_quality.py](../../benchmarks/swarm_quality.py).",
         "",
+        "A material has 2 to 10 dimensions, and the solver's constants are for those: with 30 and more, `swarm` settles"
+        " before it has found the valley, and so does every swarm here with 100.",
+        "",
         *report.table(("function", "dimensions", *METHODS), rows),
     ]
 
