@@ -79,17 +79,22 @@ def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> 
     return replace(domain, stack=stack)
 
 
-def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
-    """Return (domain, truth) of a smooth subject with noise on it, as the oracle's model renders it."""
-    rng = np.random.default_rng(rng_seed)
-    shape = (height, width)
-    truth = {
+def random_truth(rng, shape):
+    """Return random maps (H, W, C) float64 for all parameters of the models with lobes, normals near the surface's."""
+    return {
         "base_color": rng.uniform(0.2, 0.9, (*shape, 3)),
         "normal": unit(rng.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)),
         "r1": rng.uniform(0.1, 0.2, (*shape, 1)),
         "r2": rng.uniform(0.4, 0.6, (*shape, 1)),
         "w": rng.uniform(0.3, 0.7, (*shape, 1)),
     }
+
+
+def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
+    """Return (domain, truth) of a smooth subject with noise on it, as the oracle's model renders it."""
+    rng = np.random.default_rng(rng_seed)
+    shape = (height, width)
+    truth = random_truth(rng, shape)
     truth = {p.name: truth[p.name].astype(np.float32) for p in load_model(model).parameters}
     return with_radiance(make_domain(height, width, **options), model, truth), truth
 

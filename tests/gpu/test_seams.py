@@ -26,7 +26,7 @@ from irpso_addon.solver.tiled import TiledRecovery
 from tests import swarm_oracle as oracle
 from tests.geometry_oracle import joined
 from tests.seam_subjects import part, sheet
-from tests.swarm_subjects import SHORT, make_domain, unit, with_radiance
+from tests.swarm_subjects import SHORT, make_domain, random_truth, unit, with_radiance
 
 LAMBERT = load_model("lambert")
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -39,13 +39,7 @@ def observed(subject, observations=8, seed=3, holes=0.0, model="lambert"):
     domain = subject.domain()
     shape = domain.shape
     lit = make_domain(*shape, observations=observations, holes=False, rng_seed=seed)
-    truth = {
-        "base_color": rng.uniform(0.2, 0.9, (*shape, 3)),
-        "normal": unit(rng.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)),
-        "r1": rng.uniform(0.1, 0.2, (*shape, 1)),
-        "r2": rng.uniform(0.4, 0.6, (*shape, 1)),
-        "w": rng.uniform(0.3, 0.7, (*shape, 1)),
-    }
+    truth = random_truth(rng, shape)
     stack = lit.stack.copy()
     stack[..., 3] *= domain.bake.coverage & (rng.uniform(size=shape) >= holes)
     domain = replace(domain, stack=stack, lights=lit.lights, intensities=lit.intensities, views=lit.views)
