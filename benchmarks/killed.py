@@ -55,10 +55,9 @@ def _chain(
 ) -> dict[str, Any]:
     chosen = random.Random(ranks)
     done = {"ranks": ranks, "kills": 0, "resumed": 0, "whole": 0, "equal": 0, "failed": 0}
-    out, number, life = folder / "0", 0, 1.5 * took
+    out, number, life = folder / "0", 0, 1.2 * took  # so that some come while the result is being written
     while done["kills"] < kills:
         resume = (out / "checkpoint.npz").exists()
-        began = time.monotonic()
         run = _start(capture, out, ranks, resume)
         try:
             run.wait(chosen.uniform(0, life))
@@ -71,7 +70,6 @@ def _chain(
             done["failed"] += 1
             report.say(run.stderr.read().decode())
             break
-        life = 1.2 * (time.monotonic() - began)
         done["whole"] += 1
         done["equal"] += _same(_maps(out), reference)
         number += 1
@@ -170,8 +168,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 
 def headline(data: dict[str, Any]) -> str:
     """Return what the index says."""
-    kills, whole, equal = (sum(c[key] for c in data["chains"]) for key in ("kills", "whole", "equal"))
-    return f"{kills} kills: {equal} of {whole} runs ended in the same maps"
+    kills, whole, equal, failed = (sum(c[k] for c in data["chains"]) for k in ("kills", "whole", "equal", "failed"))
+    refused = f", {failed} refused to go on" if failed else ""
+    return f"{kills} kills: {equal} of {whole} runs ended in the same maps{refused}"
 
 
 PROGRAM = report.Program("killed", "Killed and gone on with", __file__, measure, write, headline)

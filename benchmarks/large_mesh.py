@@ -123,7 +123,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " process, with a software renderer's textures. How: [large_mesh.py](../../benchmarks/large_mesh.py).",
         "",
         f"**{_FULL}², {_FEW} lights a camera, in full**, `--memory {data['budgets']['full']}`: {full['texels']} texels"
-        f" in {full['tiles']} tiles, {full['seconds']:.0f} s, peak {full['peak']:.2f} GiB.",
+        f" in {'one tile' if full['tiles'] == 1 else str(full['tiles']) + ' tiles'},"
+        f" {full['seconds']:.0f} s, peak {full['peak']:.2f} GiB.",
         "",
         f"**{_HUGE}², {_MANY} lights a camera**, `--memory {data['budgets']['huge']} --dry-run`:",
         "",

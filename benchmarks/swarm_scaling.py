@@ -189,7 +189,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         " (constants of `constriction`), the median of several runs, on the"
         f" {data['cores']} cores there are; ranks and threads are bound to cores as far as there are cores. Speed-up"
         " and efficiency are over one rank of one thread. The result is the same for any number of ranks and threads: a"
-        " particle's random numbers are a function of its own number. Double precision, single on the GPU. How:"
+        " particle's random numbers are a function of its own number. Double precision, single on the GPU. Only this"
+        " function is timed; [swarm_quality.md](swarm_quality.md) has all six, in 10 to 100 dimensions. How:"
         " [swarm_scaling.py](../../benchmarks/swarm_scaling.py).",
         "",
     ]
@@ -214,11 +215,13 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
         for axis, label in zip(axes[:, 0], ("seconds", "speed-up", "efficiency"), strict=True):
             axis.set(ylabel=label)
         axes[2, 0].legend(fontsize=7)
+    told = " and ".join(f"{_told(data, particles):.0%}" for particles in _PARTICLES)
     return [
         "## A model of more ranks",
         "",
         f"**Not measured.** Seconds of one rank divided by their number; in each iteration 2⌈log2 p⌉ messages of 16"
-        f" bytes and, in {_told(data):.0%} of them, ⌈log2 p⌉ of {8 * _DIMENSIONS} bytes; "
+        f" bytes and, in {told} of them with {_PARTICLES[0]} and {_PARTICLES[1]} particles, ⌈log2 p⌉ of"
+        f" {8 * _DIMENSIONS} bytes; "
         + "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
         + ". It breaks where ranks differ in speed (each iteration waits for the slowest), where several ranks share a"
         " network card, and where so few particles are left to a rank that the loop around them counts.",
@@ -238,7 +241,8 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
             axis.plot(workers, values, *style, **settings)
 
     for network, colour in zip(NETWORKS, report.COLORS[1:], strict=False):
-        times = [modelled(alone, data["iterations"], _told(data), ranks, network) for ranks in _MODELLED]
+        told = _told(data, rows[0]["particles"])
+        times = [modelled(alone, data["iterations"], told, ranks, network) for ranks in _MODELLED]
         draw(_MODELLED, times, color=colour, label=network.name)
     for how, count, mark in (("MPI", "ranks", "o"), ("OpenMP", "threads", "^")):
         found = [row for row in rows if row["how"] == how and row[count] <= data["cores"]]
@@ -250,8 +254,10 @@ def _draw(axes: Sequence[Any], rows: list[dict[str, Any]], data: dict[str, Any])
     axes[2].set(ylim=(0, 1.05))
 
 
-def _told(data: dict[str, Any]) -> float:
-    return next(row["news"] for row in data["rows"] if "news" in row) / data["iterations"]
+def _told(data: dict[str, Any], particles: int) -> float:
+    """Return the part of iterations in which a new best was sent round."""
+    rows = (row for row in data["rows"] if row["particles"] == particles and "news" in row)
+    return next(rows)["news"] / data["iterations"]
 
 
 def headline(data: dict[str, Any]) -> str:

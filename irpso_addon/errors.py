@@ -17,6 +17,10 @@ class InputError(IrpsoError):
     exit_code = 2
 
 
+class CheckpointError(InputError):
+    """A checkpoint that cannot be gone on from: missing, damaged, or of another recovery."""
+
+
 class ShaderError(InputError):
     """A shader does not compile. ``log`` holds the driver's own lines, with file and line of the .glsl source."""
 

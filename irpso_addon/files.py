@@ -45,10 +45,23 @@ def check_unused(path: Path, remedy: str = "choose a new folder or delete it fir
         raise InputError(f"{path}: is there already and not empty; {remedy}")
 
 
+def synced(path: Path) -> None:
+    """Have a file, or a folder's list of files, on the disk itself: what comes after it may then rely on it."""
+    if os.name == "nt" and path.is_dir():  # which Windows cannot open, and has no need to
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def write_json(path: Path, table: dict[str, Any]) -> None:
     """Write plain data as JSON, whole or not at all. Raises InputError where it cannot be written."""
     with replacing_file(path) as partial:
         partial.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        synced(partial)
+    synced(path.parent)
 
 
 @contextmanager

@@ -30,8 +30,11 @@ _REMEDIES = {
 }
 
 
-def choose_device(ranks: Ranks) -> None:
+def choose_device(ranks: Ranks) -> int:
     """Set the environment so that ranks on one machine take a GPU each, and share its cores where there is none.
+
+    Return how many ranks have this one's device, as far as can be told: a launcher that shows each rank one of several
+    devices does not say so.
 
     To be called before a context is made. What is set already stays. Mesa's drivers take the device from DRI_PRIME
     (docs.mesa3d.org, envvars); NVIDIA's takes the first that the process may see, so that a launcher has to show each
@@ -45,6 +48,8 @@ def choose_device(ranks: Ranks) -> None:
     if ranks.locals > 1 and len(nodes) > 1:
         name = nodes[ranks.local % len(nodes)].name.removesuffix("-render")
         os.environ.setdefault("DRI_PRIME", name.replace(":", "_").replace(".", "_"))
+    here = ranks.host, os.environ.get("DRI_PRIME")
+    return ranks.all(here).count(here)
 
 
 def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:

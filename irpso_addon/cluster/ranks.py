@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -99,13 +100,16 @@ class Ranks:
             time.sleep(_NAP_SECONDS)
         return self._world.recv(source=0, tag=_COMMAND)
 
-    def collected(self, arrays: Mapping[str, np.ndarray] | None) -> list[dict[str, np.ndarray] | None]:
-        """Return to rank 0 the arrays of every rank, None where one has none; to the others nothing."""
+    def collected(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
+        """Yield to rank 0 the arrays of every rank, None where one has none, as they come; to the others nothing.
+
+        Rank 0 has to take all of them.
+        """
         if not self.leads:
             self._send_arrays(arrays, 0)
-            return []
+            return iter(())
         own = None if arrays is None else dict(arrays)
-        return [own, *(self._receive_arrays(rank) for rank in range(1, self.size))]
+        return itertools.chain([own], (self._receive_arrays(rank) for rank in range(1, self.size)))
 
     def dealt(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
         """Return to every rank its own of what rank 0 has for each; the others give nothing."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -110,11 +111,11 @@ class RankedRecovery:
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save, from which any number of ranks goes on to the same maps bit for bit."""
         state = self._crew.ask("state")
-        checkpoint.write(Path(path), self._identity(), replace(state, notes=notes))
+        checkpoint.write(Path(path), self._identity, replace(state, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
-        saved = checkpoint.read(Path(path), self._identity())
+        saved = checkpoint.read(Path(path), self._identity)
         at = saved.stage, saved.iteration, saved.evaluations
         self._progress = self._crew.ask_of_own("restore", *at, saved.arrays, others=(*at, None))
         return dict(saved.notes)
@@ -138,7 +139,9 @@ class RankedRecovery:
         if not self._crew.busy:  # else some ranks wait for one that has failed
             self.close()
 
+    @cached_property
     def _identity(self) -> dict[str, Any]:
+        """Who this is to a checkpoint; found once: it reads all samples."""
         member = self._crew.member
         settings = (self.model, self.schedule, self.seed, self.entry, member.known)
         return checkpoint.identity(member.domain, *settings, samples=self._crew.ask("digest"))

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ..capture.toml_file import load_toml
-from ..errors import InputError
+from ..cluster.ranks import joined
+from ..errors import CheckpointError, InputError
 from ..files import write_json
 from ..maps.report import plain
 from ..maps.write import REPORT
@@ -32,10 +33,14 @@ Parse = Callable[[Sequence[str]], Namespace]
 
 @dataclass(frozen=True)
 class Job:
-    """One recovery of a list. words: the command line of it, without what a batch adds."""
+    """One recovery of a list. words: its command line, without what a batch adds. listed: the same as the list has it.
+
+    A list that has been moved, or is named in another way, has the same jobs.
+    """
 
     name: str
     words: tuple[str, ...]
+    listed: tuple[str, ...]
 
     def folder(self, output: Path) -> Path:
         """Return where its result goes."""
@@ -48,6 +53,13 @@ class Job:
 
 def run(options: Namespace) -> dict:
     """Run what is not done yet of a list, and write one report; a job that fails does not stop the others."""
+    ranks = joined()
+    if ranks is not None:
+        ranks.close()
+        if ranks.leads:
+            raise InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
+        options.json = False
+        return {"exit_code": InputError.exit_code}
     jobs = read_list(Path(options.list), options.parse)
     output = Path(options.output)
     if options.only is not None:
@@ -94,20 +106,24 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:
         raise InputError(f"{where}: name must be one that a folder can have, other than batch")
     if ours := [key for key in _OURS if key in row]:
         raise InputError(f"{where}: {ours[0]} is not for a list; it is given, or not, to batch itself")
-    words = ["recover", str(path.parent / row["capture"])]
-    for key, value in row.items():
-        if key not in ("name", "capture"):
-            words += _words(key, value, path)
-    if "checkpoint_every" not in row:
-        words += ["--checkpoint-every", f"{_EVERY:g}"]
+    words, listed = (_command(row, place) for place in (path, None))
     try:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
-    return Job(name, tuple(words))
+    return Job(name, tuple(words), tuple(listed))
 
 
-def _words(key: str, value: Any, path: Path) -> list[str]:
+def _command(row: dict[str, Any], path: Path | None) -> list[str]:
+    """Return the words of a job; path: of the list, to which those that are paths are relative, or None."""
+    words = ["recover", _beside(path, "capture", row["capture"])]
+    for key, value in row.items():
+        if key not in ("name", "capture"):
+            words += _words(key, value, path)
+    return words if "checkpoint_every" in row else [*words, "--checkpoint-every", f"{_EVERY:g}"]
+
+
+def _words(key: str, value: Any, path: Path | None) -> list[str]:
     """Return one option as words of a command line; a list is an option given several times."""
     option = f"--{key.replace('_', '-')}"
     if isinstance(value, bool):
@@ -117,8 +133,10 @@ def _words(key: str, value: Any, path: Path) -> list[str]:
     return [option, _beside(path, key, str(value))]
 
 
-def _beside(path: Path, key: str, value: str) -> str:
-    """Return an option's value with what is a path in it relative to the list."""
+def _beside(path: Path | None, key: str, value: str) -> str:
+    """Return an option's value with what is a path in it relative to the list, or as it is."""
+    if path is None:
+        return value
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
         return str(path.parent / value)
     name, equals, file = value.partition("=")
@@ -131,13 +149,13 @@ def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
     """Run a job, unless it is done; return what its state file holds afterwards."""
     folder, file = job.folder(output), job.state_file(output)
     before = _state(file)
-    same = before.get("words") == list(job.words)
+    same = before.get("words") == list(job.listed)
     if same and before.get("state") == "done" and (folder / REPORT).is_file():
         _say(options, f"{job.name}: done before")
         return before
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'goes on' if resume else 'begins'}")
-    state = {"name": job.name, "words": list(job.words), "state": "begun"}
+    state = {"name": job.name, "words": list(job.listed), "state": "begun"}
     write_json(file, plain(state))
     words = [
         *job.words,
@@ -148,7 +166,11 @@ def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
     ]
     started = time.perf_counter()
     try:
-        found = recover.run(options.parse(words))
+        try:
+            found = recover.run(options.parse(words))
+        except CheckpointError as error:  # of options, photographs or a version that were others
+            _say(options, f"{job.name}: begins anew ({error})")
+            found = recover.run(options.parse([word for word in words if word != "--resume"]))
         state |= {"state": "done", "result": {key: found[key] for key in _FIGURES if key in found}}
     except (InputError, MemoryError) as error:
         state |= {"state": "failed", "error": " ".join(str(error).splitlines())}

@@ -13,10 +13,11 @@ from ..cluster.job import check_alike, choose_device, going_down_together
 from ..cluster.member import Member, Share, around
 from ..cluster.ranks import Agreed, Ranks
 from ..cluster.recovery import Crew, RankedRecovery, serve
-from ..cluster.split import Split, check_fits, split
+from ..cluster.split import Split, check_fits, check_gathered, split
 from ..errors import InputError, IrpsoError
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
-from ..geometry.domain import Domain
+from ..geometry.domain import Domain, GeometryBake
+from ..geometry.seams import SeamMap
 from ..gpu import context, probe
 from ..solver.memory import machine_memory
 from ..solver.need import recovery_need
@@ -67,13 +68,15 @@ def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Spl
     check_alike(ranks, options, job.capture)
     if not ranks.leads:
         options.quiet, options.json = True, False
-    if ranks.size > 1:
-        choose_device(ranks)
+    sharing = choose_device(ranks) if ranks.size > 1 else 1
     ranks.agreed(lambda: (probe.probe(), context.ensure()))
-    found = ranks.agreed(lambda: _split(ranks, options, job))
+    # Of what is recovered, not of its outline alone; and of one mind, whatever each device makes of a border.
+    surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
+    found = ranks.given(ranks.agreed(lambda: _split(ranks, options, job, surface)))
+    ranks.agreed(lambda: _check_fits(ranks, options, found, sharing))
     if options.dry_run:
         return None, job, found
-    share = _share(ranks, options, job, found)
+    share = _share(ranks, options, job, found, surface)
     ranks.agreed(lambda: settle(options, job, share.whole))
     member = Member(ranks, share, job.model, job.schedule, options.seed, job.known)
     ranks.agreed(lambda: _check_lit(member, job))
@@ -93,30 +96,43 @@ def _checked(options: Namespace) -> Job:
     return job
 
 
-def _split(ranks: Ranks, options: Namespace, job: Job) -> Split:
+def _surface(job: Job) -> tuple[GeometryBake, SeamMap | None]:
+    """Return the geometry of the whole domain, and its seams."""
+    return (card_bake(job.capture), None) if job.mesh is None else mesh_surface(job.mesh, *job.resolution)
+
+
+def _split(ranks: Ranks, options: Namespace, job: Job, surface: tuple[GeometryBake, SeamMap | None] | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
     need = recovery_need(job.model, job.schedule, job.known, *counts, options.entry != "fragment")
-    coverage = covered_texels(job.capture, job.mesh, job.resolution)
+    coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.resolution)
     borders = None if job.mesh is None else uv_borders(job.mesh, coverage.shape)
-    found = split(coverage, need, ranks.size, borders)
-    check_fits(found, ranks, machine_memory(options.memory, str(context.describe()["renderer"])))
-    return found
+    return split(coverage, need, ranks.size, borders)
 
 
-def _share(ranks: Ranks, options: Namespace, job: Job, found: Split) -> Share:
+def _check_fits(ranks: Ranks, options: Namespace, found: Split, sharing: int) -> None:
+    memory = machine_memory(options.memory, str(context.describe()["renderer"]))
+    check_fits(found, ranks, memory, sharing)
+    if ranks.leads and options.checkpoint_every is not None:
+        check_gathered(found, memory)
+
+
+def _share(
+    ranks: Ranks, options: Namespace, job: Job, found: Split, surface: tuple[GeometryBake, SeamMap | None]
+) -> Share:
     """Read what this rank needs of the observations."""
-    box, window = found.boxes[ranks.rank], None
+    box = found.boxes[ranks.rank]
     part = None if box is None else around(found.shape, box, found.halo)
 
-    def read() -> tuple:
+    def read() -> Domain | None:
+        if part is None:
+            return None
         if job.mesh is None:
-            bake, seams = card_bake(job.capture), None
-            return bake, seams, part and domain_from_card(job.capture, window=part)
-        surface = mesh_surface(job.mesh, *job.resolution)
+            return domain_from_card(job.capture, window=part)
         options_of = {"shadows": options.shadows, "window": part, "surface": surface}
-        return *surface, part and domain_from_mesh(job.capture, job.mesh, *job.resolution, **options_of)
+        return domain_from_mesh(job.capture, job.mesh, *job.resolution, **options_of)
 
-    bake, seams, window = ranks.agreed(read)
+    window = ranks.agreed(read)
+    bake, seams = surface
     of_all = ranks.given(window and (window.lights, window.intensities, window.views))
     stack = np.zeros((len(of_all[0]), 0, 0, 4), np.float32)
     whole = Domain(bake, stack, *of_all, card=job.mesh is None, seams=seams)

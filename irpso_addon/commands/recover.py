@@ -96,13 +96,13 @@ def run(options: Namespace, opened: bool = False) -> dict:
 
     opened: whether the mesh is in the file that is open, to be taken as it is.
     """
-    if options.slots == EACH:
-        return recover_each(options, _blend_of(options), partial(run, opened=True), BLEND)
     ranks = joined()
     if ranks is not None:
         from .ranked import recover_on_ranks  # which is made of what is below
 
         return recover_on_ranks(ranks, options)
+    if options.slots == EACH:
+        return recover_each(options, _blend_of(options), partial(run, opened=True), BLEND)
     started = time.perf_counter()
     job = check(options, opened)
     probe.probe()
@@ -169,7 +169,7 @@ def finish(
         report["height"] = height.described()
     write_maps(written, job.folder, report, pictures, extras)
     _write_material(written, job, job.subject, mesh, height if job.extras.displacement else None)
-    for name in (CHECKPOINT, LIVE):
+    for name in (CHECKPOINT, *[LIVE] * options.live):
         (job.folder / name).unlink(missing_ok=True)
     if not silent(options):
         sys.stdout.write(_summary(report, job.folder, time.perf_counter() - started))

@@ -89,7 +89,7 @@ def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np
     number = bake.triangle.ravel()[texels]
     weights = _corner_weights(mesh.uvs[number].astype(np.float64), bake.uv.reshape(-1, 2)[texels])[..., None]
     normal = (unit(mesh.normals[number] @ linear) * weights).sum(axis=1)
-    if _normals_areunit():
+    if _normals_are_unit():
         normal = unit(normal)
     corners = mesh.tangents[number].astype(np.float64)
     tangent = (unit(corners[..., :3] @ np.linalg.inv(linear).T) * weights).sum(axis=1)
@@ -97,7 +97,7 @@ def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np
     return np.stack([tangent, sign * np.cross(normal, tangent), normal], axis=1)
 
 
-def _normals_areunit() -> bool:
+def _normals_are_unit() -> bool:
     """Return whether Cycles normalises the interpolated normal first, as it does since 5.1; up to 5.0 it does not."""
     import bpy
 

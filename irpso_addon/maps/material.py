@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..files import replacing_file
+from ..files import replacing_file, synced
 from ..reflectance.model import ReflectanceModel
 from . import two_lobe
 from .displacement import METHOD, displacement, divide
@@ -215,6 +215,7 @@ def save_blend(path: str | Path) -> Path:
                 image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
             # The paths are right for the new place already, so Blender must not remap them.
             bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=False)
+            synced(partial)
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
     finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 
 from ..capture.exr import write_exr
 from ..errors import InputError
+from ..files import synced
 from .blender_images import encode_png
 from .extra import ExtraMap
 from .report import plain
@@ -23,6 +25,7 @@ from .udim import split_maps, tile_part, tile_stem
 
 REPORT = "report.json"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
+_PARTIAL = ".irpso-result-"  # before the name of a folder in which a result is written
 
 
 def check_output_folder(folder: str | Path) -> Path:
@@ -68,14 +71,19 @@ def write_maps(
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".irpso-", dir=folder) as temporary:
+        for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed while it wrote
+            shutil.rmtree(left, ignore_errors=True)
+        with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
             names += _write_extras(extras, maps.tiles, Path(temporary))
             _write_report(Path(temporary), report, tables, extras, names)
             former = _former_files(folder)
             # The report goes last: a folder whose report lists a file holds that file.
             for name in (*names, REPORT):
+                synced(Path(temporary) / name)
+            for name in (*names, REPORT):
                 os.replace(Path(temporary) / name, folder / name)
+            synced(folder)
     except (OSError, InputError) as error:
         _remove_empty(created)
         why = error.strerror or error if isinstance(error, OSError) else error

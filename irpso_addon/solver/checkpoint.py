@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -15,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import replacing_file
+from ..errors import CheckpointError
+from ..files import replacing_file, synced
 from ..geometry.domain import Domain
 from ..gpu.library import read_source
 from ..reflectance.model import ReflectanceModel
@@ -99,26 +98,27 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
         "evaluations": state.evaluations,
         "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
     }
-    with replacing_file(path) as part, part.open("wb") as file:
-        np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
-        file.flush()
-        os.fsync(file.fileno())
+    with replacing_file(path) as part:
+        with part.open("wb") as file:
+            np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+        synced(part)
+    synced(path.parent)
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
-    """Read a checkpoint. Raises InputError where it is missing, damaged, or another recovery's, naming what differs."""
+    """Read a checkpoint. Raises CheckpointError where it is missing, damaged, or another's, naming what differs."""
     try:
         saved = _unpacked(path)
     except OSError as error:
-        raise InputError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
+        raise CheckpointError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
     except _DAMAGED as error:
-        raise InputError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
+        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
     if saved is None:
-        raise InputError(f"{path}: is a checkpoint of another version; start without --resume")
+        raise CheckpointError(f"{path}: is a checkpoint of another version; start without --resume")
     found, checkpoint = saved
     ours = json.loads(json.dumps(who))
     if differing := [name for name in ours if found.get(name) != ours[name]]:
-        raise InputError(f"{path}: is of another recovery: {', '.join(differing)} differ; start without --resume")
+        raise CheckpointError(f"{path}: is of another recovery: {', '.join(differing)} differ; start without --resume")
     return checkpoint
 
 

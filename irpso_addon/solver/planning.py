@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.types import Capture
-from ..errors import InputError
+from ..errors import CheckpointError
 from ..geometry.bake import uv_coverage
 from ..geometry.build import check_card
 from ..geometry.domain import Domain
@@ -79,16 +79,16 @@ def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
 
 
 def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:
-    """Raise InputError unless a checkpoint's tiles hold all texels of this domain."""
+    """Raise CheckpointError unless a checkpoint's tiles hold all texels of this domain."""
     rows, columns = coverage.shape
     left = coverage.copy()
     for box in boxes:
         x, y, width, height = box if len(box) == 4 else (0, 0, 0, 0)
         if not (width > 0 and height > 0 and 0 <= x <= columns - width and 0 <= y <= rows - height):
-            raise InputError("--resume: the checkpoint is of a domain of another size; run without --resume")
+            raise CheckpointError("--resume: the checkpoint is of a domain of another size; run without --resume")
         left[y : y + height, x : x + width] = False
     if left.any():
-        raise InputError("--resume: the checkpoint's tiles leave some of this domain out; run without --resume")
+        raise CheckpointError("--resume: the checkpoint's tiles leave some of this domain out; run without --resume")
 
 
 def scratch_folder(output: Path) -> Path:

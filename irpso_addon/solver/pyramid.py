@@ -124,11 +124,11 @@ class Pyramid:
         """Write a checkpoint, as Recovery.save."""
         state = self._live.state()
         arrays = state.arrays | {_AT: np.array([self._level, self._before])}
-        checkpoint.write(Path(path), self._identity(), replace(state, arrays=arrays, notes=notes))
+        checkpoint.write(Path(path), self._identity, replace(state, arrays=arrays, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
-        saved = checkpoint.read(Path(path), self._identity())
+        saved = checkpoint.read(Path(path), self._identity)
         level, before = (int(number) for number in saved.arrays[_AT])
         self._live.close()
         self._level, self._before = level, before
@@ -191,6 +191,7 @@ class Pyramid:
         deviations = {name: finer_map(coarse, domain, d, 0.0) for name, d in (maps.confidence or {}).items()}
         return Maps(self.model, values, domain.solvable, residual, None if maps.confidence is None else deviations)
 
+    @property
     def _identity(self) -> dict[str, Any]:
         known = self._known[-1]
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, known)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -233,14 +234,14 @@ class Recovery:
         solved: as one, or by any number of ranks.
         """
         state = self.state() if self._is_tile else self.rows()
-        checkpoint.write(Path(path), self._identity(), replace(state, notes=notes))
+        checkpoint.write(Path(path), self._identity, replace(state, notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
 
         Raises InputError for another's.
         """
-        saved = checkpoint.read(Path(path), self._identity())
+        saved = checkpoint.read(Path(path), self._identity)
         (self.restore if self._is_tile else self.take_rows)(saved)
         return dict(saved.notes)
 
@@ -418,7 +419,9 @@ class Recovery:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
         return self._phase
 
+    @cached_property
     def _identity(self) -> dict[str, Any]:
+        """Who this is to a checkpoint; found once: it reads all samples."""
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -187,11 +188,11 @@ class TiledRecovery:
             arrays |= {f"tile_{number}_{name}": array for name, array in (state.arrays if state else {}).items()}
         at, total = states[self._active], int(arrays[_EVALUATIONS].sum())
         whole = Checkpoint(at.stage, at.iteration, total, arrays, notes)
-        checkpoint.write(Path(path), self._identity(), whole)
+        checkpoint.write(Path(path), self._identity, whole)
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
         """Go on from a checkpoint of the same domain, tiles and settings, and return its notes, as Recovery.load."""
-        saved = checkpoint.read(Path(path), self._identity())
+        saved = checkpoint.read(Path(path), self._identity)
         self._work, self._told = None, False
         for number, part in enumerate(self._tiles):
             if part.recovery is not None:
@@ -366,7 +367,9 @@ class TiledRecovery:
         solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
         return _Tile(box, domain, prepared.part(*around), known, solved)
 
+    @cached_property
     def _identity(self) -> dict[str, Any]:
+        """Who this is to a checkpoint; found once: it reads all samples."""
         who = checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
         return who | {"tiles": [[*part.box, self._halo] for part in self._tiles]}
 

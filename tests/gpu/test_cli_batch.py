@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.exr import read_exr
+from irpso_addon.cli import build_parser
 from irpso_addon.commands import batch, recover
 from tests import cli_maker
 from tests.cli_maker import run_cli
@@ -95,6 +96,23 @@ def test_a_job_whose_options_have_changed_or_whose_result_is_gone_is_run_again(l
     assert run_cli(*arguments, "--only", "second")[0] == 0 and begun == [("second", False)]
 
 
+def test_a_checkpoint_that_is_of_no_use_does_not_stop_its_job_for_ever(listed):
+    out, (job, *_) = listed / "out", batch.read_list(listed / "list.toml", build_parser().parse_args)
+    (out / "first").mkdir(parents=True)
+    (out / "first" / "checkpoint.npz").write_bytes(b"cut off in its middle")
+    (out / "first.json").write_text(json.dumps({"words": job.listed, "state": "begun"}), encoding="utf-8")
+    code, told, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
+    assert code == 0 and "first: goes on" in told and "begins anew" in told and "damaged" in told
+    assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
+
+
+def test_a_list_that_is_named_otherwise_or_lies_elsewhere_has_the_same_jobs(listed, monkeypatch):
+    out = listed / "out"
+    assert run_cli("batch", listed / "list.toml", "-o", out, "--only", "first", "--quiet")[0] == 0
+    monkeypatch.chdir(listed)
+    assert "first: done before" in run_cli("batch", "list.toml", "-o", "out", "--only", "first")[1]
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -123,8 +141,6 @@ def test_a_name_that_the_list_does_not_have_is_refused(listed):
 
 
 def test_defaults_of_meshes_are_not_for_cards(tmp_path):
-    from irpso_addon.cli import build_parser
-
     text = '[defaults]\nresolution = 64\n[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\nblend = "b.blend"\n'
     (tmp_path / "list.toml").write_text(text, encoding="utf-8")
     card, mesh = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
@@ -132,8 +148,6 @@ def test_defaults_of_meshes_are_not_for_cards(tmp_path):
 
 
 def test_paths_are_relative_to_the_list(listed):
-    from irpso_addon.cli import build_parser
-
     jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
     assert jobs[0].words[:2] == ("recover", str(listed / "first"))
     (listed / "given.exr").touch()

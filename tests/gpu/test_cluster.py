@@ -166,6 +166,15 @@ def test_what_ranks_cannot_do_is_refused_once(card, tmp_path):
     assert code == 2 and "levels" in told["error"] and err.count("irpso: ") == 1
 
 
+def test_every_slot_by_itself_or_a_list_of_recoveries_is_not_for_ranks(ball, card, tmp_path):
+    code, told, _ = mpi_maker.run(2, *options_of([*ball, "--slots", "each"], STANDARD, tmp_path / "out"))
+    assert code == 2 and "--slots each" in told["error"]
+    (tmp_path / "list.toml").write_text('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\n')
+    code, told, _ = mpi_maker.run(2, "batch", tmp_path / "list.toml", "--json", "-o", tmp_path / "out")
+    assert code == 2 and "without mpirun" in told["error"]
+    assert not (tmp_path / "out").exists()
+
+
 def test_processes_that_cannot_find_one_another_are_refused(card, tmp_path, monkeypatch):
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     monkeypatch.setitem(sys.modules, "mpi4py", None)  # as where it is not installed

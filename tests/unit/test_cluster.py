@@ -12,7 +12,7 @@ from irpso_addon.cluster import job
 from irpso_addon.cluster.member import around
 from irpso_addon.cluster.ranks import Agreed, Ranks, joined
 from irpso_addon.cluster.samples import SharedStack
-from irpso_addon.cluster.split import check_fits, split
+from irpso_addon.cluster.split import check_fits, check_gathered, split
 from irpso_addon.errors import GpuUnavailableError, InputError
 from irpso_addon.geometry.domain import subset, tile
 from irpso_addon.reflectance.model import load_model
@@ -61,10 +61,18 @@ def test_ranks_that_a_small_domain_has_no_texels_for_have_no_box():
 def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
     found = split(np.ones((256, 256), bool), NEED, 2)
     size = found.tiles[0].device
-    ranks = Told([])  # two ranks share the device
-    check_fits(found, ranks, Memory(2 * size, 1 << 30))
+    check_fits(found, Told([]), Memory(2 * size, 1 << 30), sharing=2)
+    check_fits(found, Told([]), Memory(size, 1 << 30), sharing=1)
     with pytest.raises(InputError, match="start more ranks on more machines"):
-        check_fits(found, ranks, Memory(2 * size - 2, 1 << 30))
+        check_fits(found, Told([]), Memory(2 * size - 2, 1 << 30), sharing=2)
+
+
+def test_a_checkpoint_that_rank_0_has_no_room_for_is_refused_before_it_is_gathered():
+    found = split(np.ones((256, 256), bool), NEED, 2)
+    state = 256 * 256 * NEED.kept
+    check_gathered(found, Memory(1, state))
+    with pytest.raises(InputError, match="--checkpoint-every: a checkpoint takes"):
+        check_gathered(found, Memory(1, state - 1))
 
 
 @pytest.mark.parametrize("reach", [1, 3, 4])
@@ -154,9 +162,10 @@ def test_ranks_on_one_machine_take_its_gpus_in_turn(monkeypatch, tmp_path):
         monkeypatch.delenv("DRI_PRIME")
         ranks = Told([], size=3)
         ranks.local = local
-        job.choose_device(ranks)
-        chosen.append(job.os.environ["DRI_PRIME"])
-    assert chosen == ["pci-0000_01_00_0", "pci-0000_41_00_0", "pci-0000_01_00_0"]
+        ranks._others = [(ranks.host, "pci-0000_01_00_0"), ("elsewhere", "pci-0000_41_00_0")]
+        sharing = job.choose_device(ranks)
+        chosen.append((job.os.environ["DRI_PRIME"], sharing))
+    assert chosen == [("pci-0000_01_00_0", 2), ("pci-0000_41_00_0", 1), ("pci-0000_01_00_0", 2)]
 
 
 def test_what_fails_on_another_rank_fails_here_with_its_name_and_kind():
