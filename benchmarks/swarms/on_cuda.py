@@ -52,25 +52,36 @@ def _aim(best, value, goal, found):
         found[0] = values[0]
 
 
-def run(
-    constants: rule.Rule,
-    function: Function,
-    dimensions: int,
-    particles: int,
-    iterations: int,
-    seed: int,
-    every: int = 1,
-) -> tuple[float, np.ndarray]:
-    """Return the least value and its place (D,). every: the steps after which the best place is looked for."""
-    swarm = rule.place(constants, function, dimensions, 0, particles, seed)
-    x, v, best, value, goal = map(cuda.to_device, (swarm.x, swarm.v, swarm.best, swarm.value, swarm.goal))
-    found, given = cuda.to_device(np.zeros(1)), cuda.to_device(threads.constants_of(constants))
-    _aim[1, _BLOCK](best, value, goal, found)
-    for iteration in range(1, iterations + 1):
-        _move[-(-particles // _BLOCK), _BLOCK](
-            x, v, best, value, goal, seed, iteration, given, function.number, function.reach
-        )
-        if iteration % every == 0:
-            _aim[1, _BLOCK](best, value, goal, found)
-    _aim[1, _BLOCK](best, value, goal, found)
-    return float(found.copy_to_host()[0]), goal.copy_to_host()
+class CudaSwarm:
+    """One swarm of ``rule`` on the CUDA device, placed like its own. every: the steps between looks for the best."""
+
+    def __init__(
+        self, constants: rule.Rule, function: Function, dimensions: int, particles: int, seed: int, every: int = 1
+    ):
+        swarm = rule.place(constants, function, dimensions, 0, particles, seed)
+        held = (swarm.x, swarm.v, swarm.best, swarm.value, swarm.goal)
+        self._x, self._v, self._best, self._value, self._goal = map(cuda.to_device, held)
+        self._found, self._given = cuda.to_device(np.zeros(1)), cuda.to_device(threads.constants_of(constants))
+        self._blocks, self._seed, self._every, self._made = -(-particles // _BLOCK), seed, every, 0
+        self._function = function.number, function.reach
+        self._look()
+
+    def step(self, iterations: int) -> None:
+        """Make so many iterations, and wait until they are made."""
+        for _ in range(iterations):
+            self._made += 1
+            _move[self._blocks, _BLOCK](
+                self._x, self._v, self._best, self._value, self._goal, self._seed, self._made, self._given,
+                *self._function,
+            )  # fmt: skip
+            if self._made % self._every == 0:
+                self._look()
+        cuda.synchronize()
+
+    def goal(self) -> tuple[float, np.ndarray]:
+        """Return the least value and its place (D,)."""
+        self._look()
+        return float(self._found.copy_to_host()[0]), self._goal.copy_to_host()
+
+    def _look(self) -> None:
+        _aim[1, _BLOCK](self._best, self._value, self._goal, self._found)

@@ -129,9 +129,11 @@ def test_cuda_finds_the_same_in_its_simulator():
     pytest.importorskip("numba.cuda", reason="numba has no CUDA here")
     script = (
         "from benchmarks.swarms import on_cuda, rule; from benchmarks.swarms.functions import FUNCTIONS\n"
-        "for f in FUNCTIONS.values():\n"
-        "    one = rule.run(rule.Rule.of(), f, 5, 17, 2, 1)\n"
-        "    value, place = on_cuda.run(rule.Rule.of(), f, 5, 17, 2, 1)\n"
+        "for f, members in (*((f, 17) for f in FUNCTIONS.values()), (FUNCTIONS['sphere'], 300)):\n"
+        "    one = rule.run(rule.Rule.of(), f, 5, members, 2, 1)\n"
+        "    swarm = on_cuda.CudaSwarm(rule.Rule.of(), f, 5, members, 1)\n"
+        "    swarm.step(2)\n"
+        "    value, place = swarm.goal()\n"
         "    assert abs(value - one.goal_value) <= 1e-12 * abs(value) and abs(place - one.goal).max() < 1e-12, f.name\n"
     )
     environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1", "PYTHONWARNINGS": "ignore", "PYTHONPATH": str(ROOT)}
