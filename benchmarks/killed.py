@@ -160,7 +160,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"A card of {_TEXELS[1]} × {_TEXELS[0]} texels under {_LIGHTS} lights, {data['iterations']} iterations, a"
         " checkpoint every 0.2 s; killed with signal 9 at random moments of its life and started again. With ranks, one"
-        " of them is killed, and the launcher ends the others. How: [killed.py](../../benchmarks/killed.py).",
+        " of them is killed, and the launcher ends the others. A run takes many kills until it gets through; those that"
+        " came before the first checkpoint began anew. How: [killed.py](../../benchmarks/killed.py).",
         "",
         *report.table(header, rows),
     ]

@@ -84,15 +84,15 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
         partial.write_text(json.dumps(kept, indent=1), encoding="utf-8")
         partial.replace(path)
     output.mkdir(parents=True, exist_ok=True)
-    lines = [f"# {program.title}", "", *program.write(kept["data"], output), "", *_foot(kept, program)]
+    tried = ["**A smoke run with tiny sizes: the numbers mean nothing.**", ""] if kept["quick"] else []
+    lines = [f"# {program.title}", "", *tried, *program.write(kept["data"], output), "", *_foot(kept, program)]
     (output / f"{program.name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"{program.name}: {output / (program.name + '.md')}")
 
 
 def _foot(kept: dict[str, Any], program: Program) -> list[str]:
-    mode = "A smoke run with tiny sizes: the numbers mean nothing. " if kept["quick"] else ""
     return [
-        f"<sub>{mode}`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
+        f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
         f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine, by whatever ran on it,"
         f" {kept['load'][0]} before and {kept['load'][1]} after.</sub>"
     ]

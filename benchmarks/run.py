@@ -63,7 +63,7 @@ def index(output: Path, quick: bool) -> list[str]:
         " `make bench QUICK=1` only tries in a few minutes that all of it runs. One program alone: `python -m"
         " benchmarks.joint --again`; with `--draw` its page is written anew from the result in `.cache/bench`. The"
         " peers' PyTorch is the build that pip takes; pip's own settings (`PIP_EXTRA_INDEX_URL`) choose the much"
-        " smaller one for processors alone.",
+        " smaller one for processors alone. A + after a commit: with changes that were not committed yet.",
         "",
         *(f"Machine: {words}." for words in sorted(machines)),
         "",

@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from .errors import InputError, IrpsoError, ShaderError
 
@@ -22,7 +22,10 @@ _EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 1
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one line, like those of all other bad input."""
+    """A parser whose complaints are one line, like those of all other bad input, and that takes options in full."""
+
+    def __init__(self, *words: Any, **settings: Any):
+        super().__init__(*words, **settings, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError in place of printing the usage and ending the process, which may be Blender."""

@@ -172,6 +172,8 @@ def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
             _say(options, f"{job.name}: begins anew ({error})")
             found = recover.run(options.parse([word for word in words if word != "--resume"]))
         state |= {"state": "done", "result": {key: found[key] for key in _FIGURES if key in found}}
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("start the batch again to go on") from None
     except (InputError, MemoryError) as error:
         state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
         sys.stderr.write(f"irpso: {job.name}: {state['error']}\n")

@@ -34,7 +34,7 @@ from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.checkpoint import entry_of
+from ..solver.checkpoint import glance
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
@@ -198,10 +198,7 @@ def check(options: Namespace, opened: bool) -> Job:
         raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
     if options.slots and not options.blend:
         raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
-    if options.resume and not (folder / CHECKPOINT).is_file():
-        raise InputError(f"--resume: {folder} holds no {CHECKPOINT}; run without --resume")
-    if options.resume and options.entry == "auto":
-        options.entry = entry_of(folder / CHECKPOINT) or "auto"
+    _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
     subject, mesh, name = _subject(options, opened)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
     extras = Extras(normals_of_text("--normals", options.normals), options.height, options.displacement)
@@ -227,6 +224,22 @@ def check(options: Namespace, opened: bool) -> Job:
         name or capture.name,
         extras,
     )
+
+
+def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
+    """Have --resume go on by the kind of pass that the run was begun with: the two differ in the last bits.
+
+    Raises InputError where the checkpoint is of no use, or cannot be written later on.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, where a checkpoint would go; choose another -o, or move it away")
+    if not options.resume:
+        return
+    if not path.is_file():
+        raise InputError(f"--resume: {path.parent} holds no {CHECKPOINT}; run without --resume")
+    found = glance(path, {"model": model.name, "preset": asdict(schedule), "seed": options.seed})
+    if options.entry == "auto":
+        options.entry = found["entry"]
 
 
 def _blend_of(options: Namespace) -> str | None:

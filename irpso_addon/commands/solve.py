@@ -7,6 +7,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError
 from ..files import remove_partials
 from ..solver.history import History
@@ -17,6 +19,7 @@ from .progress import ProgressBar
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
+_SECONDS = "seconds"  # the note in a checkpoint of how long the run has taken
 _SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
 
 
@@ -36,15 +39,17 @@ def check_every(seconds: float | None) -> None:
 
 
 def drive(recovery: AnyRecovery, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
-    """Run a recovery to its end; return the seconds, and a warning where a checkpoint could not be written.
+    """Run a recovery to its end; return the seconds, with those before a resume, and a warning of unsaved checkpoints.
 
     What stops a checkpoint between (a full disk) does not stop the run, and leaves the one before as it was. An
     interrupt ends in KeyboardInterrupt after a last checkpoint, or in InputError where that cannot be written.
     """
-    if saving.resume:
-        history.take(recovery.load(saving.path))
-    bar = ProgressBar("recover", quiet)
     saver = _Saver(recovery, history, saving)
+    if saving.resume:
+        notes = recovery.load(saving.path)
+        saver.before = float(notes.pop(_SECONDS, 0.0))
+        history.take(notes)
+    bar = ProgressBar("recover", quiet)
     iterations = 1
     with held_back() as interrupted:
         progress = recovery.progress
@@ -67,25 +72,34 @@ def drive(recovery: AnyRecovery, history: History, saving: Saving, quiet: bool) 
         if not progress.done:
             saver.save()
             raise KeyboardInterrupt(f"{saving.path} holds the run so far, go on with --resume")
-    return bar.seconds, saver.warnings
+    return saver.seconds, saver.warnings
 
 
 class _Saver:
-    """Writes checkpoints of one run, and removes what a killed one has left of its own."""
+    """Writes checkpoints of one run, and removes what a killed one has left of its own.
+
+    before: seconds that the run took before it was gone on with.
+    """
 
     def __init__(self, recovery: AnyRecovery, history: History, saving: Saving):
         self._recovery, self._history, self._saving = recovery, history, saving
         self.turns = isinstance(recovery, TiledRecovery) and not recovery.resident
         self.warnings: list[str] = []
-        self._last = time.perf_counter()
+        self.before = 0.0
+        self._began = self._last = time.perf_counter()
         remove_partials(saving.path)
+
+    @property
+    def seconds(self) -> float:
+        """How long the run has taken by now."""
+        return self.before + time.perf_counter() - self._began
 
     def save(self) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""
         if self.turns:  # tiles that are behind catch up: a look that is due then would not be made after a resume
             self._recovery.step(0)
             self._history.look()
-        self._recovery.save(self._saving.path, self._history.notes)
+        self._recovery.save(self._saving.path, {**self._history.notes, _SECONDS: np.array(self.seconds)})
 
     def save_when_due(self) -> None:
         """Write a checkpoint if the time has come; where it cannot be written, say so once and go on."""

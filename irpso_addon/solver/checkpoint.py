@@ -6,7 +6,8 @@ import dataclasses
 import hashlib
 import json
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -107,62 +108,85 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
     """Read a checkpoint. Raises CheckpointError where it is missing, damaged, or another's, naming what differs."""
-    try:
-        saved = _unpacked(path)
-    except OSError as error:
-        raise CheckpointError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
-    except _DAMAGED as error:
-        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
-    if saved is None:
-        raise CheckpointError(f"{path}: is a checkpoint of another version; start without --resume")
-    found, checkpoint = saved
-    ours = json.loads(json.dumps(who))
-    if differing := [name for name in ours if found.get(name) != ours[name]]:
-        raise CheckpointError(f"{path}: is of another recovery: {', '.join(differing)} differ; start without --resume")
-    return checkpoint
+    with _said_of(path):
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        about = json.loads(bytes(arrays.pop("about")))
+        _check(path, about, who)
+        if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
+            raise ValueError("the arrays are not those that were written")
+        notes = named(arrays, _NOTE)
+        arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
+        return Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays, notes)
+
+
+def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a checkpoint says of itself, before anything slow is done to go on from it.
+
+    who: what is known already of the recovery's ``identity``. Raises CheckpointError as ``read`` does.
+    """
+    with _said_of(path):
+        with np.load(path) as file:
+            about = json.loads(bytes(file["about"]))
+        _check(path, about, who)
+        return dict(about["identity"])
+
+
+def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
+
+    Raises CheckpointError where it is missing or damaged.
+    """
+    with _said_of(path):
+        tiles = glance(path, {}).get("tiles") or []
+        return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
 
 
 # What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
 
 
-def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
-
-    What is damaged has no boxes either: ``read`` will say so.
-    """
+@contextmanager
+def _said_of(path: Path) -> Iterator[None]:
+    """Raise CheckpointError for what reading a file raises."""
     try:
-        tiles = _identity_in(path).get("tiles") or []
-        return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
-    except (OSError, *_DAMAGED):
-        return [], 0
+        yield
+    except OSError as error:
+        raise CheckpointError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
+    except _DAMAGED as error:
+        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
 
 
-def entry_of(path: Path) -> str | None:
-    """Return by which kind of pass a checkpoint's recovery was solved; None where it is damaged, as ``read`` will say.
-
-    The two kinds differ in the last bits, and a machine under load may find the other one faster than it did before.
-    """
-    try:
-        return str(_identity_in(path)["entry"])
-    except (OSError, *_DAMAGED):
-        return None
-
-
-def _identity_in(path: Path) -> dict[str, Any]:
-    with np.load(path) as file:
-        return json.loads(bytes(file["about"]))["identity"]
-
-
-def _unpacked(path: Path) -> tuple[dict[str, Any], Checkpoint] | None:
-    """Return whose checkpoint it is, and what it holds; None where it is of another version."""
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files}
-    about = json.loads(bytes(arrays.pop("about")))
+def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
     if about["version"] != _VERSION:
-        return None
-    if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
-        raise ValueError("the arrays are not those that were written")
-    notes = named(arrays, _NOTE)
-    arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
-    return about["identity"], Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays, notes)
+        raise CheckpointError(f"{path}: is a checkpoint of another version; start without --resume")
+    found, ours = about["identity"], json.loads(json.dumps(who))
+    differing = [name for name in ours if found.get(name) != ours[name]]
+    if differing:
+        details = [text for name in differing if (text := _difference(name, found.get(name), ours[name]))]
+        verb = "differs" if len(differing) == 1 else "differ"
+        raise CheckpointError(
+            f"{path}: is of another recovery: {', '.join(differing)} {verb}"
+            f"{' (' + '; '.join(details) + ')' if details else ''}; start without --resume"
+        )
+
+
+def _difference(name: str, there: Any, here: Any) -> str:
+    """Return in words what a person has set otherwise, nothing where it is no setting."""
+    if name in ("model", "seed", "entry"):
+        return f"{name} {there} there, {here} here"
+    if name == "preset" and isinstance(there, dict):
+        return f"in the preset {', '.join(dict.fromkeys(_leaves(there, here)))}"
+    return ""
+
+
+def _leaves(there: Any, here: Any, name: str = "") -> Iterator[str]:
+    """Yield the names of the settings that differ, however deep they lie."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in {**there, **here}:
+            yield from _leaves(there.get(key), here.get(key), key)
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        for one, other in zip(there, here, strict=True):
+            yield from _leaves(one, other, name)
+    elif there != here:
+        yield name

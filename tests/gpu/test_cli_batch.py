@@ -120,6 +120,7 @@ def test_a_list_that_is_named_otherwise_or_lies_elsewhere_has_the_same_jobs(list
         ("[[job]]\nseed = 1", "has no capture"),
         ('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b/A"', "called 'a'"),
         ('[[job]]\ncapture = "a"\nwrong = 1', "unrecognized arguments"),
+        ('[[job]]\ncapture = "a"\niteration = 5', "unrecognized arguments"),
         ('[[job]]\ncapture = "a"\nseed = "x"', "--seed"),
         ('[[job]]\ncapture = "a"\nname = "../b"', "name"),
         ('[[job]]\ncapture = "a"\nresume = true', "resume is not for a list"),

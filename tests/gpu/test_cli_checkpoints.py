@@ -103,6 +103,33 @@ class NoHistory:
     def look(self):
         pass
 
+    def take(self, notes):
+        assert not notes
+
+
+def test_the_seconds_of_a_run_are_those_of_all_its_goes(tmp_path):
+    class GoneOnWith(FullDisk):
+        def load(self, path):
+            return {"seconds": np.array(700.0)}
+
+        def save(self, path, notes):
+            self.noted = float(notes["seconds"])
+
+    run = GoneOnWith(fails=False)
+    seconds, _ = solve.drive(run, NoHistory(), solve.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
+    assert 700 < run.noted <= seconds < 760
+
+
+def test_a_checkpoint_that_is_of_no_use_is_refused_before_anything_slow(capture, tmp_path, monkeypatch):
+    monkeypatch.setattr("irpso_addon.gpu.probe.probe", lambda: pytest.fail("it asked the GPU"))
+    (tmp_path / "checkpoint.npz").write_bytes(b"PK cut")
+    code, _, err = run_cli("recover", capture, *OPTIONS, "--resume", "-o", tmp_path)
+    assert code == 2 and "damaged" in err and err.count("\n") == 1
+    (tmp_path / "checkpoint.npz").unlink()
+    (tmp_path / "checkpoint.npz").mkdir()
+    code, _, err = run_cli("recover", capture, *OPTIONS, "-o", tmp_path)
+    assert code == 2 and "is a folder" in err
+
 
 def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(tmp_path, capsys):
     path = tmp_path / "checkpoint.npz"

@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.errors import CheckpointError, InputError
 from irpso_addon.geometry.domain import tile
 from irpso_addon.paths import SHADERS
 from irpso_addon.reflectance.model import load_model
@@ -167,10 +167,10 @@ def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"seed": 2}, "seed"),
-        ({"entry": "compute"}, "entry"),
-        ({"schedule": load_schedule("paper")}, "preset"),
-        ({"schedule": load_schedule("swarm").replaced(c1=1.3)}, "preset"),
+        ({"seed": 2}, r"seed differs \(seed 1 there, 2 here\)"),
+        ({"entry": "compute"}, r"entry differs \(entry fragment there, compute here\)"),
+        ({"schedule": load_schedule("paper")}, r"preset differs \(in the preset .*stages"),
+        ({"schedule": load_schedule("swarm").replaced(c1=1.3)}, r"preset differs \(in the preset c1\); start without"),
         ({"model": load_model("principled")}, "model, parameters, shader"),
         ({"known": KNOWN}, "known"),
     ],
@@ -178,8 +178,9 @@ def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
 def test_other_settings_are_another_recovery_and_are_named(tmp_path, change, what):
     path = tmp_path / "run.irpso"
     checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
-    with pytest.raises(InputError, match=f"of another recovery: {what} differ"):
-        checkpoint.read(path, checkpoint.identity(DOMAIN, **(SETTINGS | change)))
+    for ask in (checkpoint.read, checkpoint.glance):
+        with pytest.raises(CheckpointError, match=f"of another recovery: {what}"):
+            ask(path, checkpoint.identity(DOMAIN, **(SETTINGS | change)))
 
 
 def test_a_changed_line_in_a_file_that_a_models_shader_includes_is_another_recovery(tmp_path):
