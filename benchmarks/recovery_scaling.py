@@ -138,7 +138,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         f" model `{_MODEL}`, presets {stages}; one thread a rank, every rank bound to a core as far as there are cores"
         " (`--map-by slot:PE=1 --bind-to core`), the median of several runs in turns, speed-up that of the turns' own"
         f" ratios, on {data['cores']} cores. Weak: as many times the texels as ranks; its speed-up is in texels a"
-        " second. Sent: by the rank that sends most, in the whole run, counted, and in brackets as the model below has it. How:"
+        " second. Sent: by the rank that sends most, in the whole run, counted, and in brackets as the model has it."
+        " How:"
         " [recovery_scaling.py](../../benchmarks/recovery_scaling.py).",
         "",
     ]
