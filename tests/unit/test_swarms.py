@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import swarm_scaling
+from benchmarks import recovery_scaling, swarm_scaling
 from benchmarks.swarms import ranks, rule
 from benchmarks.swarms.functions import FUNCTIONS
 
@@ -146,3 +146,15 @@ def test_the_model_of_more_ranks_is_the_sum_of_its_messages():
     assert swarm_scaling.modelled(8.0, 100, 0.5, 1, network) == 8.0
     messages = 2 * 3 * (1e-5 + 16e-9) + 0.5 * 3 * (1e-5 + 240e-9)
     assert swarm_scaling.modelled(8.0, 100, 0.5, 8, network) == pytest.approx(1.0 + 100 * messages, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ranks", "texels", "neighbours", "border"), [(1, 49152, 0, 0), (2, 24576, 1, 192), (4, 12288, 3, 128 + 96 + 1)]
+)
+def test_the_model_of_a_recovery_sends_the_bests_along_the_borders(ranks, texels, neighbours, border):
+    """Swarms of 7 dimensions look one texel far while c3 lasts, 0.3 · 60 iterations, and in 5 tenth ones after: 23."""
+    sent = recovery_scaling.traffic((192, 256), ranks, "swarm", 60)
+    assert sent == recovery_scaling.Traffic(texels, 23 * neighbours, 23 * border * 7 * 4)
+    network = swarm_scaling.Network("", latency=1e-3, bandwidth=1e6)
+    expected = 1e-3 * texels + 2 * 23 * neighbours * 1e-3 + 2 * 23 * border * 28 / 1e6
+    assert recovery_scaling.modelled(1e-3, sent, network) == pytest.approx(expected, rel=1e-12)
