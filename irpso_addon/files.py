@@ -16,16 +16,20 @@ from .errors import InputError
 
 
 @contextmanager
-def replacing_file(path: Path) -> Iterator[Path]:
+def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, moved onto it at the end, or deleted where an exception is raised.
 
-    Raises InputError where the folder cannot be written to.
+    durable: whether it is on the disk itself afterwards. Raises InputError where the folder cannot be written to.
     """
     partial = path.with_name(f"{_partial(path)}{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
+        if durable:
+            synced(partial)
         os.replace(partial, path)
+        if durable:
+            synced(path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
@@ -58,10 +62,8 @@ def synced(path: Path) -> None:
 
 def write_json(path: Path, table: dict[str, Any]) -> None:
     """Write plain data as JSON, whole or not at all. Raises InputError where it cannot be written."""
-    with replacing_file(path) as partial:
+    with replacing_file(path, durable=True) as partial:
         partial.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        synced(partial)
-    synced(path.parent)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from ..maps.report import plain
 from ..maps.write import REPORT
 from . import recover
 from .progress import silent
+from .ranked import refused
 from .solve import CHECKPOINT
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
@@ -55,11 +56,8 @@ def run(options: Namespace) -> dict:
     """Run what is not done yet of a list, and write one report; a job that fails does not stop the others."""
     ranks = joined()
     if ranks is not None:
-        ranks.close()
-        if ranks.leads:
-            raise InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
-        options.json = False
-        return {"exit_code": InputError.exit_code}
+        error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
+        return refused(ranks, options, error)
     jobs = read_list(Path(options.list), options.parse)
     output = Path(options.output)
     if options.only is not None:

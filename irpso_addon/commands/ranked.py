@@ -45,11 +45,7 @@ def recover_on_ranks(ranks: Ranks, options: Namespace) -> dict:
             else:
                 result = {"exit_code": _served(member)}
     except Agreed as agreed:
-        ranks.close()
-        if ranks.leads:
-            raise agreed.error from agreed
-        options.json = False
-        return {"exit_code": agreed.error.exit_code}
+        return refused(ranks, options, agreed.error)
     except BaseException as error:
         if crew is not None:  # the others wait for an order
             crew.end(error.exit_code if isinstance(error, IrpsoError) else 130)
@@ -59,6 +55,15 @@ def recover_on_ranks(ranks: Ranks, options: Namespace) -> dict:
         crew.end()
     ranks.close()
     return result
+
+
+def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict:
+    """Take leave of the job for what every rank has found wrong: rank 0 raises it, the others have an exit code."""
+    ranks.close()
+    if ranks.leads:
+        raise error
+    options.json = False
+    return {"exit_code": error.exit_code}
 
 
 def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Split]:

@@ -90,12 +90,6 @@ class Domain:
                 break
         return covered & lit
 
-    @cached_property
-    def mean_samples(self) -> np.ndarray:
-        """(K,) the mean of each observation's samples that count, 0 where none does; found once, as ``solvable``."""
-        counted = (layer[layer[..., 3] > 0] for layer in self.stack)
-        return np.array([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])
-
 
 def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
     """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..files import replacing_file, synced
+from ..files import replacing_file
 from ..reflectance.model import ReflectanceModel
 from . import two_lobe
 from .displacement import METHOD, displacement, divide
@@ -210,12 +210,11 @@ def save_blend(path: str | Path) -> Path:
     images = [i for i in bpy.data.images if IMAGE_TAG in i and i.packed_file is None and i.library is None]
     before = [image.filepath for image in images]
     try:
-        with replacing_file(path) as partial:
+        with replacing_file(path, durable=True) as partial:
             for image in images:
                 image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
             # The paths are right for the new place already, so Blender must not remap them.
             bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=False)
-            synced(partial)
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
     finally:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CheckpointError
-from ..files import replacing_file, synced
+from ..files import replacing_file
 from ..geometry.domain import Domain
 from ..gpu.library import read_source
 from ..reflectance.model import ReflectanceModel
@@ -99,11 +99,8 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
         "evaluations": state.evaluations,
         "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
     }
-    with replacing_file(path) as part:
-        with part.open("wb") as file:
-            np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
-        synced(part)
-    synced(path.parent)
+    with replacing_file(path, durable=True) as part, part.open("wb") as file:
+        np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:

@@ -28,7 +28,8 @@ def error_preview(
     names: of all observations.
     """
     rows = map_rows(maps, truth, maps.covered) if truth else []
-    order = np.argsort(domain.mean_samples)[::-1]
+    counted = (layer[layer[..., 3] > 0] for layer in domain.stack)
+    order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
     # The brightest fifth and the middle: frames that show something, under unlike lights.
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
     if rows:

@@ -73,8 +73,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
     )  # fmt: skip
     lights = running.lights
-    warnings = limit_warnings(maps, job.given)
-    warnings += lights.warnings() if lights is not None else []
+    warnings = limit_warnings(maps, job.given) + (lights.warnings() if lights is not None else [])
     return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 
 
