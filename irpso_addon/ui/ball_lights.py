@@ -17,6 +17,7 @@ from ..capture.table import TABLE
 from ..errors import InputError
 from ..maps.blender_images import decode
 from .features import RELATIVE_PATH
+from .file_paths import absolute
 
 _KINDS = (
     ("mirror", "Mirror", "A shiny ball: the highlight tells the direction"),
@@ -100,7 +101,7 @@ class LightsFromBall(bpy.types.Operator):
         """Return the table that was written, and what is doubtful. Raises InputError."""
         if not self.photographs:
             raise InputError("Photographs: no folder is chosen; give that of the photographs")
-        source = Path(bpy.path.abspath(self.photographs))
+        source = absolute(self.photographs, "Photographs")
         if not source.exists():
             raise InputError(f"{source}: is not there; give the folder of the photographs")
         ball = self._ball()
@@ -120,7 +121,7 @@ class LightsFromBall(bpy.types.Operator):
             if not self.circle[2] > 0:
                 raise InputError("Radius: is 0; give the ball's radius in pixels")
             return BallRequest(None, tuple(self.circle))
-        mask = Path(bpy.path.abspath(self.mask)) if self.mask else None
+        mask = absolute(self.mask, "Mask") if self.mask else None
         if mask is None or not mask.is_file():
             raise InputError(f"Mask: {'no file is chosen' if mask is None else f'{mask} is not there'}; paint the ball"
                              " white on black, of the photographs' size")  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -11,6 +10,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..capture.poses import PoseFile, read_poses
 from ..errors import InputError
+from .file_paths import absolute
 from .scene_objects import set_camera
 
 # Custom properties: of a collection, its empty and its cameras, the file that they came from; of a camera, its image.
@@ -87,7 +87,7 @@ class ImportCameras(bpy.types.Operator):
         try:
             if not chosen:
                 raise InputError("no file was chosen; give COLMAP's cameras.txt, Metashape's .xml or Meshroom's .sfm")
-            poses = read_poses(Path(bpy.path.abspath(chosen)))
+            poses = read_poses(absolute(chosen, "Cameras"))
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -22,6 +22,7 @@ from ..errors import InputError
 from ..geometry.scene import middle_of
 from ..geometry.scene_capture import wide_lights
 from ..maps.blender_images import decode
+from .file_paths import absolute
 from .job import subject_object
 from .scene_capture import capture_of, capture_path
 from .settings import model_of
@@ -179,7 +180,7 @@ class ImportCapture(bpy.types.Operator):
         try:
             if not chosen:
                 raise InputError("no file or folder was chosen; give the path of a capture")
-            path = capture_at(Path(bpy.path.abspath(chosen)))
+            path = capture_at(absolute(chosen, "Capture"))
             draft = read_draft(path, settings.colour_space)
         except InputError as error:
             self.report({"ERROR"}, str(error))

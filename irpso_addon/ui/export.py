@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import bpy
 from bpy.props import StringProperty
@@ -13,6 +12,7 @@ from ..exports.formats import FORMATS, ONE_FILE, export
 from ..exports.place import file_stem
 from ..exports.result import Result
 from . import session
+from .file_paths import absolute
 from .keep import NOTHING, beside, extras_of, found_maps, has_found
 from .panels import Sidebar
 
@@ -53,7 +53,7 @@ class IRPSO_OT_export_as(bpy.types.Operator):
             found, written = found_maps(running, confidence=False)
             _, height = extras_of(running, settings, found, written)
             result = Result(file_stem(running.job.name), written, height)
-            path = Path(bpy.path.abspath(self.filepath))
+            path = absolute(self.filepath, "Export")
             said = export(result, settings.format, path, settings.convention, lambda: _subject(running))
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))

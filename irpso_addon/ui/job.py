@@ -30,7 +30,7 @@ from ..solver.prepare import Prepared
 from ..solver.schedule import Schedule
 from . import preferences
 from .card_place import free_place
-from .scene_capture import capture_of
+from .scene_capture import capture_of, capture_path
 from .schedule_settings import schedule_of
 from .settings import model_of
 from .tiled_images import tile_images
@@ -170,7 +170,7 @@ def make_job(context) -> Job:
     return Job(
         capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
         schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
-        scratch_folder(Path(wanted.output_folder or "~").expanduser() / "x"),
+        scratch_folder((wanted.folder() or Path.home()) / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
         LightWish(settings.light_strengths == "ESTIMATE", round(math.degrees(settings.refine_directions), 4)),
     )  # fmt: skip
@@ -261,10 +261,7 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     """
     if settings.source != "FILES":
         return None
-    import bpy
-
-    path = Path(bpy.path.abspath(settings.capture_path))
-    draft = read_draft(path, settings.colour_space)
+    draft = read_draft(capture_path(settings), settings.colour_space)
     images = (*(shot.image for shot in draft.shots), *(view.mask for view in draft.views if view.mask))
     files = {image.path: image.path.stat() for image in images}
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)

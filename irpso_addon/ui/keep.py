@@ -27,6 +27,7 @@ from ..reflectance.model import shipped_models
 from ..solver.pictures import error_preview
 from . import preferences, session
 from .card_place import put_card
+from .file_paths import absolute
 
 NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
@@ -152,10 +153,10 @@ def _keep(context, running: session.Session) -> str:
         material.check_object(subject)
     found, maps = found_maps(running, confidence=False)
     _, height = extras_of(running, context.scene.irpso.export, found, maps)
-    folder = preferences.current(context).output_folder
+    folder = preferences.current(context).folder()
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
     displaced = height if context.scene.irpso.export.displacement else None
-    made = material.build_material(maps, name, folder or None, uv_map, displaced)
+    made = material.build_material(maps, name, folder, uv_map, displaced)
     made[material.ORIGIN] = running.job.origin
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape, displaced is not None)
@@ -217,8 +218,8 @@ class IRPSO_OT_export_maps(bpy.types.Operator):
         if not self.directory:
             self.report({"ERROR"}, "No folder: choose where the maps are to be written")
             return {"CANCELLED"}
-        folder = Path(bpy.path.abspath(self.directory)) / self.filename
         try:
+            folder = absolute(self.directory, "Folder") / self.filename
             maps, written = found_maps(running, confidence=True)
             extras, height = extras_of(running, context.scene.irpso.export, maps, written)
             report = report_of(running, maps) | ({} if height is None else {"height": height.described()})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
@@ -15,6 +16,7 @@ from ..paths import BASE_PACKAGE
 from ..solver.machine import fact_lines, machine_facts
 from ..solver.memory import parse_memory
 from .features import RELATIVE_PATH
+from .file_paths import absolute
 
 DISPLAY_RATE = 10  # pictures a second
 _ENTRIES = (
@@ -39,6 +41,10 @@ class Wanted:
     display_rate: int = DISPLAY_RATE
     output_folder: str = ""
 
+    def folder(self) -> Path | None:
+        """Return the output folder, None for packing. Raises InputError for a // path while the file is not saved."""
+        return absolute(self.output_folder, "Output Folder") if self.output_folder else None
+
 
 def current(context) -> Wanted:
     """Return what the preferences say; where the add-on is registered without being enabled, what they say at first."""
@@ -46,8 +52,7 @@ def current(context) -> Wanted:
     if addon is None or addon.preferences is None:
         return Wanted()
     chosen = addon.preferences
-    folder = bpy.path.abspath(chosen.output_folder) if chosen.output_folder else ""
-    return Wanted(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, folder)
+    return Wanted(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, chosen.output_folder)
 
 
 def memory_fault(text: str) -> str:

@@ -19,6 +19,7 @@ from bpy.props import StringProperty
 from ..errors import InputError
 from ..files import replacing_file
 from ..solver.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from .file_paths import absolute
 from .schedule_settings import base_schedule, differences, fill, is_shipped, schedule_of
 
 FOLDER = "irpso"  # in the user's folder of presets
@@ -63,7 +64,7 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
     if unknown := sorted(values.keys() - SETTINGS.keys()):
         raise InputError(f"{path}: there is no setting '{unknown[0]}'; remove that line")
     try:
-        return name, load_schedule(bpy.path.abspath(name)).replaced(**values)
+        return name, load_schedule(absolute(name, "Preset")).replaced(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator
 from pathlib import Path
 
-import bpy
-
 from ..capture.draft import build_steps
 from ..capture.read import read_draft
 from ..capture.steps import run_steps
@@ -14,6 +12,7 @@ from ..capture.types import Capture
 from ..errors import InputError
 from ..geometry.scene_capture import scene_steps
 from ..maps.blender_images import decode
+from .file_paths import absolute
 
 
 def capture_of(scene) -> Capture:
@@ -34,7 +33,7 @@ def capture_path(settings) -> Path:
     """Return the path of the capture's files. Raises InputError where none is chosen."""
     if not settings.capture_path:
         raise InputError("Capture: none is chosen; import a folder, an .lp list or a capture.toml")
-    return Path(bpy.path.abspath(settings.capture_path))
+    return absolute(settings.capture_path, "Capture")
 
 
 def capture_from_scene(scene) -> Capture:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -13,7 +12,8 @@ from mathutils import Matrix, Vector
 from ..capture.camera import Camera
 from ..capture.draft import Draft, build_capture
 from ..capture.headers import read_header
-from ..capture.images import ImageRef
+from ..capture.images import ImageRef, ImageStore
+from ..capture.raw import is_raw
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
@@ -24,6 +24,7 @@ from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
 from .card_place import is_free
+from .file_paths import absolute
 from .job import subject_object
 from .scene_capture import capture_path
 from .scene_objects import RESOLUTION, set_camera, set_light
@@ -206,12 +207,13 @@ class _Images:
         return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
 
     def of(self, reference: ImageRef, mask: bool = False):
-        """Return the image of a capture's file."""
+        """Return the image of a capture's file. Raises CaptureError, with nothing loaded, where its header is none."""
         path = reference.path.resolve()
         exr = path.suffix.lower() == ".exr"
         space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
         key = path, reference.part, reference.layer, space
         if key not in self._found:
+            deep = space is None and not (exr or mask) and (is_raw(path) or read_header(path).bits == 16)
             image = bpy.data.images.load(str(path), check_existing=False)
             names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
             for name, value in zip(names, key[1:], strict=True):
@@ -219,7 +221,7 @@ class _Images:
                     image[name] = value
             if mask:
                 image.colorspace_settings.name = "Non-Color"
-            elif not exr and (space == "linear" or (space is None and read_header(path).bits == 16)):
+            elif deep or space == "linear":
                 image.colorspace_settings.name = "Linear Rec.709"
             self._found[key] = image
         return self._found[key]
@@ -321,13 +323,16 @@ class AssignImages(bpy.types.Operator):
         if not names:
             self.report({"ERROR"}, "no image was chosen; select the photographs of the lights in the file browser")
             return {"CANCELLED"}
-        folder = Path(bpy.path.abspath(self.directory))
-        if gone := next((name for name in names if not (folder / name).is_file()), None):
-            self.report({"ERROR"}, f"{folder / gone}: this image is not there; choose another")
+        store, images = ImageStore(decode), _Images()
+        try:
+            references = [ImageRef(absolute(self.directory, "Folder") / name) for name in names]
+            for reference in references:
+                store.size(reference)  # all are looked at before a light is given one
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        images = _Images()
-        for light, name in zip(lights, names, strict=False):
-            light.irpso.image = images.of(ImageRef(folder / name))
+        for light, reference in zip(lights, references, strict=False):
+            light.irpso.image = images.of(reference)
         if len(names) == len(lights):
             self.report({"INFO"}, f"{len(names)} images assigned to {len(lights)} lights")
             return {"FINISHED"}

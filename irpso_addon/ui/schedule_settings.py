@@ -16,6 +16,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from ..errors import InputError
 from ..solver.limits import Limits
 from ..solver.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from .file_paths import absolute
 from .schedule_words import WORDS
 
 FIRST = "standard"  # the preset of a new scene
@@ -50,7 +51,7 @@ def base_schedule(settings: ScheduleSettings) -> Schedule:
     Shipped ones are read once, so that panels may ask at every redraw; a .toml of the user's own is read every time.
     """
     name = settings.preset
-    return _shipped(name) if name in _names() else load_schedule(bpy.path.abspath(name))
+    return _shipped(name) if name in _names() else load_schedule(absolute(name, "Preset"))
 
 
 @cache

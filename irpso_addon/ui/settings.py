@@ -21,6 +21,7 @@ from ..reflectance.model import ReflectanceModel, load_model, shipped_models
 from ..solver.lights import MOST_DEGREES
 from ..solver.texel_probe import component_names
 from .features import RELATIVE_PATH
+from .file_paths import absolute
 from .schedule_settings import ScheduleSettings
 
 CUSTOM = "CUSTOM"  # a model of the user's own
@@ -64,7 +65,7 @@ def model_of(settings: "Settings") -> ReflectanceModel:
         return load_model(settings.model)
     if not settings.model_path:
         raise InputError("Model: no file is chosen; give the .toml of your own model")
-    return load_model(bpy.path.abspath(settings.model_path))
+    return load_model(absolute(settings.model_path, "Model File"))
 
 
 def refresh_parameters(settings: "Settings") -> None:

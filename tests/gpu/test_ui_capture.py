@@ -13,6 +13,7 @@ from irpso_addon.geometry import scene_lights
 from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import capture_import, scene_capture, scene_setup
+from irpso_addon.ui.settings import model_of
 from tests.unit.capture_maker import LIGHTS, shade, sphere, write_diligent, write_png
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -438,6 +439,32 @@ def test_lights_get_images_in_the_order_of_their_numbers(scene, tmp_path):
     bpy.ops.irpso.assign_images(directory=str(tmp_path), files=files[1:])
     assert scene.objects["Lamp 2"].irpso.image.name == "shot1.png"
     assert scene.objects["Lamp 10"].irpso.image.name == "shot10.png"
+
+
+@pytest.mark.parametrize("chosen", ["scene.blend", "gone.png"])
+def test_what_is_no_image_is_refused_in_one_line_before_a_light_is_given_one(scene, tmp_path, chosen):
+    add_camera(scene)
+    add_light(scene, "Lamp 1"), add_light(scene, "Lamp 2")
+    write_png(tmp_path / "a.png", np.full((4, 4, 3), 10))
+    (tmp_path / "scene.blend").write_bytes(b"BLENDER-v500")
+    files = [{"name": name} for name in ("a.png", chosen)]
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.irpso.assign_images(directory=str(tmp_path), files=files)
+    said = str(caught.value).strip()
+    assert len(said.splitlines()) == 1 and chosen in said and "Traceback" not in said
+    assert not bpy.data.images and all(obj.irpso.image is None for obj in scene.objects)
+
+
+def test_a_path_beside_a_file_that_is_not_saved_is_refused_with_the_settings_name(scene, tmp_path):
+    settings = scene.irpso
+    settings.capture_path, settings.model, settings.model_path = "//shots", "CUSTOM", "//own.toml"
+    with pytest.raises(InputError, match="Capture: //shots lies beside the .blend file, which is not saved yet"):
+        scene_capture.capture_of(scene)
+    with pytest.raises(InputError, match="Model File: //own.toml lies beside"):
+        model_of(settings)
+    write_views(tmp_path / "shots")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert scene_capture.capture_of(bpy.context.scene).name == "views"
 
 
 def narrow_area(scene, tmp_path):

@@ -1,6 +1,7 @@
 """Keeping what was found as a material, and exporting it as files, in background."""
 
 import json
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import irpso_addon
 from irpso_addon.capture.exr import read_exr
+from irpso_addon.errors import InputError
 from tests import cli_maker
 
 SHAPE = (18, 24)
@@ -125,6 +127,22 @@ def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeyp
     bpy.ops.irpso.keep()
     assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == [f"IRPSO_leaf_{name}.png" for name in MAPS]
     assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is None for name in MAPS)
+
+
+def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui import preferences
+    from irpso_addon.ui.job import make_job
+
+    wanted = preferences.Wanted(output_folder="//irpso test maps/")
+    monkeypatch.setattr(preferences, "current", lambda context: wanted)
+    assert "Output Folder: //irpso test maps/ lies beside the .blend file, which is not saved" in refusal(
+        bpy.ops.irpso.keep
+    )
+    assert not bpy.data.materials and not Path("/irpso test maps").exists()
+    with pytest.raises(InputError, match="not saved yet"):  # before an hour of work, too
+        make_job(bpy.context)
+    assert "Folder: //out lies beside" in refusal(bpy.ops.irpso.export_maps, directory="//out")
+    assert "Export: //out lies beside" in refusal(bpy.ops.irpso.export_as, filepath="//out")
 
 
 def test_a_material_of_a_library_is_refused_with_what_to_do_and_nothing_is_made(recovered, tmp_path):
