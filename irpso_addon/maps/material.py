@@ -23,6 +23,7 @@ from .textures import check_images, material_images
 
 TAG = "irpso_subject"
 ORIGIN = "irpso_origin"  # what a material was recovered from
+STAMP = "irpso_kept"  # which state of which recovery in a window it holds
 _TRIAL = "trial, removed at once"
 
 # Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.

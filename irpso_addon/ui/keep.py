@@ -93,11 +93,6 @@ def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
     return pictures
 
 
-def is_kept(running: session.Session) -> bool:
-    """Return whether what was found has been kept, and that has not been undone."""
-    return running.kept and any(made.get(material.TAG) == running.job.name for made in bpy.data.materials)
-
-
 def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
     """Return curves of (iteration, error) that were looked at different iterations, in % of white."""
     iterations = sorted({iteration for curve in curves for iteration, _ in curve})
@@ -138,7 +133,6 @@ class IRPSO_OT_keep(bpy.types.Operator):
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}
-        running.kept = True
         self.report({"INFO"}, text)
         return {"FINISHED"}
 
@@ -157,7 +151,7 @@ def _keep(context, running: session.Session) -> str:
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
     displaced = height if context.scene.irpso.export.displacement else None
     made = material.build_material(maps, name, folder, uv_map, displaced)
-    made[material.ORIGIN] = running.job.origin
+    made[material.ORIGIN], made[material.STAMP] = running.job.origin, running.stamp
     if running.mesh is None:
         former, subject = subject, material.card_object(name, *maps.covered.shape, displaced is not None)
         if former is None:

@@ -7,7 +7,7 @@ import bpy
 from . import drawing, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object
-from .keep import is_kept, is_standard_view
+from .keep import is_standard_view
 from .presets import label_of
 from .schedule_words import GROUPS
 from .settings import CUSTOM
@@ -266,10 +266,14 @@ def draw_progress(layout, context, running: session.Session) -> None:
 
 def draw_result(layout, context, running: session.Session) -> None:
     """Draw what has been found, and what can be done with it."""
-    kept = is_kept(running)
+    kept, stopped = running.kept, running.stopped
     column = layout.column(align=True)
-    column.label(text=f"{running.job.name}: Kept" if kept else f"{running.job.name}: Done", icon="CHECKMARK",
+    state = ["Stopped Early"] * stopped + ["Kept"] * kept or ["Done"]
+    column.label(text=f"{running.job.name}: {', '.join(state)}", icon="PAUSE" if stopped else "CHECKMARK",
                  translate=False)  # fmt: skip
+    if stopped:
+        progress = running.progress
+        drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
@@ -277,6 +281,8 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings():
             drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
+    if stopped:
+        layout.operator("irpso.resume", icon="PLAY")
     row = layout.row()
     row.scale_y = 1.0 if kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")

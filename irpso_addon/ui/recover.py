@@ -160,10 +160,10 @@ class IRPSO_OT_resume(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Whether a recovery is paused."""
+        """Whether a recovery is paused, or was stopped early."""
         running = session.current()
-        if running is None or running.state != "paused":
-            cls.poll_message_set("No recovery is paused")
+        if running is None or not (running.state == "paused" or running.stopped):
+            cls.poll_message_set("No recovery is paused or stopped early")
             return False
         return True
 
@@ -183,7 +183,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
 
 
 class IRPSO_OT_stop(bpy.types.Operator):
-    """Stop here and keep what has been found as the subject's material"""
+    """Stop here and keep what has been found as the subject's material. Resume goes on from here"""
 
     bl_idname = "irpso.stop"
     bl_label = "Stop"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 from typing import Any
+from uuid import uuid4
 
 import bpy
 import numpy as np
@@ -17,7 +18,7 @@ from ..capture.steps import told_as
 from ..errors import InputError, IrpsoError
 from ..geometry.domain import Domain
 from ..gpu import context
-from ..maps.material import find_card
+from ..maps.material import STAMP, find_card
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..solver.display import Display
@@ -92,9 +93,9 @@ class Session:
         self.error: float | None = None
         self.seconds = 0.0
         self.longest_stall_s = 0.0
-        self.kept = False
         self.closed = False
         self.runs = 0  # of the modal operator, which is begun anew by each resuming
+        self._uuid = uuid4().hex
         self._paused_in = self.state
         self._read = 0
         self._lit = 0.0  # how far the lights are found
@@ -140,6 +141,22 @@ class Session:
         if self.recovery is None or part < 0.02:
             return None
         return self.seconds * (1 - part) / part
+
+    @property
+    def stamp(self) -> str:
+        """What tells a material that holds just what has been found by now, "" before there is anything."""
+        return f"{self._uuid} {self.recovery.progress.evaluations}" if self.recovery is not None else ""
+
+    @property
+    def kept(self) -> bool:
+        """Whether a material of the open file holds what has been found: not after an undo, nor once it has gone on."""
+        stamp = self.stamp
+        return bool(stamp) and any(made.get(STAMP) == stamp for made in bpy.data.materials)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it was ended by hand before its last iteration; ``resume`` goes on."""
+        return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
 
     @property
     def active(self) -> bool:
@@ -190,11 +207,11 @@ class Session:
             _tell()
 
     def resume(self, schedule: Schedule | None = None) -> None:
-        """Go on where it was paused, with another schedule from what has been found, where one is given.
+        """Go on where it was paused or stopped, with another schedule from what has been found, where one is given.
 
         Raises InputError where that schedule does not fit.
         """
-        if self.state != "paused":
+        if self.state != "paused" and not self.stopped:
             return
         if schedule is not None and schedule != self.job.schedule:
             self._change(schedule)
@@ -203,7 +220,8 @@ class Session:
 
     def finish(self) -> None:
         """Go on no further; what has been found waits to be kept."""
-        self.state, self.title = "done", "Done"
+        self.state = "done"
+        self.title = "Stopped" if self.stopped else "Done"
         _tell()
 
     def maps(self, confidence: bool = True) -> Maps:

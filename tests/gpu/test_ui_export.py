@@ -44,7 +44,6 @@ def session_of_card(registered, tmp_path_factory):
 def settings(session_of_card):
     """The export's settings, as they come; in a file that holds nothing yet."""
     bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])
-    session_of_card.kept = False
     settings = bpy.context.scene.irpso.export
     for setting in settings.bl_rna.properties:
         if not setting.is_readonly and setting.identifier != "name":

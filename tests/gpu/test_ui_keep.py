@@ -50,7 +50,6 @@ def session_of_card(registered, card):
 def recovered(session_of_card):
     """The session, in a file that holds nothing yet."""
     bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects, *bpy.data.libraries])
-    session_of_card.kept = False
     session_of_card.history.clear()
     session_of_card.probes.clear()
     return session_of_card

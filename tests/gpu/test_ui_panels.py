@@ -223,9 +223,14 @@ def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, car
     found = drawn()
     assert "irpso.resume" in found.operators and "Search Settings" in labels() and "Capture" not in labels()
     assert set(drawn("IMAGE_EDITOR").operators) >= {"irpso.resume", "irpso.stop", "irpso.cancel"}
+    bpy.ops.irpso.stop()
+    found = drawn()
+    assert "leaf: Stopped Early, Kept" in found.texts and {"irpso.resume", "irpso.recover"} <= set(found.operators)
+    assert f"{running.progress.iteration_in_all} / {progress.iterations_in_all}" in found.texts
     running.resume()
     running.run()
     found = drawn()
+    assert "leaf: Done" in found.texts and "irpso.resume" not in found.operators
     assert "irpso.keep" in found.operators and "irpso.recover" in found.operators
     assert "Search Settings" in labels() and "View" in labels() and "Capture" not in labels()
     bpy.context.scene.view_settings.view_transform = "Filmic"

@@ -1,5 +1,7 @@
 """The window's session and the job it is given: what is read anew, what is given, and how a run ends."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -200,6 +202,49 @@ def test_stopping_keeps_and_ends_the_run(running):
     assert bpy.ops.irpso.stop() == {"FINISHED"}
     assert running.state == "done" and running.kept
     assert bpy.ops.irpso.recover.poll()
+
+
+def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_was_not(job):
+    from irpso_addon.ui import session
+
+    bpy.context.scene.irpso.schedule.preset = "swarm"
+    bpy.context.scene.irpso.schedule.iterations = 6
+    running = session.begin(job())
+    running.run()
+    whole, total = running.maps().values, running.progress.iterations_in_all
+    running = session.begin(job())
+    while running.recovery is None:
+        running.tick(0.05)
+    running.recovery.step(2)
+    assert not running.stopped and bpy.ops.irpso.stop() == {"FINISHED"}
+    assert running.stopped and running.kept and (running.state, running.title) == ("done", "Stopped")
+    assert (running.progress.iteration_in_all, total) == (2, 6)
+    assert bpy.ops.irpso.resume() == {"FINISHED"} and running.state == "running"
+    running.run()
+    assert not running.stopped and running.title == "Done"
+    assert not running.kept  # the material holds what was found after 2 iterations
+    for name, values in running.maps().values.items():
+        np.testing.assert_array_equal(values, whole[name])
+    session.end()
+
+
+def test_what_was_kept_is_so_until_that_is_undone(running):
+    from irpso_addon.ui import recover
+    from irpso_addon.ui.overlay import surface
+
+    def seen():
+        rendered = SimpleNamespace(space_data=SimpleNamespace(shading=SimpleNamespace(type="MATERIAL")))
+        return surface.shows_itself(rendered, running), recover.IRPSO_OT_cancel.description(bpy.context, None)[:4]
+
+    running.pause()
+    assert seen() == (False, "Drop")
+    bpy.ops.irpso.keep()
+    assert seen() == (True, "Let ")
+    (made,) = bpy.data.materials
+    made["irpso_kept"] = "another run"  # what an undo brings back where an earlier run's maps were kept before
+    assert seen() == (False, "Drop")
+    bpy.data.materials.remove(made)
+    assert seen() == (False, "Drop")
 
 
 def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
