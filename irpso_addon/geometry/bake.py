@@ -144,7 +144,21 @@ def _refuse_overlap(mesh: MeshData) -> None:
                 f"{where}, because the material slots {names} share it; recover them one by one ({OPTION}), or unwrap"
                 " them side by side"
             )
+        if mesh.copied_by and _repeated(mesh, first, last):
+            names = " or ".join(f"'{name}'" for name in mesh.copied_by)
+            raise InputError(
+                f"{where}, because modifier {names} makes copies that share it; switch that off in the viewport until"
+                " the maps are kept, or apply it and unwrap the mesh again"
+            )
         raise InputError(f"{where}; unwrap the mesh so that every place has texels of its own")
+
+
+def _repeated(mesh: MeshData, first: np.ndarray, last: np.ndarray) -> bool:
+    """Return whether most of what overlaps does so with triangles of the very same texture coordinates."""
+    shared = first != last
+    corners = mesh.uvs[..., 0] + 1j * mesh.uvs[..., 1]
+    one, other = (np.sort(corners[numbers[shared] - 1], axis=-1) for numbers in (first, last))
+    return bool((one == other).all(axis=-1).mean() > 0.5)
 
 
 def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:

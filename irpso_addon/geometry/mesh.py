@@ -14,6 +14,8 @@ from .slots import slot_names
 from .udim import SMALLEST_AREA, lay_out, layout_size, uv_areas
 
 _TOGETHER = 8000  # triangles of which Blender finds the tangents at once, in one thread
+# Modifiers that repeat faces with the texture coordinates that they have; a node group may.
+_COPYING = {"ARRAY", "MIRROR", "SOLIDIFY", "SCREW", "PARTICLE_INSTANCE", "NODES"}
 # More of the surface than this without area in the UV map is a fault of the map.
 _DEGENERATE_LIMIT = 0.005
 
@@ -28,7 +30,7 @@ class MeshData:
     (4, 4) float64 object to world. tiles: the UDIM tiles of the domain, which stand side by side in it from the left:
     ``uvs`` are within all of them together, tangents those of the UV map itself. slots: the names of the object's
     material slots. solved: (T,) bool, triangles whose slot is asked for, None for all; the others are seen and throw
-    shadows, but have no texels.
+    shadows, but have no texels. copied_by: names of the object's modifiers that may repeat faces with their UVs.
     """
 
     name: str
@@ -42,6 +44,7 @@ class MeshData:
     tiles: tuple[int, ...] = ONE_SQUARE
     slots: tuple[str, ...] = ()
     solved: np.ndarray | None = None
+    copied_by: tuple[str, ...] = ()
 
     @property
     def texel_uvs(self) -> np.ndarray:
@@ -79,6 +82,7 @@ def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
     mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
     try:
         corners = _local_triangles(obj.name, mesh, slot_names(obj), slots)
+        corners["copied_by"] = tuple(m.name for m in obj.modifiers if m.type in _COPYING and m.show_viewport)
     finally:
         bpy.data.meshes.remove(mesh)
     return _to_world(obj.name, corners, matrix)

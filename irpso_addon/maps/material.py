@@ -118,12 +118,21 @@ def check_material(model: ReflectanceModel, subject: str) -> None:
 
 
 def check_object(obj) -> None:
-    """Raise InputError where the object or its data is linked from a library, or cannot have materials."""
-    if obj.library is not None or (obj.data is not None and obj.data.library is not None):
-        library = (obj.library or obj.data.library).filepath
-        raise InputError(f"object '{obj.name}' is linked from {library}; make it local before giving it a material")
+    """Raise InputError where the object is linked from a library, or cannot have materials.
+
+    The data of a local object may be linked where it has slots: the object then keeps materials of its own in them.
+    """
+    if obj.library is not None:
+        raise InputError(
+            f"object '{obj.name}' is linked from {obj.library.filepath}; make it local before giving it a material"
+        )
     if not hasattr(obj.data, "materials"):
         raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, which has no material; choose a mesh")
+    if obj.data.library is not None and not obj.material_slots:
+        raise InputError(
+            f"the mesh of object '{obj.name}' is linked from {obj.data.library.filepath} and has no material slot; add"
+            " one in that file, or make the mesh local"
+        )
 
 
 def other_uv_map(obj, name: str) -> str:
@@ -146,14 +155,21 @@ def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
         if (last := max(slots)) >= len(obj.material_slots):
             raise InputError(f"object '{obj.name}' has no material slot {last} any more; give it back its slots")
         for slot in slots:
-            obj.material_slots[slot].material = material
+            _fill_slot(obj, slot, material)
         return
     if material.name in obj.material_slots and obj.material_slots[material.name].material == material:
         return
     if obj.material_slots:
-        obj.material_slots[obj.active_material_index].material = material
+        _fill_slot(obj, obj.active_material_index, material)
     else:
         obj.data.materials.append(material)
+
+
+def _fill_slot(obj, index: int, material) -> None:
+    slot = obj.material_slots[index]
+    if obj.data.library is not None:  # what is linked cannot be changed: the object has a material of its own there
+        slot.link = "OBJECT"
+    slot.material = material
 
 
 def find_card(subject: str):

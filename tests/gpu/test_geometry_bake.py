@@ -380,6 +380,36 @@ def test_overlapping_texture_coordinates_are_refused_unless_allowed():
     assert bake.overlap(one) == 0 and bake.overlap(extract_mesh(monkey(1))) < 1e-4
 
 
+@pytest.mark.parametrize(("kind", "name"), [("ARRAY", "Row"), ("MIRROR", "Other half"), ("SOLIDIFY", "Wall")])
+def test_copies_by_a_modifier_are_refused_by_its_name(kind, name):
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=2, location=(2, 0, 0))
+    obj = bpy.context.object
+    obj.modifiers.new("Bend", "SIMPLE_DEFORM")
+    modifier = obj.modifiers.new(name, kind)
+    if kind == "SOLIDIFY":
+        modifier.use_rim = False
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match=f"overlaps itself over .* %.*, because modifier '{name}' makes copies"):
+        bake.bake_uv(extract_mesh(obj), 16, 16)
+    modifier.show_viewport = False
+    bpy.context.view_layer.update()
+    assert bake.overlap(extract_mesh(obj)) == 0
+
+
+def test_a_modifier_is_not_blamed_for_what_the_uv_map_itself_shares():
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4)
+    obj = bpy.context.object
+    layer = obj.data.uv_layers.active
+    for number, item in enumerate(layer.uv):
+        item.vector = (item.vector[0] * (0.5 + 0.02 * (number % 5)), item.vector[1])  # askew, and over each other
+    for item in layer.uv[: len(layer.uv) // 2]:
+        item.vector = (item.vector[0], item.vector[1] + 0.4)
+    obj.modifiers.new("Nodes", "NODES")
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="texels; unwrap the mesh"):
+        bake.bake_uv(extract_mesh(obj), 16, 16)
+
+
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 @pytest.mark.parametrize(

@@ -251,6 +251,29 @@ def library(tmp_path):
     return path
 
 
+def test_a_local_object_with_a_linked_mesh_gets_the_material_in_a_slot_of_its_own(library):
+    mesh = bpy.data.objects[0].data
+    theirs = mesh.materials[0]
+    material = bpy.data.materials.new("found")
+    for slots in ((0,), ()):
+        mine = bpy.data.objects.new("mine", mesh)
+        apply_material(mine, material, slots)
+        assert mine.material_slots[0].link == "OBJECT" and mine.material_slots[0].material == material
+        assert mesh.library is not None and mesh.materials[:] == [theirs]
+
+
+def test_a_linked_mesh_without_a_slot_is_refused_with_what_to_do(library, tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.data.meshes.new("bare").use_fake_user = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "bare.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "bare.blend"), link=True) as (_, target):
+        target.meshes = ["bare"]
+    mine = bpy.data.objects.new("mine", bpy.data.meshes[0])
+    with pytest.raises(InputError, match="mesh of object 'mine' is linked from .*bare.blend and has no material slot"):
+        apply_material(mine, bpy.data.materials.new("found"))
+
+
 def test_linked_materials_and_objects_are_refused_by_name(library):
     before = counts()
     with pytest.raises(InputError, match="material 'IRPSO icon' is linked.*library.blend"):
