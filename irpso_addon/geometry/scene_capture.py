@@ -89,16 +89,16 @@ def wide_lights_around(obj: Any) -> list[str]:
 
 def photographed_lights(scene: Any) -> list:
     """Return the light objects that have an image, in the order of their names; numbers in them count as numbers."""
-    return [obj for obj in in_order(scene) if obj.type == "LIGHT" and setting(obj, "image") is not None]
+    return [obj for obj in lights_in_order(scene) if setting(obj, "image") is not None]
 
 
-def in_order(scene: Any) -> list:
-    """Return a scene's objects in the order of names; those of excluded collections only of another scene."""
+def lights_in_order(scene: Any) -> list:
+    """Return a scene's light objects in the order of names; those of excluded collections only of another scene."""
     import bpy
 
     context = bpy.context
     objects = context.view_layer.objects if context.scene == scene else scene.objects
-    return sorted(objects, key=lambda obj: natural(obj.name))
+    return sorted((obj for obj in objects if obj.type == "LIGHT"), key=lambda obj: natural(obj.name))
 
 
 def _name(scene: Any, lights: list) -> str:

@@ -9,6 +9,7 @@ from .capture_import import checking
 from .job import missing, subject_object
 from .keep import is_standard_view
 from .presets import label_of
+from .scene_setup import capture_lights
 from .schedule_words import GROUPS
 from .settings import CUSTOM
 
@@ -65,6 +66,18 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
         _draw_check(layout, context, settings)
         if settings.source == "FILES":
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
+        draw_observation(layout, context)
+
+
+def draw_observation(layout, context) -> None:
+    """Draw the switch between the capture's lights in the scene, where there are any."""
+    lights, view = capture_lights(context.scene), context.scene.irpso.view
+    if not lights:
+        return
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(view, "observation")
+    drawing.fact(column, context, f"of {len(lights)}", lights[min(view.observation, len(lights) - 1)].name)
 
 
 def _draw_light(layout, context) -> None:

@@ -24,7 +24,7 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
     """Yield before each image's header is looked at, and return what ``capture_of`` does."""
     settings = scene.irpso
     if settings.source == "SCENE":
-        return (yield from scene_steps(scene, settings.colour_space))
+        return (yield from scene_steps(scene))  # whose images say themselves how they are encoded
     draft = read_draft(capture_path(settings), settings.colour_space)
     return (yield from build_steps(draft, decode))
 
@@ -38,4 +38,4 @@ def capture_path(settings) -> Path:
 
 def capture_from_scene(scene) -> Capture:
     """Return the capture that a scene itself is, with its own settings: see ``geometry.scene_capture``."""
-    return run_steps(scene_steps(scene, scene.irpso.colour_space))
+    return run_steps(scene_steps(scene))

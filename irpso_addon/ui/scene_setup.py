@@ -19,7 +19,7 @@ from ..capture.types import Capture
 from ..errors import InputError
 from ..files import natural
 from ..geometry import scene_images
-from ..geometry.scene_capture import ASPECT, CAPTURE, in_order
+from ..geometry.scene_capture import ASPECT, CAPTURE, lights_in_order, photographed_lights
 from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
@@ -80,14 +80,15 @@ def create_scene(scene, draft: Draft, capture: Capture) -> list:
 def show_observation(scene, index: int) -> None:
     """Light the scene with one observation's light alone, and show its photograph behind its camera's view.
 
-    Only lights and cameras that ``create_scene`` made are touched. The scene's camera changes if it is one of them.
+    Lights without a photograph stay as they are, as do cameras that ``create_scene`` did not make. The scene's camera
+    changes if it is one of these.
     """
-    lights = [obj for obj in _own(scene) if obj.type == "LIGHT"]
-    current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
-    if not current:
+    bpy.context.view_layer.update()  # else objects that were added or removed just now are not in it
+    lights = capture_lights(scene)
+    if not lights:
         return
-    shown = current[sorted(current, key=natural)[min(index, len(current) - 1)]]
-    for obj in lights:
+    shown = lights[min(index, len(lights) - 1)]
+    for obj in {*lights, *_own_lights(scene)}:
         # Written only where it changes: each write has Blender build its dependencies anew.
         if obj.hide_render != (obj != shown):
             obj.hide_render = obj != shown
@@ -100,6 +101,18 @@ def show_observation(scene, index: int) -> None:
     if scene.camera is not None and CAPTURE in scene.camera:
         scene.camera = camera
         _set_resolution(scene, camera)
+
+
+def capture_lights(scene) -> list:
+    """Return the lights in the scene that observations have, in their order; none where the capture has none there.
+
+    Of files those that ``create_scene`` made; with the scene as source all that have a photograph.
+    """
+    if scene.irpso.source == "SCENE":
+        return photographed_lights(scene)
+    lights = _own_lights(scene)
+    current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
+    return [current[role] for role in sorted(current, key=natural)]
 
 
 def place_card(card, camera: Camera) -> None:
@@ -120,6 +133,10 @@ def place_card(card, camera: Camera) -> None:
 
 def _own(scene) -> list:
     return [obj for obj in scene.objects if CAPTURE in obj and _ROLE in obj and obj.library is None]
+
+
+def _own_lights(scene) -> list:
+    return [obj for obj in _own(scene) if obj.type == "LIGHT"]
 
 
 def _object(owned: dict, made: list, role: str, name: str, new, collection, capture: Capture):
@@ -278,9 +295,9 @@ class ShowObservation(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether the scene has lights of a capture."""
-        there = CAPTURE in context.scene
+        there = bool(capture_lights(context.scene))
         if not there:
-            cls.poll_message_set("No lights of a capture: press Create Cameras and Lights first")
+            cls.poll_message_set("No lights of a capture: press Create Cameras and Lights, or assign images to lights")
         return there
 
     def execute(self, context):
@@ -348,7 +365,7 @@ class AssignImages(bpy.types.Operator):
 
 
 def _assignable(context) -> list:
-    lights = [obj for obj in in_order(context.scene) if obj.type == "LIGHT" and obj.data.type in LIGHT_TYPES]
+    lights = [obj for obj in lights_in_order(context.scene) if obj.data.type in LIGHT_TYPES]
     return [obj for obj in lights if obj.select_get()] or lights
 
 

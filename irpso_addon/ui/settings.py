@@ -231,7 +231,11 @@ class Settings(bpy.types.PropertyGroup):
         name="Capture", description="Folder of photographs with their lights, an .lp list or a capture.toml",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
-    colour_space: EnumProperty(name="Color Space", description="Of the image files", items=_COLOUR_SPACES)
+    colour_space: EnumProperty(
+        name="Color Space",
+        description="Of the capture's image files; with This Scene each image's own Color Space counts",
+        items=_COLOUR_SPACES,
+    )
     light_strengths: EnumProperty(
         name="Light Strengths", description="Whether the capture's light intensities are known", items=_STRENGTHS
     )

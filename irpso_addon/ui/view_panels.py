@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from . import drawing, session
-from .panels import Sidebar
+from .panels import Sidebar, draw_observation
 
 # Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
@@ -80,6 +80,7 @@ class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
         column.prop(view, "show_cameras")
         if view.show_lights:
             column.prop(view, "dome_radius")
+        draw_observation(self.layout, context)
 
 
 def draw_probes(layout, context) -> None:

@@ -339,6 +339,20 @@ def test_one_light_shines_at_a_time_and_its_photograph_lies_behind(scene, tmp_pa
     np.testing.assert_allclose((scene.render.pixel_aspect_x, scene.render.pixel_aspect_y), (1.1, 1.0), rtol=1e-6)
 
 
+def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scene, tmp_path):
+    add_camera(scene)
+    image = image_of(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    room = add_light(scene, "Room")
+    lamps = [add_light(scene, f"Lamp {number}", image) for number in (1, 2, 10)]
+    assert not bpy.ops.irpso.show_observation.poll()
+    scene.irpso.source = "SCENE"
+    bpy.context.view_layer.update()
+    for index in (2, 0):
+        bpy.ops.irpso.show_observation(index=index)
+        assert [obj for obj in [room, *lamps] if not obj.hide_render] == [room, lamps[index]]
+        assert [obj for obj in [room, *lamps] if not obj.hide_viewport] == [room, lamps[index]]
+
+
 def rendered(scene, path):
     """Return (H, W, 3) radiance of a render by Cycles, row 0 at the bottom."""
     scene.render.engine, scene.cycles.samples, scene.cycles.max_bounces = "CYCLES", 16, 0
@@ -407,6 +421,14 @@ def test_an_eight_bit_image_that_is_set_to_non_color_is_linear(scene, tmp_path):
     image = image_of(tmp_path / "a.png", codes)
     image.colorspace_settings.name = "Non-Color"
     np.testing.assert_allclose(photographed(scene, image).read()[::-1, :, :3], codes / 255, atol=1e-7)
+
+
+def test_the_color_space_of_files_says_nothing_of_the_scenes_own_images(scene, tmp_path):
+    """Each image has a setting of its own; that of files is not shown with This Scene."""
+    image = image_of(tmp_path / "a.png", RNG.integers(0, 255, (7, 9, 3)))
+    expected = photographed(scene, image).read()
+    scene.irpso.source, scene.irpso.colour_space = "SCENE", "linear"
+    np.testing.assert_array_equal(scene_capture.capture_of(scene).observations[0].read(), expected)
 
 
 @pytest.mark.parametrize("is_float", [False, True])

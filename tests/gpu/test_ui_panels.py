@@ -203,6 +203,22 @@ def test_a_light_of_the_scene_is_given_its_photograph(settings):
     assert "Key" in found.texts and "camera" in found.props
 
 
+def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(settings, card, tmp_path):
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    settings.capture_path = str(card)
+    assert "observation" not in drawn().props
+    bpy.ops.irpso.create_scene()
+    assert drawn().props.count("observation") == 1 and "of 12" in drawn().texts
+    session.begin(make_job(bpy.context))
+    assert drawn().props.count("observation") == 1  # during a recovery, whatever is shown
+    bpy.ops.irpso.cancel()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "lights.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lights.blend"))
+    assert drawn().props.count("observation") == 1
+
+
 def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, card):
     from irpso_addon.ui import session
     from irpso_addon.ui.job import make_job
