@@ -129,6 +129,12 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
         return dict(about["identity"])
 
 
+def read_note(path: Path, name: str) -> np.ndarray:
+    """Return one of a checkpoint's notes, without the rest. Raises CheckpointError where it is not there."""
+    with _said_of(path), np.load(path) as file:
+        return file[_NOTE + name]
+
+
 def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
     """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
 

@@ -29,6 +29,7 @@ from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_re
 from ..solver.prepare import Prepared
 from ..solver.schedule import Schedule
 from . import preferences
+from .asked import asked_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path
 from .schedule_settings import schedule_of
@@ -54,7 +55,8 @@ class Job:
     whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
     parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
     the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
-    the mesh hides from a light is left out. known: as the solver takes them, of ``know``.
+    the mesh hides from a light is left out. known: as the solver takes them, of ``know``. asked: the
+    settings, of ``asked_of``. resumed: the checkpoint that it goes on from.
     """
 
     capture: Capture
@@ -76,6 +78,8 @@ class Job:
     shadows: bool = True
     lights: LightWish = LightWish()
     known: dict[str, np.ndarray] = field(default_factory=dict)
+    asked: dict[str, Any] = field(default_factory=dict)
+    resumed: Path | None = None
 
     def loading(self) -> Generator[None, None, Domain]:
         """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
@@ -112,7 +116,7 @@ class Job:
         """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
         return make_plan(
             coverage, self.model, self.schedule, self.given, len(self.capture.observations),
-            memory=self.memory, entry=self.entry, mesh=self.mesh,
+            memory=self.memory, entry=self.entry, mesh=self.mesh, resumed=self.resumed,
         )  # fmt: skip
 
 
@@ -173,6 +177,7 @@ def make_job(context) -> Job:
         scratch_folder((wanted.folder() or Path.home()) / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
         LightWish(settings.light_strengths == "ESTIMATE", round(math.degrees(settings.refine_directions), 4)),
+        asked=asked_of(settings, obj, slots),
     )  # fmt: skip
 
 

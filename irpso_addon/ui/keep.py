@@ -25,7 +25,7 @@ from ..maps.tables import map_tables
 from ..maps.write import write_maps
 from ..reflectance.model import shipped_models
 from ..solver.pictures import error_preview
-from . import preferences, session
+from . import preferences, session, unkept
 from .card_place import put_card
 from .file_paths import absolute
 
@@ -130,6 +130,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         running.pause()
         try:
             text = _keep(context, running)
+            unkept.forget(running.job.resumed)
         except IrpsoError as error:
             self.report({"ERROR"}, " ".join(str(error).splitlines()))
             return {"CANCELLED"}

@@ -9,6 +9,7 @@ from .capture_import import checking
 from .job import missing, subject_object
 from .keep import is_standard_view
 from .presets import label_of
+from .restore import draw_unkept
 from .scene_setup import capture_lights
 from .schedule_words import GROUPS
 from .settings import CUSTOM
@@ -220,6 +221,7 @@ class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
         """Draw what can be done now."""
         running = session.current()
         if running is None:
+            draw_unkept(self.layout, context)
             _draw_start(self.layout, context, "Recover")
         elif running.state == "done":
             draw_result(self.layout, context, running)

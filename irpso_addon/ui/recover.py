@@ -6,9 +6,10 @@ import bpy
 
 from ..errors import IrpsoError
 from ..gpu import probe
-from . import preferences, session
-from .card_place import look_at_card
+from . import preferences, session, unkept
+from .asked import schedule_asked
 from .job import make_job, missing
+from .restore import follow
 from .schedule_settings import schedule_of
 
 _TIMER_SECONDS = 1 / 60
@@ -55,10 +56,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
         except IrpsoError as error:
             self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
-        if begun.mesh is None and begun.subject() is None:  # nobody can know where it is going to stand
-            height, width = begun.job.capture.masks[0].shape
-            look_at_card(context, begun.job.place, height / width)
-        bpy.ops.irpso.run("INVOKE_DEFAULT")
+        follow(context, begun)
         return {"FINISHED"}
 
 
@@ -174,6 +172,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
         scene = scenes.get(running.job.scene_uid, context.scene)
         try:
             running.resume(schedule_of(scene.irpso.schedule))
+            running.job.asked["schedule"] = schedule_asked(scene.irpso.schedule)
         except IrpsoError as error:
             self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
@@ -228,7 +227,8 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         return True
 
     def execute(self, context):
-        """Drop the session."""
+        """Drop the session, and what is stored of it."""
+        unkept.forget(session.current().job.resumed)
         session.end()
         _redraw(context)
         return {"FINISHED"}

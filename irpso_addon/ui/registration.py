@@ -17,6 +17,7 @@ MODULES = (
     "presets",
     "upkeep",
     "session",
+    "restore",
     "recover",
     "keep",
     "panels",

@@ -18,6 +18,7 @@ from ..capture.steps import told_as
 from ..errors import InputError, IrpsoError
 from ..geometry.domain import Domain
 from ..gpu import context
+from ..gpu.home import Home
 from ..maps.material import STAMP, find_card
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
@@ -30,6 +31,7 @@ from ..solver.prepare import Prepared, prepare
 from ..solver.pyramid import Pyramid
 from ..solver.recovery import Progress, Recovery
 from ..solver.schedule import Schedule
+from . import unkept
 from .job import Job, LightWish
 
 MOST_PROBES = 4
@@ -38,6 +40,9 @@ _SETTINGS = {
     "--memory": "Memory Budget",
     "--resolution": "Resolution",
     "--slots": "Slots",
+    "start without --resume": "forget it, and recover anew",
+    "run without --resume": "forget it, and recover anew",
+    "--resume": "Restore",
 }  # as the engine's errors call them
 _KEPT_SHARE = 0.1  # of the memory that is free, for what was prepared: a second run need not wait for that either
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
@@ -95,6 +100,7 @@ class Session:
         self.longest_stall_s = 0.0
         self.closed = False
         self.runs = 0  # of the modal operator, which is begun anew by each resuming
+        self._home: Home | None = None
         self._uuid = uuid4().hex
         self._paused_in = self.state
         self._read = 0
@@ -157,6 +163,11 @@ class Session:
     def stopped(self) -> bool:
         """Whether it was ended by hand before its last iteration; ``resume`` goes on."""
         return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
+
+    @property
+    def at_home(self) -> bool:
+        """Whether the recovery may be touched: in a window, its own graphics context is current."""
+        return self._home is None or self._home.here()
 
     @property
     def active(self) -> bool:
@@ -302,9 +313,22 @@ class Session:
             prepared = yield from self._prepared()
         yield
         self.recovery = self.job.recovery(self.domain, plan, prepared)
+        if self.job.resumed is not None:
+            self._take(self.recovery.load(self.job.resumed))
+        self._home = None if bpy.app.background else Home()
         if isinstance(self.recovery, Recovery | Pyramid):  # a domain in tiles has no picture of the whole
             self.display = Display(self.recovery, self.job.known)
         self.state = "running"
+        if self.job.resumed is not None:  # at rest, as it was
+            self.title = self.recovery.progress.title
+            self.pause()
+            if self.recovery.progress.done:
+                self.finish()
+
+    def _take(self, notes: dict[str, np.ndarray]) -> None:
+        """Take what was noted with a recovery that is gone on from."""
+        self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
+        self.seconds = float(notes[unkept.SECONDS])
 
     def _count_image(self, _: None) -> None:
         self._read += 1
@@ -372,6 +396,7 @@ class Session:
         self.job = replace(self.job, schedule=schedule)
         self.display.close()
         self.recovery.close()
+        self._home = None if bpy.app.background else Home()
         self.recovery, self.display = changed, Display(changed, self.job.known)
 
     def _look(self) -> None:
@@ -423,8 +448,10 @@ def _tell() -> None:
 
 
 def forget() -> None:
-    """Drop the session and what was read for it: the file is another one now."""
+    """Drop the session and what was read for it: the file is another one now. What is not kept is stored."""
     global _loaded
+    if _current is not None:
+        unkept.store(_current)
     end()
     _loaded = None
 
