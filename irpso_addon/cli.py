@@ -115,6 +115,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards"
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    _add_distance(add)
     add.add_argument(
         "--intensities", choices=("given", "estimate"), default="given", help="of lights: as given, or up to one scale"
     )
@@ -159,6 +160,12 @@ def _add_solver(add: argparse.ArgumentParser) -> None:
     add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
 
 
+def _add_distance(add: argparse.ArgumentParser) -> None:
+    add.add_argument("--distance", type=float, metavar="D",
+                     help="of a flat card from its camera, in the unit of the near lights' places; goes before"
+                     " card_distance of capture.toml")  # fmt: skip
+
+
 def _add_export(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("export", help="a finished result for other programs", epilog=_EPILOG)
     add.add_argument("result", help="folder that recover wrote")
@@ -192,6 +199,7 @@ def _add_inspect(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("inspect", help="what is in a capture, and what is wrong with it", epilog=_EPILOG)
     add.add_argument("capture", help="folder, .lp file or capture.toml")
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    _add_distance(add)
     _add_common(add)
 
 

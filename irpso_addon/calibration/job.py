@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.camera import Camera
-from ..capture.draft import Draft, build_capture
+from ..capture.draft import Draft, ViewDraft, build_capture
 from ..capture.images import ImageRef, ImageStore
 from ..capture.picture import Decoder
 from ..capture.problems import CaptureError
@@ -84,6 +84,11 @@ class Calibrated:
     result: Calibration
     warnings: tuple[str, ...]
 
+    @property
+    def card_distance(self) -> float:
+        """From the camera to a card that the balls lie on, in the unit of the places of near lights."""
+        return float(np.mean([view.ball.radius - view.ball.centre[2] for view in self.result.views]))
+
 
 def calibrate_steps(
     draft: Draft,
@@ -102,9 +107,12 @@ def calibrate_steps(
     capture = build_capture(draft, decoder)
     shots = tuple(n for n, shot in enumerate(draft.shots) if shot.camera == number)
     camera = capture.cameras[number]
+    _check_distance(request, draft.views[number], camera, radius)
     store = ImageStore(decoder)
     balls = [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
     result = yield from calibration_steps([capture.observations[n].read for n in shots], balls, request)
+    if result.near and camera.perspective and radius is None:
+        _refuse_radii(draft, number)
     names = tuple(draft.shots[n].name for n in shots)
     found = sum(light.light is not None for light in result.lights)
     if found < max(1, _FEWEST * len(shots)):
@@ -118,6 +126,28 @@ def calibrate_steps(
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
     return Calibrated(draft, number, shots, names, result, tuple(warnings))
+
+
+def _check_distance(request: Request, view: ViewDraft, camera: Camera, radius: float | None) -> None:
+    """Raise InputError where a distance is given and nothing says in which unit."""
+    if request.distance is None:
+        return
+    if camera.perspective and radius is None:
+        raise InputError("--distance: is in the unit of --radius; give that too (1 where the distance is in radii)")
+    if not camera.perspective and not view.lens:
+        raise InputError(
+            "--distance: nothing says its unit; give --fov and --radius, or --camera with world_width in that unit"
+        )
+
+
+def _refuse_radii(draft: Draft, number: int) -> None:
+    """Raise InputError where a capture has lengths of its own, and places of lights would come in radii of the ball."""
+    placed = draft.views[number].placed
+    if placed or draft.card_distance is not None:
+        raise InputError(
+            f"{draft.source}: has {'a camera with a place' if placed else 'card_distance'}, in a unit in which near"
+            " lights are wanted too; give --radius in it, or --lights distant"
+        )
 
 
 def _camera_number(draft: Draft, view: str | None) -> int:
@@ -134,6 +164,9 @@ def _camera_number(draft: Draft, view: str | None) -> int:
 def written_table(found: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
     """Return the text of a capture.toml in ``folder`` with the lights that were found."""
     lights = {n: light.light for n, light in zip(found.shots, found.result.lights, strict=True)}
+    view, camera = found.draft.views[found.camera], found.result.views[0].ball.camera
+    if found.result.near and not (camera_keys or view.lens):  # places are counted in what was taken for its width
+        camera_keys = {"world_width": camera.width / camera.scale[0]}
     cameras = {found.camera: camera_keys} if camera_keys else {}
     return calibrated_table(found.draft, cameras, lights, folder)
 
@@ -167,6 +200,7 @@ def report_of(found: Calibrated) -> dict[str, Any]:
         "near": result.near,
         "how": result.how,
         "camera": "perspective" if result.views[0].ball.camera.perspective else "orthographic",
+        **({"card_distance": round(found.card_distance, 6)} if result.near else {}),
         "bounce": [round(float(v), 4) for v in result.bounce],
         "balls": balls,
         "lights": lights,

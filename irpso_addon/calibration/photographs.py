@@ -13,7 +13,7 @@ from ..capture.draft import Draft, Shot, ViewDraft
 from ..capture.images import ImageRef, find_image
 from ..capture.lists import read_lines
 from ..capture.problems import CaptureError
-from ..capture.toml_file import CAMERA_KEYS, camera_maker, known_keys, load_toml
+from ..capture.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 from ..capture.toml_text import toml_value
 from ..capture.types import Light
 
@@ -51,7 +51,8 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
     shots = tuple(Shot(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
     mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
-    view = ViewDraft("camera", camera_maker(keys, str(path / CAMERA)), str(path), None, mask and ImageRef(mask))
+    make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
+    view = ViewDraft("camera", make, str(path), None, mask and ImageRef(mask), lens=lens)
     return Draft(path.resolve().name, "images", path, shots, (view,))
 
 
@@ -67,7 +68,7 @@ def with_camera(draft: Draft, keys: Mapping[str, Any], where: str) -> Draft:
     views = []
     for view in draft.views:
         matrix = view.make(*(view.size or (1, 1))).matrix
-        views.append(replace(view, make=camera_maker(dict(keys), where, matrix)))
+        views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
     return replace(draft, views=tuple(views))
 
 

@@ -61,6 +61,12 @@ class Camera:
         )
 
     @property
+    def key(self) -> tuple[object, ...]:
+        """All that makes the camera, hashable: cameras of equal keys are the same."""
+        lens = (self.width, self.height, *self.scale, *self.centre, self.perspective, self.distortion)
+        return (*lens, np.asarray(self.matrix, np.float64).tobytes())
+
+    @property
     def position(self) -> np.ndarray:
         """(3,) the camera's place in the world."""
         return self.matrix[:3, 3]

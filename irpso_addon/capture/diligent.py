@@ -8,7 +8,7 @@ from .draft import Draft, Shot, ViewDraft
 from .images import ImageRef, find_image
 from .lists import read_directions, read_intensities, read_lines
 from .problems import CaptureError
-from .toml_file import CAMERA_KEYS, camera_maker, known_keys, load_toml
+from .toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 
 FILENAMES, DIRECTIONS, INTENSITIES = "filenames.txt", "light_directions.txt", "light_intensities.txt"
 MASKS = ("mask.png", "mask.exr", "mask.tif", "mask.jpg")
@@ -42,7 +42,8 @@ def draft_of_folder(folder: Path, colour_space: str = "auto") -> Draft:
     camera = folder / "camera.toml"
     table = load_toml(camera) if camera.exists() else {}
     known_keys(table, CAMERA_KEYS, str(camera))
-    view = ViewDraft("camera", camera_maker(table, str(camera)), str(camera), None, mask and ImageRef(mask))
+    make, lens = camera_maker(table, str(camera)), has_lens(table)
+    view = ViewDraft("camera", make, str(camera), None, mask and ImageRef(mask), lens=lens)
     return Draft(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
 
 

@@ -40,6 +40,7 @@ class ViewDraft:
     """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
 
     placed: whether it stands anywhere but at the world's origin, looking down. where: the file and place that says so.
+    lens: whether the file says what the camera shows; else it is taken as orthographic, 2 units wide.
     """
 
     name: str
@@ -48,17 +49,22 @@ class ViewDraft:
     size: tuple[int, int] | None = None
     mask: ImageRef | None = None
     placed: bool = False
+    lens: bool = True
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table"."""
+    """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
+
+    card_distance: as Capture's.
+    """
 
     name: str
     kind: str
     source: Path
     shots: tuple[Shot, ...]
     views: tuple[ViewDraft, ...]
+    card_distance: float | None = None
 
 
 def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
@@ -91,7 +97,7 @@ def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None,
         Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera]), light, shot.camera)
         for shot, light in zip(draft.shots, lights, strict=True)
     )
-    return Capture(draft.name, observations, tuple(cameras), tuple(masks), draft.source)
+    return Capture(draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance)
 
 
 @dataclass(frozen=True)

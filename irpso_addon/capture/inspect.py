@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from . import checks, enough
+from . import checks, enough, places
 from .camera import Camera
 from .draft import Draft, build_steps
 from .picture import Decoder, Samples
@@ -83,19 +83,27 @@ class _Frames:
 
 
 def inspect_capture(
-    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", asked: Sequence[str] = ("normals",)
+    path: Path | str,
+    decoder: Decoder | None = None,
+    colour_space: str = "auto",
+    asked: Sequence[str] = ("normals",),
+    card_distance: float | None = None,
 ) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
     asked: of enough.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
-    warned of. What else they are enough for is among the facts.
+    warned of. What else they are enough for is among the facts. card_distance: goes before the capture's own.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
-    return run_steps(inspect_steps(path, decoder, colour_space, asked))
+    return run_steps(inspect_steps(path, decoder, colour_space, asked, card_distance))
 
 
 def inspect_steps(
-    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", asked: Sequence[str] = ("normals",)
+    path: Path | str,
+    decoder: Decoder | None = None,
+    colour_space: str = "auto",
+    asked: Sequence[str] = ("normals",),
+    card_distance: float | None = None,
 ) -> Generator[str, None, Report]:
     """Yield, before each piece of the work, what it is, in words, and return what ``inspect_capture`` does."""
     path = Path(path)
@@ -103,6 +111,7 @@ def inspect_steps(
         draft = read_draft(path, colour_space)
     except CaptureError as error:
         return Report(path, (), _errors(error))
+    draft = replace(draft, card_distance=card_distance or draft.card_distance)
     facts = [("kind", draft.kind), ("images", str(len(draft.shots)))]
     findings = list(_light_findings(draft))
     lacks = {ask: _lacks(draft, ask) for ask in enough.ASKS}
@@ -128,6 +137,7 @@ def inspect_steps(
             facts.append((f"brightness{f', camera {camera + 1}' * (len(groups) > 1)}", _brightness(frames)))
             findings += yield from _told("Comparing images", 0, _frame_steps(frames))
             findings += _geometry_findings(draft, capture, camera, frames)
+    findings += _place_findings(draft, capture, groups[0])
     return Report(path, tuple(facts), tuple(findings))
 
 
@@ -159,6 +169,9 @@ def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
+    if capture.card_distance is not None and len(capture.cameras) == 1:
+        width, height = places.card_size(capture.cameras[0], capture.card_distance)
+        facts.append(("card", f"{capture.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
     return facts
 
 
@@ -197,11 +210,15 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
 
 def _lacks(draft: Draft, ask: str) -> list[enough.Shortfall]:
     """Return what the lights lack for ``ask``; nothing where fewer than three, or none to speak of, are an error."""
-    distant = all(shot.distant for shot in draft.shots)
+    distant = np.array([shot.distant for shot in draft.shots], bool)
     vectors = np.array([shot.vector for shot in draft.shots], float).reshape(-1, 3)
-    if len(vectors) < 3 or not np.isfinite(vectors).all() or (distant and not vectors.any(axis=1).all()):
+    on_card = draft.card_distance is not None and len(draft.views) == 1 and not draft.views[0].placed
+    if on_card:  # near lights as its middle sees them
+        vectors[~distant] += (0.0, 0.0, draft.card_distance)
+    told = on_card or distant.all()
+    if len(vectors) < 3 or not np.isfinite(vectors).all() or (told and not vectors.any(axis=1).all()):
         return []
-    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if distant else None
+    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if told else None
     return list(enough.shortfalls(ask, len(vectors), directions))
 
 
@@ -326,6 +343,37 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
     elif border >= _ENOUGH / 5 and out_x < _TURNED and out_y < _TURNED:
         message = f"{where}: normals point inward all along the mask; negate x and y of all lights if it is no hollow"
         yield Finding("warning", "turned", message)
+
+
+def _place_findings(draft: Draft, capture: Capture, frames: _Frames) -> Iterator[Finding]:
+    """Yield what speaks for lengths in different units. frames: of the first camera."""
+    for view, camera in zip(draft.views, capture.cameras, strict=True):
+        for code, message in places.lens_problems(camera):
+            yield Finding("warning", code, f"{view.where}: {message}")
+    if not places.near_lights(capture):
+        return
+    for view in draft.views:
+        if not view.lens:
+            message = "is taken as 2 units wide, in which places of lights are counted; give fov_degrees or world_width"
+            yield Finding("warning", "lens", f"{view.where}: {message}")
+    found: list[places.Problem] = []
+    if len(capture.cameras) > 1:
+        found += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
+    elif capture.card_distance is not None:
+        found += [*places.card_problems(capture), *places.strength_problems(capture, _brightest(frames, capture))]
+    elif not draft.views[0].placed:
+        message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
+        found.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
+    yield from (Finding("warning", code, f"{draft.source}: {message}") for code, message in found)
+
+
+def _brightest(frames: _Frames, capture: Capture) -> np.ndarray:
+    """Return (K,) a bright radiance, the 99th percentile, of each observation in its mask; NaN of unreadable ones."""
+    bright = np.full(len(capture.observations), np.nan)
+    mask = _shrunk(frames.mask.astype(float), frames.factor) > 0.5
+    if mask.any():
+        bright[frames.indices] = [np.percentile(thumbnail[mask], 99) for thumbnail in frames.thumbnails]
+    return bright
 
 
 def _count(number: int, one: str, many: str) -> str:

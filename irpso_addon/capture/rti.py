@@ -35,5 +35,5 @@ def draft_of_lp(path: Path, colour_space: str = "auto") -> Draft:
         name = words[0].strip("\"'")
         image = ImageRef(find_image(path.parent, name), colour_space=colour_space)
         shots.append(Shot(image.path.name, image, tuple(numbers(words[1:], where)), where))
-    view = ViewDraft("camera", camera_maker({}, str(path)), str(path))
+    view = ViewDraft("camera", camera_maker({}, str(path)), str(path), lens=False)
     return Draft(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))

@@ -12,7 +12,10 @@ from .views import Views
 
 TABLE = "capture.toml"
 FORMAT = 1
-_TOP = {"format", "name", "colour_space", "image", "cameras", "cameras_matrix", "camera", "observation"}
+CARD_DISTANCE = "card_distance"
+_TOP = {
+    "format", "name", "colour_space", "image", "cameras", "cameras_matrix", CARD_DISTANCE, "camera", "observation",
+}  # fmt: skip
 _EMISSION = ("light_axis", "light_cone_degrees", "light_cosine")
 _OBSERVATION = {
     "name", "image", "part", "layer", "colour_space", "light_direction", "light_position", "light_intensity", "camera",
@@ -30,13 +33,14 @@ def draft_of_table(path: Path, colour_space: str = "auto") -> Draft:
     if table.get("format", FORMAT) != FORMAT:
         raise CaptureError(f"{path}: format is {table['format']!r}; this program reads format = {FORMAT}", "format")
     name = text(table, "name", str(path)) if "name" in table else path.resolve().parent.name
+    distance = number(table, CARD_DISTANCE, str(path)) if CARD_DISTANCE in table else None
     views = Views(table, path)
     defaults = {key: table[key] for key in ("image", "colour_space") if key in table}
     asked = {} if colour_space == "auto" else {"colour_space": colour_space}
     shots = tuple(
         _shot({**defaults, **row, **asked}, path, n, views) for n, row in enumerate(rows(table, "observation", path), 1)
     )
-    return Draft(name, "capture table", path, shots, tuple(views.drafts))
+    return Draft(name, "capture table", path, shots, tuple(views.drafts), distance)
 
 
 def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Shot:

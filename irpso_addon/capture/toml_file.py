@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +38,9 @@ def known_keys(table: dict[str, Any], known: set[str], where: str) -> None:
 
 
 def number(table: dict[str, Any], key: str, where: str, positive: bool = True) -> float:
-    """Return a number of a table; CaptureError where it is none, or not above 0 though ``positive``."""
+    """Return a number of a table; CaptureError where it is none, or not above 0 and finite though ``positive``."""
     value = table[key]
-    if not is_number(value) or (positive and not value > 0):
+    if not is_number(value) or (positive and not 0 < value < math.inf):
         raise CaptureError(
             f"{where}: {key} must be a number{' above 0' if positive else ''}, as in {key} = 1.5", "value"
         )
@@ -86,6 +87,11 @@ def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef
     if space not in COLOUR_SPACES:
         raise CaptureError(f"{where}: colour_space must be one of {', '.join(COLOUR_SPACES)}", "value")
     return ImageRef(path.parent / text(row, key, where), part, layer, space)
+
+
+def has_lens(table: Mapping[str, Any]) -> bool:
+    """Return whether a camera's table says what the camera shows, and so in which unit lengths before it are."""
+    return not {"fov_degrees", "focal_length_px", "world_width"}.isdisjoint(table)
 
 
 def camera_maker(table: dict[str, Any], where: str, matrix=None):

@@ -68,10 +68,19 @@ class Observation:
 
 @dataclass(frozen=True)
 class Capture:
-    """The observations of one subject. masks: one (H, W) bool array per camera, row 0 at the bottom."""
+    """The observations of one subject. masks: one (H, W) bool array per camera, row 0 at the bottom.
+
+    card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
+    None where it is not known. Raises InputError where it is no length.
+    """
 
     name: str
     observations: tuple[Observation, ...]
     cameras: tuple[Camera, ...]
     masks: tuple[np.ndarray, ...]
     source: Path | None = None
+    card_distance: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.card_distance is not None and not 0 < self.card_distance < math.inf:
+            raise CaptureError(f"card_distance is {self.card_distance:g}; give a length above 0", "value")

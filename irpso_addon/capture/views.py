@@ -14,7 +14,7 @@ from .headers import read_header
 from .images import ImageRef
 from .poses import PoseFile, moved, of_picture, read_poses, similarity
 from .problems import CaptureError
-from .toml_file import CAMERA_KEYS, camera_maker, image_ref, is_number, known_keys, rows, text
+from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
 _MASK = {"mask", "mask_part", "mask_layer"}
 _KNOWN = {"name", "width", "height", "matrix"} | _MASK | CAMERA_KEYS
@@ -98,7 +98,7 @@ def _view(row: dict[str, Any], path: Path, count: int) -> ViewDraft:
             raise CaptureError(f"{where}: width and height must both be whole numbers above 0", "value")
     mask = image_ref(row, "mask", path, where) if "mask" in row else None
     placed = matrix is not None and not np.array_equal(matrix, np.eye(4))
-    return ViewDraft(name, camera_maker(row, where, matrix), where, size, mask, placed)
+    return ViewDraft(name, camera_maker(row, where, matrix), where, size, mask, placed, has_lens(row))
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:

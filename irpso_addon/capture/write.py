@@ -11,7 +11,7 @@ from ..files import new_folder
 from .camera import Camera
 from .exr import write_exr
 from .problems import CaptureError
-from .table import FORMAT, TABLE
+from .table import CARD_DISTANCE, FORMAT, TABLE
 from .toml_text import toml_value
 from .types import Capture, Light
 
@@ -56,6 +56,8 @@ def _lines(capture: Capture, names: list[str], masked: list[bool], single_file: 
     yield 'colour_space = "linear"'
     if single_file:
         yield f'image = "{_IMAGES}"'
+    if capture.card_distance is not None:
+        yield f"{CARD_DISTANCE} = {_numbers(capture.card_distance)}"
     for n, camera in enumerate(capture.cameras):
         yield from ["", "[[camera]]", f'name = "camera {n + 1}"', *_camera(camera)]
         if masked[n] and single_file:

@@ -123,12 +123,11 @@ def _digest_of_files() -> str:
 
 def _digest_of_capture(capture: Capture) -> str:
     """Return a digest of all that is known of a capture before its images are read."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(capture.card_distance).encode())
     for observation in capture.observations:
         digest.update(repr((observation.name, observation.light, observation.camera)).encode())
     for camera, mask in zip(capture.cameras, capture.masks, strict=True):
-        digest.update(np.ascontiguousarray(camera.matrix, np.float64))
-        digest.update(repr((camera.width, camera.height)).encode())
+        digest.update(repr(camera.key).encode())
         digest.update(np.packbits(np.asarray(mask, bool)))
     return digest.hexdigest()
 

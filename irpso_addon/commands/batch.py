@@ -26,6 +26,7 @@ _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative 
 _NAMES_OR_PATHS = ("model", "preset")
 _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # where a card is listed, no defaults of it
+_OF_CARDS = ("distance",)  # and the other way round
 _EVERY = 60.0  # seconds between checkpoints, where a job does not say
 _FIGURES = ("texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "warnings")
 
@@ -89,10 +90,11 @@ def read_list(path: Path, parse: Parse) -> list[Job]:
 
 
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return a job with what holds for all; of a card, without what is of meshes alone."""
+    """Return a job with what holds for all; of a card, without what is of meshes alone, and the other way round."""
     found = {**defaults, **row}
     card = "blend" not in found and not str(found.get("capture", "")).lower().endswith(".blend")
-    return {key: value for key, value in found.items() if not (card and key in _OF_MESHES and key not in row)}
+    others = _OF_MESHES if card else _OF_CARDS
+    return {key: value for key, value in found.items() if key not in others or key in row}
 
 
 def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:

@@ -16,7 +16,7 @@ from ..calibration.write import checked_output, write_calibration
 from ..capture.steps import run_steps
 from ..errors import InputError
 from ..maps.blender_images import decode
-from .options import numbers_of_text
+from .options import numbers_of_text, positive
 from .progress import ProgressBar, silent
 
 _SHOWN_WARNINGS = 12
@@ -31,9 +31,9 @@ def run(options: Namespace) -> dict:
     draft = read_photographs(Path(options.capture), options.colour_space, masks)
     if keys:
         draft = with_camera(draft, keys, "--camera" if options.camera else "--fov")
-    request = Request(options.kind, options.lights, _positive("--distance", options.distance), _albedo(options.albedo))
+    request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
-    steps = calibrate_steps(draft, requests, request, decode, _positive("--radius", options.radius), options.view)
+    steps = calibrate_steps(draft, requests, request, decode, positive("--radius", options.radius), options.view)
     found = run_steps(steps, lambda read: bar.show(read / len(draft.shots), "reading"))
     bar.show(1.0, "done")
     bar.close()
@@ -63,12 +63,6 @@ def _camera(options: Namespace) -> dict[str, Any]:
     return {"fov_degrees": options.fov}
 
 
-def _positive(option: str, value: float | None) -> float | None:
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise InputError(f"{option} {value:g}: give a number above 0")
-    return value
-
-
 def _albedo(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
@@ -95,6 +89,11 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic; of a lens that is not very long give --fov or --camera")
     elif result.near and radius is None:
         lines.append("places are counted in radii of the ball; --radius makes them world units")
+    if result.near and found.draft.card_distance is None and len(found.draft.views) == 1:
+        lines.append(
+            "a flat card under these lights needs its distance from the camera in capture.toml; one that the balls lie"
+            f" on: card_distance = {found.card_distance:.6g}"
+        )
     lines += [f"warning: {warning}" for warning in found.warnings[:_SHOWN_WARNINGS]]
     if len(found.warnings) > _SHOWN_WARNINGS:
         lines.append(f"and {len(found.warnings) - _SHOWN_WARNINGS} more warnings in the report")

@@ -8,13 +8,15 @@ from argparse import Namespace
 from ..capture.inspect import inspect_capture
 from ..errors import InputError
 from ..maps.blender_images import decode
+from .options import positive
 
 _ASKED = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes
 
 
 def run(options: Namespace) -> dict:
     """Print facts and findings; exit code 2 where a finding is an error."""
-    report = inspect_capture(options.capture, decode, options.colour_space, _ASKED)
+    distance = positive("--distance", options.distance)
+    report = inspect_capture(options.capture, decode, options.colour_space, _ASKED, distance)
     if not report.facts:  # it could not even be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:

@@ -27,6 +27,13 @@ def size_option(option: str, text: str) -> tuple[int, int]:
     return numbers[0], numbers[-1]
 
 
+def positive(option: str, value: float | None) -> float | None:
+    """Return the value of an option that is a number above 0, or None where it is not given. Raises InputError."""
+    if value is not None and not 0 < value < math.inf:
+        raise InputError(f"{option} {value:g}: give a number above 0")
+    return value
+
+
 def schedule_from_options(options: Namespace) -> Schedule:
     """Return the preset with the changes that --set, --search and --iterations ask for. Raises InputError."""
     schedule = load_schedule(options.preset)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -53,7 +53,7 @@ from ..solver.schedule import Schedule
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture
-from .options import check_size, index_list, known_from_options, schedule_from_options, size_option
+from .options import check_size, index_list, known_from_options, positive, schedule_from_options, size_option
 from .progress import silent, unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
 
@@ -196,6 +196,8 @@ def check(options: Namespace, opened: bool) -> Job:
         raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
     if options.resolution and not options.blend:
         raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
+    if options.blend and options.distance is not None:
+        raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own place")
     if options.slots and not options.blend:
         raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
     _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
@@ -257,7 +259,9 @@ def _capture(options: Namespace) -> Capture:
     """Return the capture; that of a scene's own cameras and lights is the file that was opened for the mesh."""
     if _is_scene(options.capture):
         return capture_of_open_file(options.colour_space)
-    return read_capture(options.capture, decode, options.colour_space)
+    distance = positive("--distance", options.distance)
+    capture = read_capture(options.capture, decode, options.colour_space)
+    return replace(capture, card_distance=distance or capture.card_distance)
 
 
 def _is_scene(path: str) -> bool:

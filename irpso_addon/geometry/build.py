@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.places import card_depth
 from ..capture.steps import run_steps
 from ..capture.types import Capture, Light, Observation
 from ..errors import InputError
@@ -31,27 +32,25 @@ Surface = tuple[SurfaceBake, SeamMap]
 Bake = TypeVar("Bake", bound=GeometryBake)
 
 
-def domain_from_card(
-    capture: Capture, depth: float = 1.0, scratch: Path | None = None, window: Window | None = None
-) -> Domain:
+def domain_from_card(capture: Capture, scratch: Path | None = None, window: Window | None = None) -> Domain:
     """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
 
     Everything is in the camera's own frame, where the card's normal is (0, 0, 1): lights and view are turned into it.
-    depth: how far from a perspective camera the card lies, in world units; it matters for near lights and for how
-    the view changes over the image. scratch: the folder for a file that holds the sample stack, None for memory; the
-    file goes when the domain does. window: (x0, y0, width, height) of the texels that the domain is to hold, with the
-    values and the origin that ``tile`` would give them. Raises InputError for several cameras, images of another size
-    or, without a window, nothing to see; ValueError where the window leaves the domain.
+    The card lies at the capture's ``card_distance``, which near lights need. scratch: the folder for a file that holds
+    the sample stack, None for memory; the file goes when the domain does. window: (x0, y0, width, height) of the texels
+    that the domain is to hold, with the values and the origin that ``tile`` would give them. Raises InputError for
+    several cameras, near lights without the card's distance, images of another size or, without a window, nothing to
+    see; ValueError where the window leaves the domain.
     """
-    return run_steps(card_steps(capture, depth, scratch, window))
+    return run_steps(card_steps(capture, scratch, window))
 
 
 def card_steps(
-    capture: Capture, depth: float = 1.0, scratch: Path | None = None, window: Window | None = None
+    capture: Capture, scratch: Path | None = None, window: Window | None = None
 ) -> Generator[None, None, Domain]:
     """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
     camera = capture.cameras[0]
-    bake = card_bake(capture, depth)
+    bake = card_bake(capture)
     x0, y0, width, height = window or (0, 0, *bake.coverage.shape[::-1])
     if window is not None:
         bake = _windowed(bake, window)
@@ -73,10 +72,10 @@ def card_steps(
     return replace(_domain(capture.observations, bake, stack, views, inverse, card=True), origin=(x0, y0))
 
 
-def card_bake(capture: Capture, depth: float = 1.0) -> GeometryBake:
+def card_bake(capture: Capture) -> GeometryBake:
     """Return the geometry of the domain of a flat subject, without reading an image. Raises InputError."""
     mask = check_card(capture)
-    return _card_bake(_local(capture.cameras[0]), mask, depth)
+    return _card_bake(_local(capture.cameras[0]), mask, card_depth(capture))
 
 
 def _local(camera: Camera) -> Camera:
@@ -89,6 +88,7 @@ def check_card(capture: Capture) -> np.ndarray:
         raise InputError(
             f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; give the mesh"
         )
+    card_depth(capture)
     _check_masks(capture)
     mask = np.asarray(capture.masks[0], bool)
     if not mask.any():

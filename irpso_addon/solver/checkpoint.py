@@ -178,6 +178,8 @@ def _difference(name: str, there: Any, here: Any) -> str:
     """Return in words what a person has set otherwise, nothing where it is no setting."""
     if name in ("model", "seed", "entry"):
         return f"{name} {there} there, {here} here"
+    if name == "geometry":
+        return "another mesh, camera, mask or distance of the card"
     if name == "preset" and isinstance(there, dict):
         return f"in the preset {', '.join(dict.fromkeys(_leaves(there, here)))}"
     return ""

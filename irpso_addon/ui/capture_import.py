@@ -16,6 +16,7 @@ from bpy.props import StringProperty
 
 from ..capture.draft import Draft
 from ..capture.inspect import Finding, Report, inspect_steps
+from ..capture.places import card_depth, card_middle
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
@@ -24,7 +25,7 @@ from ..geometry.scene_capture import wide_lights
 from ..maps.blender_images import decode
 from .file_paths import absolute
 from .job import subject_object
-from .scene_capture import capture_of, capture_path
+from .scene_capture import capture_of, capture_path, keep_places
 from .settings import model_of
 
 # Seconds of checking at a time, between which Blender answers: as long as Blender took for itself, within these. Its
@@ -93,7 +94,8 @@ def asked_of(settings) -> tuple[str, ...]:
 def begin_check(scene) -> None:
     """Look the scene's capture over: in the background at once, in a window bit by bit while it goes on working."""
     settings = scene.irpso
-    steps = inspect_steps(capture_path(settings), decode, settings.colour_space, asked_of(settings))
+    distance = settings.card_distance or None
+    steps = inspect_steps(capture_path(settings), decode, settings.colour_space, asked_of(settings), distance)
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
     if bpy.app.background:
         _slice(_running[0], math.inf)
@@ -185,7 +187,10 @@ class ImportCapture(bpy.types.Operator):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        settings.source, settings.capture_path = "FILES", _kept_path(path)
+        settings.source = "FILES"
+        if settings.capture_path != (kept := _kept_path(path)):  # else the card's distance that was set stays
+            settings.capture_path = kept
+        keep_places(settings, draft)
         settings.subject = subject_of(draft)
         settings.summary = f"kind: {draft.kind}\nimages: {len(draft.shots)}"
         settings.findings.clear()
@@ -249,21 +254,23 @@ def _check_scene(scene) -> None:
     settings.checked_path, settings.summary = "", ""
     try:
         capture = capture_of(scene)
+        place = _subject_place(settings, capture)
     except InputError as error:
         _store_findings(settings, [Finding("error", "scene", str(error))])
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
-    wide = wide_lights(scene, _subject_place(settings, capture))
+    wide = [] if place is None else wide_lights(scene, place)
     _store_findings(settings, [Finding("warning", "light_wide", text) for text in wide])
 
 
-def _subject_place(settings, capture: Capture) -> np.ndarray:
-    """Return (3,) the middle of the mesh, or of a card, which lies one unit before its camera."""
-    obj = subject_object(bpy.context) if settings.subject == "MESH" else None
-    if obj is None:
-        return capture.cameras[0].position - capture.cameras[0].backward
-    return middle_of(obj)
+def _subject_place(settings, capture: Capture) -> np.ndarray | None:
+    """Return (3,) the middle of the mesh, None where none is chosen, or of a card. Raises InputError."""
+    if settings.subject == "CARD":
+        camera = capture.cameras[0]
+        return camera.matrix[:3, :3] @ card_middle(camera, card_depth(capture)) + camera.position
+    obj = subject_object(bpy.context)
+    return None if obj is None else middle_of(obj)
 
 
 class CaptureFiles(bpy.types.FileHandler):

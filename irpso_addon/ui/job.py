@@ -31,7 +31,7 @@ from ..solver.schedule import Schedule
 from . import preferences
 from .asked import asked_of
 from .card_place import free_place
-from .scene_capture import capture_of, capture_path
+from .scene_capture import capture_of, capture_path, wants_distance
 from .schedule_settings import schedule_of
 from .settings import model_of
 from .tiled_images import tile_images
@@ -129,6 +129,8 @@ def missing(context) -> str:
         obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects
     ):
         return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+    if wants_distance(context.scene) and not (settings.card_distance or _stated_distance(settings)):
+        return "No distance of the card: its lights have places; set Card Distance, in the unit of the places"
     if settings.subject == "MESH":
         obj = subject_object(context)
         if obj is None:
@@ -140,6 +142,10 @@ def missing(context) -> str:
     if settings.parameters and not any(item.recover for item in settings.parameters):
         return "Nothing to recover: tick at least one map"
     return ""
+
+
+def _stated_distance(settings) -> float:
+    return settings.stated_distance if settings.source == "FILES" else 0.0
 
 
 def subject_object(context):
@@ -271,10 +277,7 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     files = {image.path: image.path.stat() for image in images}
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
     lights = tuple((observation.light, observation.camera) for observation in capture.observations)
-    cameras = tuple(
-        (c.width, c.height, *c.scale, *c.centre, c.matrix.tobytes(), c.perspective, c.distortion)
-        for c in capture.cameras
-    )
+    cameras = (capture.card_distance, *(camera.key for camera in capture.cameras))
     shape = None
     if mesh is not None:
         arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)

@@ -10,6 +10,7 @@ from .job import missing, subject_object
 from .keep import is_standard_view
 from .presets import label_of
 from .restore import draw_unkept
+from .scene_capture import wants_distance
 from .scene_setup import capture_lights
 from .schedule_words import GROUPS
 from .settings import CUSTOM
@@ -163,6 +164,7 @@ class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
         layout, settings = self.layout, context.scene.irpso
         layout.row().prop(settings, "subject", expand=True)
         if settings.subject != "MESH":
+            _draw_distance(layout, context.scene)
             return
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -178,6 +180,19 @@ class IRPSO_PT_subject(_BeforeRun, bpy.types.Panel):
                 column.prop(settings, "slot_list", text="Names")
         column.prop(settings, "resolution")
         column.prop(settings, "shadows")
+
+
+def _draw_distance(layout, scene) -> None:
+    """Draw how far the card lies from its camera, where anything depends on it."""
+    settings = scene.irpso
+    if not wants_distance(scene):
+        return
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    files = settings.source == "FILES"  # whose unit is their own; what is of the scene is shown in the scene's unit
+    column.prop(settings, "card_distance" if files else "card_length")
+    if files and settings.stated_distance and not settings.card_distance:
+        column.label(text=f"The capture says {settings.stated_distance:g}", icon="INFO", translate=False)
 
 
 class IRPSO_PT_material(_BeforeRun, bpy.types.Panel):

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 from pathlib import Path
 
-from ..capture.draft import build_steps
+import numpy as np
+
+from ..capture.draft import Draft, build_steps
 from ..capture.read import read_draft
 from ..capture.steps import run_steps
 from ..capture.types import Capture
@@ -24,9 +27,42 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
     """Yield before each image's header is looked at, and return what ``capture_of`` does."""
     settings = scene.irpso
     if settings.source == "SCENE":
-        return (yield from scene_steps(scene))  # whose images say themselves how they are encoded
+        return (yield from _scene_steps(scene))
+    return (yield from build_steps(draft_of(settings), decode))
+
+
+def draft_of(settings) -> Draft:
+    """Return what the capture's files say, with the card's distance that is set. Raises InputError.
+
+    What panels, which read no files, want to know of them is kept in the settings.
+    """
     draft = read_draft(capture_path(settings), settings.colour_space)
-    return (yield from build_steps(draft, decode))
+    keep_places(settings, draft)
+    # Blender keeps 420.1 as 420.1000061: a field that says what the files say leaves them their own digits.
+    if settings.card_distance in (0.0, np.float32(draft.card_distance or 0.0)):
+        return draft
+    return replace(draft, card_distance=settings.card_distance)
+
+
+def keep_places(settings, draft: Draft) -> None:
+    """Keep whether lights of the files have places, and the distance of a card that the files say."""
+    settings.near_lights = not all(shot.distant for shot in draft.shots)
+    settings.stated_distance = draft.card_distance or 0.0
+
+
+def wants_distance(scene) -> bool:
+    """Return whether what is recovered depends on how far a card lies from its camera: near lights, as far as known."""
+    settings = scene.irpso
+    if settings.subject != "CARD":
+        return False
+    if settings.source == "FILES":
+        return settings.near_lights
+    return any(obj.type == "LIGHT" and obj.data.type != "SUN" and obj.irpso.image is not None for obj in scene.objects)
+
+
+def _scene_steps(scene) -> Generator[None, None, Capture]:
+    capture = yield from scene_steps(scene)  # whose images say themselves how they are encoded
+    return replace(capture, card_distance=scene.irpso.card_distance or None)
 
 
 def capture_path(settings) -> Path:
@@ -38,4 +74,4 @@ def capture_path(settings) -> Path:
 
 def capture_from_scene(scene) -> Capture:
     """Return the capture that a scene itself is, with its own settings: see ``geometry.scene_capture``."""
-    return run_steps(scene_steps(scene))
+    return run_steps(_scene_steps(scene))

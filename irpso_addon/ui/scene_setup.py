@@ -13,8 +13,8 @@ from ..capture.camera import Camera
 from ..capture.draft import Draft, build_capture
 from ..capture.headers import read_header
 from ..capture.images import ImageRef, ImageStore
+from ..capture.places import card_depth, card_middle, card_size
 from ..capture.raw import is_raw
-from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
 from ..files import natural
@@ -26,11 +26,10 @@ from ..maps.blender_images import decode
 from .card_place import is_free
 from .file_paths import absolute
 from .job import subject_object
-from .scene_capture import capture_path
+from .scene_capture import draft_of
 from .scene_objects import RESOLUTION, set_camera, set_light
 
 _ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
-_CARD_DEPTH = 1.0  # where domain_from_card takes a card to lie, in world units from the camera
 _DOME = 2.0  # the dome's radius over the subject's
 _SMALL = 0.3  # of the dome's radius: how large cameras are drawn
 
@@ -115,19 +114,12 @@ def capture_lights(scene) -> list:
     return [current[role] for role in sorted(current, key=natural)]
 
 
-def place_card(card, camera: Camera) -> None:
-    """Put a card object (``material.card_object``) where the camera's image covers it exactly."""
-    reach = _CARD_DEPTH if camera.perspective else 1.0
+def place_card(card, camera: Camera, distance: float) -> None:
+    """Put a card object (``material.card_object``) at a distance, where the camera's image covers it exactly."""
+    width, height = card_size(camera, distance)
     # Both sides of the card are in units of its width.
-    width, height = (
-        reach * size / scale for size, scale in zip((camera.width, camera.height), camera.scale, strict=True)
-    )
-    middle = [
-        reach * (size / 2 - centre) / scale
-        for size, centre, scale in zip((camera.width, camera.height), camera.centre, camera.scale, strict=True)
-    ]
     size = Matrix.Diagonal((width, height * camera.width / camera.height, 1.0, 1.0))
-    place = Matrix.Translation((*middle, -_CARD_DEPTH))
+    place = Matrix.Translation(card_middle(camera, distance).tolist())
     card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
 
 
@@ -184,7 +176,7 @@ def _dome(scene, capture: Capture) -> _Dome:
     elif len(capture.cameras) == 1:
         # Without distortion: a lens may show nothing in its corners.
         plain = replace(capture.cameras[0], distortion=())
-        corners = plain.points(_CARD_DEPTH)[[0, 0, -1, -1], [0, -1, 0, -1]]
+        corners = plain.points(capture.card_distance or 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
     else:
         near = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
         corners = np.array([(-near / 4,) * 3, (near / 4,) * 3])
@@ -265,16 +257,19 @@ class CreateScene(bpy.types.Operator):
         scene = context.scene
         settings = scene.irpso
         try:
-            draft = read_draft(capture_path(settings), settings.colour_space)
+            draft = draft_of(settings)
             capture = build_capture(draft, decode)
+            on_card = settings.subject == "CARD" and len(capture.cameras) == 1
+            depth = card_depth(capture) if on_card else None
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         lights = create_scene(scene, draft, capture)
-        if settings.subject == "CARD" and len(capture.cameras) == 1:
+        if on_card:
+            settings.card_distance = capture.card_distance or 0.0  # for the same scene as the capture
             card = material.card_object(capture.name, *capture.masks[0].shape)
             if is_free(card):  # else somebody has moved it
-                place_card(card, capture.cameras[0])
+                place_card(card, capture.cameras[0], depth)
         cameras = len(capture.cameras)
         text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
         if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):

@@ -37,6 +37,7 @@ from .job import Job, LightWish
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
 _SETTINGS = {
+    "--distance": "Card Distance",
     "--memory": "Memory Budget",
     "--resolution": "Resolution",
     "--slots": "Slots",

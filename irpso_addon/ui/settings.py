@@ -131,6 +131,15 @@ def _components(self, context, text: str) -> list[str]:
     return [name for parameter in parameters for name in component_names(parameter)]
 
 
+def _set_card_distance(self, value: float) -> None:
+    self.card_distance = value
+
+
+def _capture_changed(self, context) -> None:
+    """Forget what was told of the capture before."""
+    self.near_lights, self.stated_distance, self.card_distance = False, 0.0, 0.0
+
+
 def _is_mesh(self, obj) -> bool:
     return obj.type == "MESH"
 
@@ -229,7 +238,7 @@ class Settings(bpy.types.PropertyGroup):
     source: EnumProperty(name="Capture From", items=_SOURCES, default="FILES")
     capture_path: StringProperty(
         name="Capture", description="Folder of photographs with their lights, an .lp list or a capture.toml",
-        subtype="FILE_PATH", **RELATIVE_PATH,
+        subtype="FILE_PATH", update=_capture_changed, **RELATIVE_PATH,
     )  # fmt: skip
     colour_space: EnumProperty(
         name="Color Space",
@@ -252,6 +261,16 @@ class Settings(bpy.types.PropertyGroup):
         name="Object", description="The mesh whose maps are recovered; empty takes the active one",
         type=bpy.types.Object, poll=_is_mesh,
     )  # fmt: skip
+    card_distance: FloatProperty(
+        name="Card Distance", description="From the camera to the card, along the camera's axis, in the unit of the"
+        " lights' places. 0 takes card_distance of the capture.toml", min=0, soft_max=10_000, default=0, precision=4,
+    )  # fmt: skip
+    card_length: FloatProperty(
+        name="Card Distance", description="From the camera to the card, along the camera's axis", min=0,
+        subtype="DISTANCE", get=lambda self: self.card_distance, set=_set_card_distance,
+    )  # fmt: skip
+    near_lights: BoolProperty(description="Whether lights of the files have places")
+    stated_distance: FloatProperty(description="card_distance of the capture.toml, 0 where it has none")
     slots: EnumProperty(name="Slots", description="Which material slots are recovered", items=_SLOTS, default="ALL")
     slot_list: StringProperty(
         name="Slots", description="Names of material slots, or their numbers from 0, separated by commas"

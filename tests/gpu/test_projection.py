@@ -137,8 +137,8 @@ def test_what_hides_a_texel_in_a_distorted_photograph_is_found_where_it_is():
 def test_lines_of_sight_of_a_card_follow_the_lens():
     camera = Camera(40, 30, (35.0, 35.0), (20.0, 15.0), looking((1, 2, 3)), True, LENS)
     image = np.ones((30, 40, 4), np.float32)
-    capture = Capture("c", (Observation("a", lambda: image, Light((0, 0, 1))),), (camera,), (image[..., 3] > 0,))
-    domain = domain_from_card(capture, depth=2.0)
+    shots = (Observation("a", lambda: image, Light((0, 0, 1))),)
+    domain = domain_from_card(Capture("c", shots, (camera,), (image[..., 3] > 0,), card_distance=2.0))
     place, _ = replace(camera, matrix=np.eye(4)).project(domain.bake.position.astype(float))
     x, y = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
     np.testing.assert_allclose(place, np.stack([x, y], axis=-1), atol=1e-4)

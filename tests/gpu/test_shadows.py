@@ -260,7 +260,7 @@ def test_what_reaches_a_texel_of_a_spot_or_a_flat_light_is_taken_out_of_its_samp
     image[..., :3] = (share * even)[..., None]
     capture = taken(None, [light], [camera], lambda *_: image)
     if card:
-        domain = build.domain_from_card(capture, depth=4.0)
+        domain = build.domain_from_card(replace(capture, card_distance=4.0))
         turned = camera.matrix
     else:
         domain = domain_from_mesh(capture, oracle.plane(2.0), 40, 40, falloff=False, areas=False)

@@ -374,7 +374,7 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
     camera = Camera(16, 12, (14.0, 15.0), (7.0, 6.5), ANYWHERE, perspective)
     if not perspective:
         camera = Camera(16, 12, (9.0, 9.0), (7.0, 6.5), ANYWHERE, False)
-    points, facing, albedo = camera.points(1.0), ANYWHERE[:3, 2], 0.8
+    points, facing, albedo = camera.points(2.5), ANYWHERE[:3, 2], 0.8
     near = tuple(points[3, 12] + 0.9 * facing + 0.2 * ANYWHERE[:3, 0])
     lights = [Light(tuple(ANYWHERE[:3, :3] @ (0.6, 0, 0.8)), (1.0, 0.5, 0.25)), Light(near, (0.1, 0.2, 0.3), False)]
     toward = [np.broadcast_to(lights[0].vector, points.shape), np.array(near) - points]
@@ -384,7 +384,8 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
         for t, d, light in zip(toward, far, lights, strict=True)
     ]
     shots = tuple(Observation(str(k), given(frames)[k], light) for k, light in enumerate(lights))
-    write_capture(Capture("card", shots, (camera,), (np.ones((12, 16), bool),)), tmp_path / "card")
+    taken = Capture("card", shots, (camera,), (np.ones((12, 16), bool),), card_distance=2.5)
+    write_capture(taken, tmp_path / "card")
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "card"))
     scene.irpso.subject = "CARD"
     bpy.ops.irpso.create_scene()

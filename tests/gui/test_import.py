@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.near_card import DISTANCE, write_near_card
+
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 
 SETUP = f"""
@@ -135,6 +137,28 @@ def test_undo_takes_the_cameras_and_lights_away_and_redo_brings_them_back(ready,
     ready.key("ctrl+shift+z")
     ready.wait("len(bpy.context.scene.objects) == 74")
     assert ready.run("len(scene_capture.capture_from_scene(bpy.context.scene).observations)") == 72
+
+
+def test_the_distance_of_a_card_under_near_lights_is_asked_for_and_typed(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    folder = write_near_card(tmp_path / "near", card_distance=None)
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(folder)!r})")
+    ready.wait("not checking()", timeout=180)
+    ready.run("redrawn()", area="")
+    ready.screenshot("distance asked for", ready.region(region="UI"))
+    ready.click(*ready.find_button("card_distance"), times=2)
+    ready.key("ctrl+a")
+    ready.type(f"{DISTANCE:g}")
+    ready.key("Return")
+    ready.wait(f"settings().card_distance == {DISTANCE}")
+    ready.run("bpy.ops.irpso.check_capture()")
+    ready.wait("not checking()", timeout=180)
+    ready.run("redrawn()", area="")
+    ready.screenshot("distance given", ready.region(region="UI"))
+    ready.run("bpy.ops.irpso.create_scene('EXEC_DEFAULT', True)\nbpy.ops.view3d.view_all()\nredrawn()")
+    ready.screenshot("card at its distance")
+    assert ready.run("[round(o.location.z, 3) for o in bpy.data.objects if o.type == 'MESH']") == [-DISTANCE]
 
 
 def test_the_preferences_show_a_report_on_the_gpu_and_copy_it(ready):

@@ -1,5 +1,7 @@
 """Domains: cards made from captures, their parts and tiles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,7 +32,7 @@ def capture(count=3, width=7, height=5, matrix=None, perspective=True, mask=None
 
 def test_a_card_lies_pixel_for_pixel_on_the_image():
     taken, pictures = capture()
-    domain = domain_from_card(taken, depth=2.0)
+    domain = domain_from_card(replace(taken, card_distance=2.0))
     assert domain.card and domain.shape == (5, 7) and domain.observations == 3
     np.testing.assert_array_equal(domain.stack, np.stack(pictures))
     np.testing.assert_allclose(domain.bake.position[2, 3], [(3.5 - 3) / 6 * 2, (2.5 - 2) / 6 * 2, -2], atol=1e-6)
@@ -42,7 +44,7 @@ def test_a_card_lies_pixel_for_pixel_on_the_image():
 
 def test_lights_of_a_card_are_turned_into_the_cameras_frame():
     lights = [Light((0, 0.6, 0.8)), Light((10, 21, 31), distant=False), Light((3, 0, 4))]
-    domain = domain_from_card(capture(matrix=TURNED, lights=lights, perspective=False)[0])
+    domain = domain_from_card(replace(capture(matrix=TURNED, lights=lights, perspective=False)[0], card_distance=1.0))
     np.testing.assert_allclose(domain.lights, [[0.6, 0, 0.8, 0], [1, 0, 1, 1], [0, -0.6, 0.8, 0]], atol=1e-6)
     np.testing.assert_array_equal(domain.views, [[0, 0, 1, 0]] * 3)
 

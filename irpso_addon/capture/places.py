@@ -1,0 +1,132 @@
+"""Where a card lies, and what tells that places and strengths of near lights are in different units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from .camera import Camera
+from .problems import CaptureError
+from .types import Capture
+
+# A lamp this many subject sizes away lights it like a distant one: its direction changes by 0.6° over the subject.
+_FAR = 100.0
+# How much brighter or darker than a white card that faces the lights the photographs may be, lens and albedo included.
+_BRIGHTEST, _DARKEST = 10.0, 1e-3
+_WIDE, _NARROW = 120.0, 1.0  # degrees over the image's width: a wider or narrower lens is a number in another unit
+
+Problem = tuple[str, str]  # a short name, and a sentence with the remedy
+
+
+def card_depth(capture: Capture) -> float:
+    """Return how far a card lies from its camera, along the camera's axis.
+
+    Where all lights are distant no image depends on it, and 1 stands for a distance that is not known. Raises
+    CaptureError where lights are near and the capture has no ``card_distance``.
+    """
+    if capture.card_distance is not None:
+        return capture.card_distance
+    if near_lights(capture):
+        raise CaptureError(
+            f"capture '{capture.name}': its lights have places, so a flat card needs its distance from the camera, in"
+            " their unit; set card_distance in capture.toml, or --distance",
+            "card_distance",
+        )
+    return 1.0
+
+
+def near_lights(capture: Capture) -> bool:
+    """Return whether some lights have places."""
+    return any(not observation.light.distant for observation in capture.observations)
+
+
+def card_size(camera: Camera, distance: float) -> tuple[float, float]:
+    """Return width and height of what an image shows of a card at a distance."""
+    reach = distance if camera.perspective else 1.0
+    return reach * camera.width / camera.scale[0], reach * camera.height / camera.scale[1]
+
+
+def lens_problems(camera: Camera) -> Iterator[Problem]:
+    """Yield whether a perspective camera's angle is that of no lens, as where millimetres stand for pixels."""
+    angle = 2 * np.degrees(np.arctan(0.5 * camera.width / camera.scale[0]))
+    if camera.perspective and not _NARROW < angle < _WIDE:
+        yield (
+            "lens",
+            f"shows {angle:.3g}° over its width, which few lenses do; focal_length_px is in pixels (millimetres /"
+            " sensor width × image width), fov_degrees in degrees",
+        )
+
+
+def card_problems(capture: Capture) -> Iterator[Problem]:
+    """Yield what is odd about the near lights of a card whose distance is known."""
+    camera, distance = capture.cameras[0], card_depth(capture)
+    places = local_places(capture)
+    behind = int((places[:, 2] <= -distance).sum())
+    if behind:
+        yield (
+            "light_behind",
+            f"{behind} of {len(places)} near lights lie behind the card, which is {distance:g} from the camera; check"
+            " the unit of card_distance and of the places, and that z is toward the viewer",
+        )
+    size = max(card_size(camera, distance))
+    far = float(np.median(np.linalg.norm(places - card_middle(camera, distance), axis=1))) / size
+    if far > _FAR:
+        yield (
+            "light_far",
+            f"near lights lie {far:.0f} card widths away, as far as distant ones; check that card_distance and places"
+            " are in one unit",
+        )
+
+
+def camera_problems(capture: Capture) -> Iterator[Problem]:
+    """Yield whether near lights are off the scale of cameras that look at the subject from several places."""
+    cameras = capture.cameras
+    positions, axes = (np.array([getattr(camera, name) for camera in cameras]) for name in ("position", "backward"))
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    # The point nearest to all axes is the subject's place; cameras side by side have none.
+    if np.linalg.cond(across.sum(axis=0)) > 1e6:
+        return
+    middle = np.linalg.solve(across.sum(axis=0), (across @ positions[:, :, None]).sum(axis=0))[:, 0]
+    lights = np.array([o.light.vector for o in capture.observations if not o.light.distant])
+    reach = np.median(np.linalg.norm(positions - middle, axis=1))
+    spread = np.median(np.linalg.norm(lights - lights.mean(axis=0), axis=1))
+    if len(lights) > 1 and not reach / _FAR < spread < reach * _FAR:
+        yield (
+            "light_unit",
+            f"near lights are spread over {spread:.3g}, and cameras stand {reach:.3g} from the subject; check that"
+            " places of lights and of cameras are in one unit, with cameras_matrix for those of another program",
+        )
+
+
+def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Problem]:
+    """Yield whether the near lights of a card are of another strength than its photographs tell.
+
+    brightness: (K,) radiance of a bright pixel of each observation, NaN where there is none.
+    """
+    near = np.array([not observation.light.distant for observation in capture.observations])
+    middle = card_middle(capture.cameras[0], card_depth(capture))
+    squared = ((local_places(capture) - middle) ** 2).sum(axis=1)
+    power = np.array([np.mean(observation.light.intensity) for observation in capture.observations])[near]
+    ratio = float(np.nanmedian(brightness[near] / (power / squared))) if np.isfinite(brightness[near]).any() else 1.0
+    if not _DARKEST < ratio < _BRIGHTEST:
+        yield (
+            "light_strength",
+            f"photographs are {ratio:.3g} times as bright as a white card under these near lights; light_intensity is"
+            " that at distance 1 in the unit of the places, so give what it is at the card times the distance squared",
+        )
+
+
+def local_places(capture: Capture) -> np.ndarray:
+    """Return (N, 3) places of the near lights in the axes of the first camera."""
+    world = np.array([o.light.vector for o in capture.observations if not o.light.distant], np.float64)
+    inverse = np.linalg.inv(capture.cameras[0].matrix)
+    return world @ inverse[:3, :3].T + inverse[:3, 3]
+
+
+def card_middle(camera: Camera, distance: float) -> np.ndarray:
+    """Return (3,) the middle of a card's picture in the camera's axes; without the lens's distortion."""
+    plain = replace(camera, matrix=np.eye(4), distortion=())
+    corners = plain.points(distance)[[0, -1], [0, -1]]
+    return corners.mean(axis=0)
