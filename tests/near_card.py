@@ -17,11 +17,11 @@ DISTANCE = 420.0  # millimetres, as are the lamps' places: 260 from the card's m
 _LAMPS, _POWER = 260.0 * dome_lights(16, widest=60.0) - (0.0, 0.0, DISTANCE), 1.4 * 260.0**2
 
 
-def near_card(unit=1.0, camera=None, **changes):
+def near_card(unit=1.0, camera=None, values=None, **changes):
     """Return the capture of a matt card and its maps. unit: of length, in millimetres; changes: to the Capture."""
-    height, width = SHAPE
+    values = values or smooth_maps(SHAPE, {}, seed=3)
+    height, width = shape = values["normal"].shape[:2]
     camera = camera or Camera.from_fov(width, height, 30.0)
-    values = smooth_maps(SHAPE, {}, seed=3)
     points = replace(camera, matrix=np.eye(4)).points(DISTANCE / unit)
     view = oracles.unit(-points) if camera.perspective else np.array([0.0, 0.0, 1.0])
     shots = []
@@ -29,11 +29,11 @@ def near_card(unit=1.0, camera=None, **changes):
         toward = place - points
         strength = _POWER / unit**2 / (toward**2).sum(axis=-1, keepdims=True)
         radiance = oracles.lambert(values, oracles.unit(toward), view) * strength
-        image = np.concatenate([radiance, np.ones((*SHAPE, 1))], axis=-1).astype(np.float32)
+        image = np.concatenate([radiance, np.ones((*shape, 1))], axis=-1).astype(np.float32)
         light = Light(tuple(map(float, place)), (_POWER / unit**2,) * 3, False)
         shots.append(Observation(f"lamp {k}", lambda image=image: image, light))
     given = {"card_distance": DISTANCE / unit, **changes}
-    return Capture("card", tuple(shots), (camera,), (np.ones(SHAPE, bool),), **given), values
+    return Capture("card", tuple(shots), (camera,), (np.ones(shape, bool),), **given), values
 
 
 def write_near_card(folder, **settings):

@@ -12,7 +12,6 @@ from typing import TypeVar
 import numpy as np
 
 from . import checks, enough, places
-from .camera import Camera
 from .draft import Draft, build_steps
 from .picture import Decoder, Samples
 from .problems import CaptureError
@@ -314,22 +313,23 @@ def _frame_findings(frames: _Frames, shifts: np.ndarray) -> Iterator[Finding]:
 def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Frames) -> Iterator[Finding]:
     """Yield whether the lights' axes look mirrored against the images, seen from one camera."""
     observations = [capture.observations[i] for i in frames.indices]
-    if len(observations) < 3 or not all(observation.light.distant for observation in observations):
+    on_card = capture.card_distance is not None and len(capture.cameras) == 1
+    if len(observations) < 3 or not (on_card or all(observation.light.distant for observation in observations)):
         return
-    camera: Camera = capture.cameras[index]
-    directions = np.array([o.light.vector for o in observations]) @ camera.matrix[:3, :3]
+    part = replace(capture, observations=tuple(observations), cameras=(capture.cameras[index],))
+    directions, power = places.at_card(part)
     where = draft.shots[frames.indices[0]].where
     if (directions[:, 2] < 0).mean() > 0.5:
         message = (
             f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
         )
-        yield Finding("warning", "lights_reversed", message)
+        if not places.near_lights(capture):  # of which places.card_problems tells
+            yield Finding("warning", "lights_reversed", message)
         return
     if checks.flatness(directions) < _FLAT_USELESS:
         return
-    power = np.array([np.mean(o.light.intensity) for o in observations])[:, None, None]
     mask = _shrunk(frames.mask.astype(float), frames.factor) > 0.999
-    normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power, directions)
+    normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
     agreement, count = checks.mirror_agreement(normals, mask)
     out_x, out_y, border = checks.outwardness(normals, mask)
     if count >= _ENOUGH and agreement < _MIRRORED:

@@ -62,7 +62,8 @@ def lens_problems(camera: Camera) -> Iterator[Problem]:
 def card_problems(capture: Capture) -> Iterator[Problem]:
     """Yield what is odd about the near lights of a card whose distance is known."""
     camera, distance = capture.cameras[0], card_depth(capture)
-    places = local_places(capture)
+    world = np.array([o.light.vector for o in capture.observations if not o.light.distant], np.float64)
+    places = (world - camera.position) @ camera.matrix[:3, :3]
     behind = int((places[:, 2] <= -distance).sum())
     if behind:
         yield (
@@ -106,10 +107,8 @@ def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Prob
     brightness: (K,) radiance of a bright pixel of each observation, NaN where there is none.
     """
     near = np.array([not observation.light.distant for observation in capture.observations])
-    middle = card_middle(capture.cameras[0], card_depth(capture))
-    squared = ((local_places(capture) - middle) ** 2).sum(axis=1)
-    power = np.array([np.mean(observation.light.intensity) for observation in capture.observations])[near]
-    ratio = float(np.nanmedian(brightness[near] / (power / squared))) if np.isfinite(brightness[near]).any() else 1.0
+    irradiance = at_card(capture)[1]
+    ratio = float(np.nanmedian((brightness / irradiance)[near])) if np.isfinite(brightness[near]).any() else 1.0
     if not _DARKEST < ratio < _BRIGHTEST:
         yield (
             "light_strength",
@@ -118,11 +117,20 @@ def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Prob
         )
 
 
-def local_places(capture: Capture) -> np.ndarray:
-    """Return (N, 3) places of the near lights in the axes of the first camera."""
-    world = np.array([o.light.vector for o in capture.observations if not o.light.distant], np.float64)
-    inverse = np.linalg.inv(capture.cameras[0].matrix)
-    return world @ inverse[:3, :3].T + inverse[:3, 3]
+def at_card(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
+    """Return what lights are at a card's middle: (K, 3) unit directions to them in the camera's axes, and irradiance/π.
+
+    The irradiance, (K,), is the mean of the channels on a plane that faces the light.
+    """
+    camera = capture.cameras[0]
+    near = np.array([not observation.light.distant for observation in capture.observations])
+    toward = np.array([observation.light.vector for observation in capture.observations], np.float64)
+    toward = (toward - near[:, None] * camera.position) @ camera.matrix[:3, :3]
+    if near.any():
+        toward[near] -= card_middle(camera, card_depth(capture))
+    far = np.linalg.norm(toward, axis=1)
+    power = np.array([np.mean(observation.light.intensity) for observation in capture.observations])
+    return toward / far[:, None], power / np.where(near, far, 1.0) ** 2
 
 
 def card_middle(camera: Camera, distance: float) -> np.ndarray:

@@ -97,6 +97,19 @@ def test_inspect_tells_of_a_distance_and_lamps_in_different_units(tmp_path):
     assert "lights_narrow" in inspect_capture(folder, card_distance=420_000.0).codes
 
 
+@pytest.mark.parametrize(("turn", "code"), [((1, 1, 1), set()), ((1, -1, 1), {"mirrored"})])
+def test_inspect_tells_of_lamps_whose_y_counts_downward(tmp_path, turn, code):
+    y, x = np.mgrid[:64, :96] / 8.0
+    q, p = np.gradient(3 * np.sin(0.7 * (x + y)) + 2 * np.sin(x - 0.4 * y))
+    normal = np.stack([-p, -q, np.ones_like(p)], axis=-1)
+    values = {"normal": normal / np.linalg.norm(normal, axis=-1, keepdims=True), "base_color": np.full(3, 0.5)}
+    capture, _ = near_card(values=values)
+    lights = [replace(o.light, vector=tuple(np.multiply(o.light.vector, turn))) for o in capture.observations]
+    shots = tuple(replace(o, light=light) for o, light in zip(capture.observations, lights, strict=True))
+    write_capture(replace(capture, observations=shots), tmp_path / "card")
+    assert codes(tmp_path / "card") == code
+
+
 def test_inspect_tells_of_strengths_that_are_not_those_at_distance_1(tmp_path):
     capture, _ = near_card()
     weak = tuple(replace(o, light=replace(o.light, intensity=(1.4,) * 3)) for o in capture.observations)
