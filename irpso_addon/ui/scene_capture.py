@@ -13,7 +13,7 @@ from ..capture.read import read_draft
 from ..capture.steps import run_steps
 from ..capture.types import Capture
 from ..errors import InputError
-from ..geometry.scene_capture import scene_steps
+from ..geometry.scene_capture import photographed_lights, scene_steps
 from ..maps.blender_images import decode
 from .file_paths import absolute
 
@@ -57,7 +57,7 @@ def wants_distance(scene) -> bool:
         return False
     if settings.source == "FILES":
         return settings.near_lights
-    return any(obj.type == "LIGHT" and obj.data.type != "SUN" and obj.irpso.image is not None for obj in scene.objects)
+    return any(obj.data.type != "SUN" for obj in photographed_lights(scene))
 
 
 def _scene_steps(scene) -> Generator[None, None, Capture]:
