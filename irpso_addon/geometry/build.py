@@ -60,8 +60,8 @@ def card_steps(
     for observation, out in zip(capture.observations, stack, strict=True):
         yield
         image = _read(observation, capture)[y0 : y0 + height, x0 : x0 + width]
-        seen = bake.coverage & (image[..., 3] > 0)
-        out[seen] = image[seen]
+        shown = bake.coverage & ((image[..., 3] > 0) | np.isfinite(image).all(axis=-1))
+        out[shown] = image[shown]
         if observation.light.axis is not None:
             # Not @, which may round off a texel's sum otherwise in an array of another size.
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
@@ -222,11 +222,9 @@ def _fill_light(
     gain, weight = _shape_of(light, bake.position.reshape(-1, 3), texels)
     if caster is not None:
         weight = weight * caster.weights(light, texels)
-    lit = np.zeros(bake.coverage.size, bool)
-    lit[texels] = weight > 0
     for k in numbers:
         index = capture.observations[k].camera
-        if not (lit & seen[index].ravel()).any():
+        if not seen[index].any():
             continue
         yield
         image = _read(capture.observations[k], capture)
@@ -256,13 +254,12 @@ def _shape_of(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[
 
 
 def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
-    """Multiply radiance and weight of a layer (H, W, 4) at texels, flat indices; what has no weight is 0."""
+    """Multiply radiance and weight of a layer (H, W, 4) at texels, flat indices; without weight radiance stays."""
     if (gain == 1).all() and (weight == 1).all():
         return
     values = layer.reshape(-1, 4)[texels]
-    values[:, :3] *= gain[:, None]
-    values[:, 3] *= weight
-    values[values[:, 3] <= 0] = 0
+    values[:, 3] = np.maximum(values[:, 3] * weight, 0)
+    values[:, :3] = np.where(values[:, 3:] > 0, values[:, :3] * gain[:, None], values[:, :3])
     layer.reshape(-1, 4)[texels] = values
 
 

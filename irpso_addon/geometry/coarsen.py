@@ -93,12 +93,20 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     weight = np.where(coverage, layer[..., 3], 0).astype(np.float64)
-    # What weighs nothing may be anything, and 0 · NaN is NaN.
-    radiance = np.where(weight[..., None] > 0, layer[..., :3], 0) * weight[..., None]
-    total = _cells(weight).sum(axis=(1, 3))
-    mean = _cells(radiance).sum(axis=(1, 3)) / np.where(total > 0, total, 1)[..., None]
+    mean, total = _cell_means(layer[..., :3], weight)
+    # Of a cell without weight the plain mean of what was photographed: it is for people to look at.
+    plain, _ = _cell_means(layer[..., :3], coverage & np.isfinite(layer[..., :3]).all(axis=-1))
+    mean = np.where(total[..., None] > 0, mean, plain)
     count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
     return np.concatenate([mean, (total / count)[..., None]], axis=-1).astype(np.float32)
+
+
+def _cell_means(radiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (h, w, 3) weighted means of the cells, 0 where no texel has weight, and (h, w) their weights."""
+    # What weighs nothing may be anything, and 0 · NaN is NaN.
+    weighted = np.where(weight[..., None] > 0, radiance, 0) * weight[..., None]
+    total = _cells(weight).sum(axis=(1, 3))
+    return _cells(weighted).sum(axis=(1, 3)) / np.where(total > 0, total, 1)[..., None], total
 
 
 def _coarser_seams(seams: SeamMap, coverage: np.ndarray) -> SeamMap:

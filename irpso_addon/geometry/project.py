@@ -97,38 +97,43 @@ class Projector:
         return visible
 
     def sample(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-        """Return (h, w, 4) float32: an image's radiance at the texels and its weight in alpha, 0 where it says nothing.
+        """Return (h, w, 4) float32: an image's radiance at the texels, 0 where it shows none, and its weight in alpha.
 
         image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel
         centres radiance and weight are interpolated; where one of the pixels that count has no weight (clipped,
         outside the mask, not a number) the texel has none either. A texel of several pixels is the mean of those that
-        are usable and weighs as much as their share, nothing where that is under three quarters.
+        are usable and weighs as much as their share, nothing where that is under three quarters. A texel without weight
+        has the radiance of the pixels as they are, clipped ones included: it is for people to look at.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
             raise ValueError(f"the image is {image.shape}, the camera {self.camera.height} × {self.camera.width} × 4")
         pixels = np.array(image, np.float32).reshape(-1, 4)
-        unusable = ~((pixels[:, 3] > 0) & np.isfinite(pixels).all(axis=1))
+        photographed = np.isfinite(pixels).all(axis=1)
         if mask is not None:
-            unusable |= ~np.asarray(mask, bool).ravel()
-        pixels[unusable] = 0
+            photographed &= np.asarray(mask, bool).ravel()
+        pixels[~photographed] = 0
+        usable = pixels[:, 3] > 0
         stack = np.zeros((self._shape[0] * self._shape[1], 4), np.float32)
         for group in self._groups:
             for start in range(0, len(group.texels), _BLOCK):
                 part = group.part(slice(start, start + _BLOCK))
-                stack[part.texels] = self._mean(part, pixels)
+                stack[part.texels] = self._mean(part, pixels, usable)
+                blank = part.part(stack[part.texels, 3] == 0)
+                if len(blank.texels):
+                    stack[blank.texels, :3] = self._mean(blank, pixels, photographed)[:, :3]
         return stack.reshape(*self._shape, 4)
 
-    def _mean(self, group: _Group, pixels: np.ndarray) -> np.ndarray:
-        """Return (N, 4) the mean of the usable pixels and its weight."""
+    def _mean(self, group: _Group, pixels: np.ndarray, usable: np.ndarray) -> np.ndarray:
+        """Return (N, 4) the mean of the pixels (P, 4) that are usable, (P,) bool, and its weight."""
         total = np.zeros((len(group.texels), 4), np.float32)
         share = np.zeros(len(total), np.float32)
         number = group.along[0] * group.along[1]
         for bit, where in group.places():
             counts = (group.counts >> np.uint64(bit)) & np.uint64(1) > 0
             for pixel, weight in _taps(group.first, where, self.camera.width):
-                values = pixels[np.where(counts, pixel, 0)]
-                weight = np.where(counts & (values[:, 3] > 0), weight, np.float32(0))
-                total += values * weight[:, None]
+                pixel = np.where(counts, pixel, 0)
+                weight = np.where(counts & usable[pixel], weight, np.float32(0))
+                total += pixels[pixel] * weight[:, None]
                 share += weight
         if number == 1:
             total[share < 1 - 1e-5] = 0  # the four weights add up to 1 but for rounding

@@ -42,13 +42,14 @@ class Surface:
         region_size: Size | None = None,
         opacity: float = 1.0,
         depth: bool = True,
+        stripes: float = 0.0,
     ) -> None:
         """Draw it with a picture on it, in a POST_VIEW callback or wherever a frame buffer is bound.
 
         picture: a texture of display values, nothing being drawn where its alpha is 0. view_projection, model: (4, 4).
         second: another picture, right of ``split``, a fraction of the region's width. region_size: in pixels, by
         default of what is drawn into. depth: whether what the scene has in front hides it, and its near side its far
-        side.
+        side. stripes: how many pixels apart stripes are over texels of alpha below 1, 0 for none.
         """
         matrix = np.asarray(view_projection, np.float64) @ np.asarray(model, np.float64)
         column = _UNSPLIT if second is None else split * (region_size or viewport_size())[0]
@@ -56,6 +57,7 @@ class Surface:
             "u_toward": toward_viewer(view_projection) if depth else 0.0,
             "u_split": column,
             "u_opacity": opacity,
+            "u_stripes": stripes,
         }
         bound = {"u_picture": picture, "u_second": picture if second is None else second}
         # Its own depth too: engines that are still compiling draw no scene that would hide its far side.
@@ -88,10 +90,11 @@ class Drawing:
         split: float = 0.5,
         opacity: float = 1.0,
         part: tuple[float, float] = (0.0, 1.0),
+        stripes: float = 0.0,
     ) -> None:
         """Draw a picture in a rectangle of the region, and ``second`` right of a fraction of the region's width.
 
-        part: from where to where of the picture's width is drawn, 0…1.
+        part: from where to where of the picture's width is drawn, 0…1. stripes: as of a Surface.
         """
         if part not in self._squares:
             corners = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]], np.float32).reshape(2, 3, 2)
@@ -99,7 +102,7 @@ class Drawing:
             self._squares[part] = Surface(np.concatenate([corners, np.zeros((2, 3, 1))], axis=-1), uvs)
         place = np.diag([size_px[0], size_px[1], 1.0, 1.0])
         place[:2, 3] = lower_left_px
-        self._squares[part].draw(picture, _pixels(), place, second, split, None, opacity, depth=False)
+        self._squares[part].draw(picture, _pixels(), place, second, split, None, opacity, False, stripes)
 
     def draw_lines(
         self,
@@ -228,7 +231,7 @@ def _surface_shader() -> Any:
         "surface",
         {"position": "VEC3", "uv": "VEC2"},
         {"v_uv": "VEC2"},
-        {"u_matrix": "MAT4", "u_toward": "FLOAT", "u_split": "FLOAT", "u_opacity": "FLOAT"},
+        {"u_matrix": "MAT4", "u_toward": "FLOAT", "u_split": "FLOAT", "u_opacity": "FLOAT", "u_stripes": "FLOAT"},
         ("u_picture", "u_second"),
         smooth=True,
     )

@@ -25,7 +25,8 @@ class PreviewRow:
     """One row of a preview: what is compared, and how far apart it is.
 
     label: written at the left. reference, recovered: (H, W, 3) display values (see ``display_image``). error: (H, W)
-    in ``unit``. covered: (H, W) bool. maximum: the error painted red; by default the 99th percentile, rounded up.
+    in ``unit``. covered: (H, W) bool, where there is a picture. counted: (H, W) bool, where the error counts; by
+    default all that is covered. maximum: the error painted red; by default the 99th percentile, rounded up.
     """
 
     label: str
@@ -34,7 +35,13 @@ class PreviewRow:
     error: np.ndarray
     unit: str = "%"
     covered: np.ndarray | None = None
+    counted: np.ndarray | None = None
     maximum: float | None = None
+
+    @property
+    def judged(self) -> np.ndarray | None:
+        """Where the error counts, None for everywhere."""
+        return self.covered if self.counted is None else self.counted
 
 
 @dataclass(frozen=True)
@@ -83,8 +90,8 @@ def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth"
     y = top
     for row, fit, height in zip(rows, cells, heights, strict=True):
         canvas.text_upward(_MARGIN + 6, y + height / 2, row.label, _HEADING)
-        maximum = row.maximum if row.maximum is not None else default_maximum([row.error], row.covered)
-        error = false_color(row.error, maximum, row.covered)
+        maximum = row.maximum if row.maximum is not None else default_maximum([row.error], row.judged)
+        error = false_color(row.error, maximum, row.judged)
         images = (_masked(row.reference, row.covered), _masked(row.recovered, row.covered), error)
         for column, image in enumerate(images):
             scaled = _scaled(image, fit)
@@ -238,7 +245,7 @@ def _legend(canvas: Canvas, x: int, y: int, height: int, maximum: float, unit: s
 
 
 def _caption(row: PreviewRow) -> str:
-    error = row.error[np.isfinite(row.error) if row.covered is None else row.covered & np.isfinite(row.error)]
+    error = row.error[np.isfinite(row.error) if row.judged is None else row.judged & np.isfinite(row.error)]
     if not error.size:
         return "nothing covered"
     numbers = (np.mean(error), np.percentile(error, 99), np.max(error))

@@ -69,8 +69,8 @@ class Display:
         """Return a texture of the domain's size (a coarse level's at that level), RGBA16F; others take its place.
 
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
-        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved
-        and, of a reference, seen.
+        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved;
+        of a reference 0.5 where the sample has no weight, and 0 where nothing was photographed.
 
         time_budget_s: about how long measuring errors or deviations may take now; the last that were measured are
         shown until newer ones are whole, and only the first time is it shown as far as it has come. Without a budget

@@ -79,17 +79,21 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
-    """Return a row for each observation: as it was seen, as the maps render it, and the difference in % of white."""
+    """Return a row for each observation: the photograph, as the maps render it, and the difference in % of white.
+
+    Samples without weight, clipped ones above all, are shown as they were photographed; their difference is not.
+    """
     rows = []
     renders = render_domain(domain, maps.model, maps.values, observations)
     for k, label, render in zip(observations, labels, renders, strict=True):
-        seen, weight = domain.stack[k, ..., :3], domain.stack[k, ..., 3] > 0
+        seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] > 0
         # Texels that no light told anything of, as a black background, have no material to be rendered.
         rendered = np.where(maps.covered[..., None], render[..., :3], 0)
         white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0
         images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
         error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
-        rows.append(PreviewRow(label, *images, error, "%", maps.covered & weight))
+        photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
+        rows.append(PreviewRow(label, *images, error, "%", photographed, maps.covered & weight))
     return rows
 
 
@@ -98,6 +102,6 @@ def _title(name: str) -> str:
 
 
 def image_psnr(row: PreviewRow) -> float:
-    """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, over what is covered."""
-    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.covered]
+    """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, where the error counts."""
+    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -1,8 +1,10 @@
-// Over the domain: what u_observation saw, times u_exposure; alpha 0 where it weighs nothing.
-// Reads u_packed and the sample stack.
+// Over the domain: what u_observation saw, times u_exposure. Alpha is UNUSED where the sample has no weight (clipped, in
+// shadow), 0 where nothing was photographed. Reads u_packed and the sample stack.
 
 #include "common/packing.glsl"
 #include "view/encode.glsl"
+
+const float UNUSED = 0.5;
 
 bool texel_kernel(ivec2 texel)
 {
@@ -12,8 +14,12 @@ bool texel_kernel(ivec2 texel)
         return true;
     }
     vec4 reference = texelFetch(u_stack, ivec3(at, u_observation), 0);
-    if (reference.a > 0.0) {
-        o_picture = vec4(srgb_from_linear(u_exposure * reference.rgb), 1.0);
+#ifndef CARD
+    // Radiance and weight of a texel that no pixel shows are 0. On a card every texel is a pixel, a black one too.
+    if (reference.a <= 0.0 && all(equal(reference.rgb, vec3(0.0)))) {
+        return true;
     }
+#endif
+    o_picture = vec4(srgb_from_linear(u_exposure * reference.rgb), reference.a > 0.0 ? 1.0 : UNUSED);
     return true;
 }

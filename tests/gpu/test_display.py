@@ -103,18 +103,21 @@ def test_the_render_is_the_radiance_times_the_exposure(running, show, exposure):
         np.testing.assert_allclose(picture[solved, :3], wanted[solved], atol=2 * HALF)
 
 
-def test_the_reference_is_what_was_seen_and_transparent_where_it_weighs_nothing(recover, show):
-    domain, _ = subject()
+@pytest.mark.parametrize("card", [True, False])
+def test_the_reference_is_the_photograph_and_half_transparent_where_it_has_no_weight(recover, show, card):
+    domain, _ = subject(card=card)
+    domain.stack[:, 4, 5] = 0  # of a mesh: nothing was photographed there
     recovery = recover(domain, schedule=SHORT.replaced(shadow=0.0))
     solved = domain.solvable
     for observation in (0, 3):
         layer = domain.stack[observation]
         weighs = solved & (layer[..., 3] > 0)
-        assert 0 < weighs.sum() < solved.sum()
+        photographed = solved & (card | (layer != 0).any(axis=-1))
+        assert 0 < weighs.sum() < photographed.sum() <= solved.sum()
         picture = seen(show(recovery), "reference", observation=observation, exposure=0.5)
-        np.testing.assert_array_equal(picture[..., 3], weighs)
-        wanted = srgb_from_linear(0.5 * layer[..., :3])
-        np.testing.assert_allclose(picture[weighs, :3], wanted[weighs], atol=HALF)
+        np.testing.assert_array_equal(picture[..., 3], np.where(weighs, 1.0, 0.5 * photographed))
+        wanted = srgb_from_linear(0.5 * np.nan_to_num(layer[..., :3]))
+        np.testing.assert_allclose(picture[photographed, :3], wanted[photographed], atol=HALF)
 
 
 def test_the_confidence_is_the_deviation_of_the_largest_component_in_false_colours(running, show):

@@ -24,11 +24,30 @@ def test_a_black_background_without_a_mask_is_no_part_of_relit_pictures(tmp_path
     assert report["relighting_psnr_db"]["light 5"] > 35
 
 
+def first_row(domain):
+    """The row of a preview for image 0 of a domain, of the Lambert model's defaults."""
+    model = load_model("lambert")
+    values = {p.name: np.full((*domain.shape, p.components), p.default, np.float32) for p in model.parameters}
+    return image_rows(domain, Maps(model, values, domain.solvable), [0], ["Image 0"])[0]
+
+
 def test_texels_without_a_material_are_black_in_the_recovered_picture():
     domain = make_domain(6, 8, holes=False)
     domain.stack[:, :, :3, :3] = 0
-    model = load_model("lambert")
-    values = {p.name: np.full((6, 8, p.components), p.default, np.float32) for p in model.parameters}
-    (row,) = image_rows(domain, Maps(model, values, domain.solvable), [0], ["Image 0"])
+    row = first_row(domain)
     assert not row.recovered[:, :3].any() and row.recovered[:, 3:].any()
-    np.testing.assert_array_equal(row.covered, domain.solvable & (domain.stack[0, ..., 3] > 0))
+    np.testing.assert_array_equal(row.covered, domain.solvable)
+
+
+def test_a_clipped_pixel_is_white_in_the_photograph_and_no_part_of_the_error():
+    domain = make_domain(6, 8, holes=False)
+    domain.stack[0, 2, 3] = (9, 9, 9, 0)
+    row = first_row(domain)
+    assert row.covered[2, 3] and (row.reference[2, 3] == 1).all()
+    np.testing.assert_array_equal(row.counted, domain.solvable & (domain.stack[0, ..., 3] > 0))
+
+
+def test_texels_of_a_mesh_that_the_camera_does_not_see_are_no_part_of_its_photograph():
+    domain = make_domain(6, 8, holes=False, card=False)
+    domain.stack[0, 2, 3] = 0
+    assert not first_row(domain).covered[2, 3]

@@ -124,7 +124,7 @@ def test_a_picture_lies_in_its_rectangle_texel_by_texel(drawing, corner, size):
 
 
 def test_another_picture_stands_right_of_the_split(drawing):
-    other = 1 - PICTURE * 0.5
+    other = np.dstack([1 - PICTURE[..., :3] * 0.5, PICTURE[..., 3]])
     with Window() as window:
         drawing.draw_flat(textures.upload(PICTURE), (4, 4), (40, 30), textures.upload(other), split=0.25)
     left = centres()[..., :1] < 0.25 * SIZE[0]
@@ -139,6 +139,22 @@ def test_a_part_of_a_picture_fills_its_rectangle(drawing):
         drawing.draw_flat(textures.upload(PICTURE[:, : 2 * width]), (4, 6), (20, 10), part=(0.5, 1.0))
     wanted = nearest(PICTURE[:, width : 2 * width], (4, 6), (20, 10)) + nearest(PICTURE[:, :width], (30, 2), (20, 16))
     np.testing.assert_allclose(window.pixels(), over(wanted), atol=1e-6)
+
+
+def test_stripes_lie_over_texels_of_alpha_below_one_alone_and_can_be_left_out(drawing):
+    marked = np.float32([[[0.8, 0.9, 0.7, 0.5], [0.8, 0.9, 0.7, 1.0]]])
+    pictures = []
+    for stripes in (0.0, 10.0):
+        with Window() as window:
+            drawing.draw_flat(textures.upload(marked), (0, 0), SIZE, stripes=stripes)
+        pictures.append(window.pixels()[..., :3])
+    plain, striped = pictures
+    np.testing.assert_allclose(plain, np.broadcast_to(np.float32([0.8, 0.9, 0.7]), plain.shape), atol=1e-6)
+    changed = np.abs(striped - plain).max(axis=-1) > 0.2
+    middle = SIZE[0] // 2
+    assert not changed[:, middle:].any()
+    assert 0.3 < changed[:, :middle].mean() < 0.5
+    np.testing.assert_array_equal(changed[1:, 1 : middle - 1], changed[:-1, 2:middle])  # diagonal
 
 
 def test_opacity_lets_through_what_was_there(drawing):

@@ -224,6 +224,14 @@ def test_the_samples_of_tiles_add_up_to_those_of_the_whole():
     assert digest_of_texels(other) != whole
 
 
+def test_what_a_sample_without_weight_looks_like_is_no_part_of_what_was_observed():
+    domain = make_domain(13, 17)
+    shown = np.where(domain.stack[..., 3:] > 0, domain.stack, np.float32([0.7, 0.8, 0.9, 0]))
+    other = dataclasses.replace(domain, stack=shown)
+    assert (shown != domain.stack).any()
+    assert digest_of_texels(other) == digest_of_texels(domain)
+
+
 @pytest.mark.parametrize("tiles", [1, 5, 6])
 def test_a_state_texel_by_texel_is_what_the_atlas_holds(tiles):
     rng = np.random.default_rng(2)

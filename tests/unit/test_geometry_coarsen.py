@@ -36,9 +36,17 @@ def test_a_coarse_texel_is_the_weighted_mean_of_the_covered_ones_under_it(height
             samples = np.array([domain.stack[(k, *at)] for at in under], np.float64)
             assert coarse.stack[k, y, x, 3] == pytest.approx(samples[:, 3].mean(), abs=1e-6)
             counted = samples[samples[:, 3] > 0]
-            wanted = (counted[:, :3] * counted[:, 3:]).sum(axis=0) / counted[:, 3].sum() if len(counted) else 0
+            finite = samples[np.isfinite(samples).all(axis=1), :3]
+            plain = finite.mean(axis=0) if len(finite) else 0
+            wanted = (counted[:, :3] * counted[:, 3:]).sum(axis=0) / counted[:, 3].sum() if len(counted) else plain
             np.testing.assert_allclose(coarse.stack[k, y, x, :3], wanted, atol=1e-6)
     assert np.isfinite(coarse.stack).all()
+
+
+def test_a_coarse_texel_without_weight_shows_the_mean_of_its_photographed_texels():
+    domain = make_domain(4, 4, holes=False)
+    domain.stack[1, :2, :2] = [[(0.2, 0.4, 0.6, 0), (0.4, 0.4, 0.8, 0)], [(0.3, 0.4, 0.7, 0), (np.nan, 0, 0, 0)]]
+    np.testing.assert_allclose(coarser(domain).stack[1, 0, 0], [0.3, 0.4, 0.7, 0], atol=1e-6)
 
 
 def test_a_coarse_frame_is_orthonormal_and_keeps_the_hand_of_the_first_texel_covered():

@@ -49,7 +49,7 @@ def test_lights_of_a_card_are_turned_into_the_cameras_frame():
     np.testing.assert_array_equal(domain.views, [[0, 0, 1, 0]] * 3)
 
 
-def test_outside_the_mask_and_at_clipped_pixels_the_stack_is_zero():
+def test_outside_the_mask_and_at_pixels_that_are_no_number_the_stack_is_zero():
     mask = np.ones((5, 7), bool)
     mask[0] = False
     taken, pictures = capture(mask=mask)
@@ -57,6 +57,22 @@ def test_outside_the_mask_and_at_clipped_pixels_the_stack_is_zero():
     domain = domain_from_card(taken)
     assert (domain.stack[:, 0] == 0).all() and (domain.stack[1, 3, 3] == 0).all()
     assert (domain.bake.coverage == mask).all() and domain.solvable.sum() == 28
+
+
+def test_a_clipped_pixel_of_a_card_keeps_its_radiance_and_has_no_weight():
+    taken, pictures = capture()
+    pictures[1][3, 3, 3] = 0
+    domain = domain_from_card(taken)
+    np.testing.assert_array_equal(domain.stack[1, 3, 3], [*pictures[1][3, 3, :3], 0])
+
+
+def test_outside_a_spots_cone_a_card_keeps_the_radiance_that_was_photographed():
+    spot = Light((0, 0, 0), (1, 1, 1), distant=False, axis=(0, 0, -1), cone=10.0)
+    taken, pictures = capture(lights=[spot] * 3)
+    domain = domain_from_card(replace(taken, card_distance=1.0))
+    dark = domain.stack[0, ..., 3] == 0
+    assert dark.any() and not dark.all()
+    np.testing.assert_array_equal(domain.stack[0, ..., :3][dark], pictures[0][..., :3][dark])
 
 
 def test_a_texel_that_is_black_under_every_light_is_not_solvable():

@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from irpso_addon.capture.camera import Camera
+from irpso_addon.geometry.footprint import texel_steps
 from irpso_addon.geometry.project import Projector
 from tests.geometry_oracle import bake_camera, bake_uv, joined, mesh_from_grid, plane, sphere, unit
 
@@ -59,12 +60,25 @@ def test_a_clipped_pixel_takes_the_weight_of_all_texels_that_it_touches_and_is_n
     assert np.isfinite(sampled).all() and sampled.max() < 2
 
 
+@pytest.mark.parametrize("texels", [37, 5])  # smaller than a pixel, and means of several
+def test_a_texel_that_touches_a_clipped_pixel_has_its_radiance_without_weight(texels):
+    camera, mesh = Camera.orthographic(16, 16, 2.0, ABOVE), plane(2.0)
+    _, p = projector(mesh, camera, (texels, texels), steps=texel_steps(mesh, texels, texels))
+    image = image_of(camera)
+    whole = p.sample(image)
+    image[6:11, 3:9, 3] = 0
+    sampled = p.sample(image)
+    lost = (whole[..., 3] > 0) & (sampled[..., 3] == 0)
+    assert lost.sum() >= 2
+    np.testing.assert_array_equal(sampled[lost][:, :3], whole[lost][:, :3])
+
+
 def test_a_texel_next_to_a_pixel_centre_by_rounding_does_not_read_the_pixels_beyond():
     camera = Camera(16, 16, (8.0, 8.0), (8.0004, 7.9996), ABOVE, False)
     _, p = projector(plane(2.0), camera, (16, 16))
     image = image_of(camera)
     image[3, 4, 3] = 0
-    np.testing.assert_allclose(p.sample(image), np.where(image[..., 3:] > 0, image, 0), atol=1e-6)
+    np.testing.assert_allclose(p.sample(image), image, atol=1e-6)
 
 
 def test_texels_on_pixel_centres_read_the_pixel_itself_even_at_the_border():
@@ -72,9 +86,7 @@ def test_texels_on_pixel_centres_read_the_pixel_itself_even_at_the_border():
     _, p = projector(plane(2.0), camera, (16, 16))
     image = image_of(camera)
     image[3, 4, 3] = 0
-    sampled = p.sample(image)
-    expected = np.where(image[..., 3:] > 0, image, 0)
-    np.testing.assert_allclose(sampled, expected, atol=1e-6)
+    np.testing.assert_allclose(p.sample(image), image, atol=1e-6)
 
 
 @pytest.mark.parametrize("gap", [0.5, 0.12])

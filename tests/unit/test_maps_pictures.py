@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.maps import lettering
 from irpso_addon.maps.canvas import Canvas
-from irpso_addon.maps.false_color import UNCOVERED, false_color
+from irpso_addon.maps.false_color import COLORS, UNCOVERED, false_color
 from irpso_addon.maps.pictures import (
     MARK_COLORS,
     Curves,
@@ -85,6 +85,18 @@ def test_a_display_image_encodes_each_kind_of_map():
     np.testing.assert_allclose(color[0, 0], 0.735357, atol=1e-5)
     normal = display_image([Parameter("n", 3, map="n", is_normal=True)], [np.broadcast_to([0, 0.6, 0.8], (2, 2, 3))])
     np.testing.assert_allclose(normal[0, 0], (0.5, 0.8, 0.9), atol=1e-6)
+
+
+def test_a_preview_shows_what_does_not_count_and_leaves_it_out_of_the_error():
+    image, error = np.full((30, 20, 3), 0.5, np.float32), np.zeros((30, 20))
+    error[10:, :] = 50.0
+    counted = np.zeros((30, 20), bool)
+    counted[:10] = True
+    picture = preview([PreviewRow("Row", image, image, error, "%", np.ones((30, 20), bool), counted)])
+    grey = (np.abs(picture - 0.5).max(axis=-1) < 1e-6).sum()
+    assert grey >= 2 * 30 * 20 * 12**2  # both pictures whole, 12 pixels a texel
+    blue = (np.abs(picture - COLORS[0]).max(axis=-1) < 1e-6).sum()
+    assert 10 * 20 * 12**2 <= blue < 15 * 20 * 12**2
 
 
 def test_a_preview_enlarges_tiny_maps_texel_by_texel_and_shows_reference_and_result_upright():
