@@ -118,7 +118,7 @@ def converging(studio: Studio) -> None:
     studio.go_on(f"s.progress.iteration_in_all >= {NOISY}")
     parts.append(studio.moment("noisy"))
     studio.go_on(f"s.progress.iteration_in_all >= {LATE}")
-    studio.show(show_curves=True, show_lights=True, parameter="base_color", observation=LIGHT)
+    studio.show(show_curves=True, show_lights=True, parameter="base_color", observation=LIGHT + 1)
     studio.publish("probes", studio.take("probes", studio.view(sidebar=True)), 900, 128)
     studio.go_on("False")
     parts.append(studio.moment("last"))

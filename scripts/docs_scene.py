@@ -114,7 +114,7 @@ def texel(place):
 
 def lit_by(observation):
     """Light the scene by one light of the capture, and a little from everywhere."""
-    bpy.context.scene.irpso.view.observation = observation
+    bpy.context.scene.irpso.view.observation = observation + 1
     bpy.context.scene.world.color = (0.03, 0.03, 0.03)
     bpy.context.scene.world.use_nodes = False
 

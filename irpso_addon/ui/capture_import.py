@@ -195,7 +195,7 @@ class ImportCapture(bpy.types.Operator):
         settings.summary = f"kind: {draft.kind}\nimages: {len(draft.shots)}"
         settings.findings.clear()
         settings.checked_path = ""
-        settings.view.observation = 0
+        settings.view.observation = 1
         begin_check(context.scene)
         self.report({"INFO"}, f"{draft.name}: {len(draft.shots)} images")
         _warn(self, settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Quaternion, Vector
+from mathutils import Matrix, Vector
 
 _MARGIN = 0.25  # of a card's width, beside what stands at the origin already
 _DISTANCE = 2.2  # of a viewport from a card, in the longer of its sides: a lens of 50 mm then shows all of it
@@ -34,16 +34,30 @@ def is_free(card: bpy.types.Object) -> bool:
     return np.allclose(now, np.array(card.get(_PUT, np.eye(4).ravel()))) or np.allclose(now, np.eye(4).ravel())
 
 
-def look_at_card(context, place: np.ndarray, height: float) -> None:
-    """Turn the viewport of a context to a card, from straight above; no other kind of area is changed."""
-    space = context.space_data
-    if space is None or space.type != "VIEW_3D":
+def show_card(context, card: bpy.types.Object | None, place: np.ndarray, height: float) -> None:
+    """Turn a viewport to a card, from straight above it, unless the card's object is in sight there already.
+
+    The viewport is the context's own, else the window's largest. card: its object, None where there is none yet:
+    ``place`` (4, 4) then says where it is going to stand, 1 wide and ``height`` high.
+    """
+    areas = [area for area in context.window.screen.areas if area.type == "VIEW_3D"]
+    if not areas:
         return
-    view = space.region_3d
+    area = context.area if context.area in areas else max(areas, key=lambda area: area.width * area.height)
+    view = area.spaces.active.region_3d
+    world = Matrix(place.tolist()) if card is None else card.matrix_world
+    corners = [world @ Vector((x, y * height, 0.0)) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    if card is not None and all(_in_sight(view.perspective_matrix, corner) for corner in corners):
+        return
     view.view_perspective = "PERSP" if view.view_perspective == "CAMERA" else view.view_perspective
-    view.view_location = Vector(place[:3, 3])
-    view.view_rotation = Quaternion()
-    view.view_distance = _DISTANCE * max(1.0, height)
+    view.view_location = sum(corners, Vector()) / 4
+    view.view_rotation = world.to_quaternion()
+    view.view_distance = _DISTANCE * max((corners[2] - corners[0]).length, (corners[1] - corners[0]).length)
+
+
+def _in_sight(perspective: Matrix, point: Vector) -> bool:
+    x, y, _, w = perspective @ point.to_4d()
+    return w > 0 and abs(x) <= w and abs(y) <= w
 
 
 def _bounds(obj: bpy.types.Object) -> np.ndarray:

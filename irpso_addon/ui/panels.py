@@ -79,7 +79,7 @@ def draw_observation(layout, context) -> None:
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(view, "observation")
-    drawing.fact(column, context, f"of {len(lights)}", lights[min(view.observation, len(lights) - 1)].name)
+    drawing.fact(column, context, f"of {len(lights)}", lights[view.index(len(lights))].name)
 
 
 def _draw_light(layout, context) -> None:

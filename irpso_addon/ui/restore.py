@@ -13,7 +13,7 @@ from ..errors import InputError, IrpsoError
 from ..solver.checkpoint import glance
 from . import drawing, session, unkept
 from .asked import ask_again
-from .card_place import look_at_card
+from .card_place import show_card
 from .job import Job, make_job
 
 _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
@@ -97,9 +97,9 @@ class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
 
 def follow(context, begun: session.Session) -> None:
     """Have a session stepped by the window's timer, seen, and asked for before the file is closed."""
-    if begun.mesh is None and begun.subject() is None:  # nobody can know where it is going to stand
+    if begun.mesh is None:
         height, width = begun.job.capture.masks[0].shape
-        look_at_card(context, begun.job.place, height / width)
+        show_card(context, begun.subject(), begun.job.place, height / width)
     mark_changed()
     bpy.ops.irpso.run("INVOKE_DEFAULT")
 

@@ -23,6 +23,7 @@ from ..geometry.scene_capture import ASPECT, CAPTURE, lights_in_order, photograp
 from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
+from . import session
 from .card_place import is_free
 from .file_paths import absolute
 from .job import subject_object
@@ -76,17 +77,23 @@ def create_scene(scene, draft: Draft, capture: Capture) -> list:
     return lights
 
 
-def show_observation(scene, index: int) -> None:
+def observation_count(scene) -> int:
+    """Return how many observations there are to choose from: the recovery's, else the lights that the capture has in the scene."""
+    running = session.current()
+    return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
+
+
+def show_observation(scene, number: int) -> None:
     """Light the scene with one observation's light alone, and show its photograph behind its camera's view.
 
-    Lights without a photograph stay as they are, as do cameras that ``create_scene`` did not make. The scene's camera
-    changes if it is one of these.
+    number: of the observation, from 1. Lights without a photograph stay as they are, as do cameras that
+    ``create_scene`` did not make. The scene's camera changes if it is one of these.
     """
     bpy.context.view_layer.update()  # else objects that were added or removed just now are not in it
     lights = capture_lights(scene)
     if not lights:
         return
-    shown = lights[min(index, len(lights) - 1)]
+    shown = lights[min(number, len(lights)) - 1]
     for obj in {*lights, *_own_lights(scene)}:
         # Written only where it changes: each write has Blender build its dependencies anew.
         if obj.hide_render != (obj != shown):
@@ -285,7 +292,7 @@ class ShowObservation(bpy.types.Operator):
     bl_label = "Show Observation"
     bl_options = {"REGISTER", "UNDO"}
 
-    index: IntProperty(name="Observation", description="Counted from 0", min=0)
+    number: IntProperty(name="Observation", description="Counted from 1", min=1, default=1)
 
     @classmethod
     def poll(cls, context) -> bool:
@@ -297,7 +304,7 @@ class ShowObservation(bpy.types.Operator):
 
     def execute(self, context):
         """Choose the observation; the scene follows."""
-        context.scene.irpso.view.observation = self.index
+        context.scene.irpso.view.observation = self.number
         return {"FINISHED"}
 
 

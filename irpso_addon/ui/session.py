@@ -78,6 +78,11 @@ class Probe:
     curve: list[tuple[int, float]] = field(default_factory=list)
     slot: int = 0
 
+    @property
+    def number(self) -> int:
+        """What it is called, 1…4: it keeps that as long as it is watched, and its colour."""
+        return self.slot + 1
+
 
 class Session:
     """One recovery under way or waiting to be kept. Nothing of the scene is changed by it.
@@ -240,12 +245,17 @@ class Session:
         """Return what has been found so far, in the solver's frames. confidence: as for a Recovery."""
         return self.recovery.maps(confidence)
 
-    def add_probe(self, row: int, column: int) -> None:
-        """Watch a texel; the oldest of more than four is dropped."""
-        del self.probes[: max(0, len(self.probes) - MOST_PROBES + 1)]
+    def add_probe(self, row: int, column: int) -> Probe | None:
+        """Watch a texel. Return the oldest of four, which makes room for a fifth; None where there is room."""
+        dropped = self.probes.pop(0) if len(self.probes) == MOST_PROBES else None
         free = set(range(MOST_PROBES)) - {probe.slot for probe in self.probes}
         self.probes.append(Probe(row, column, slot=min(free)))
         _tell()
+        return dropped
+
+    def probe(self, number: int) -> Probe | None:
+        """Return the probe of a number, the oldest where there is none of that number, None where there are none."""
+        return next((probe for probe in self.probes if probe.number == number), next(iter(self.probes), None))
 
     def remove_probe(self, index: int) -> None:
         """Stop watching a texel."""

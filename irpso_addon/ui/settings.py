@@ -90,8 +90,11 @@ def _model_changed(self, context) -> None:
 
 
 def _observation_changed(self, context) -> None:
-    from .scene_setup import show_observation  # which stands on these settings
+    from .scene_setup import observation_count, show_observation  # which stands on these settings
 
+    if 0 < (count := observation_count(self.id_data)) < self.observation:
+        self.observation = count  # which comes here again
+        return
     show_observation(self.id_data, self.observation)
 
 
@@ -179,18 +182,30 @@ class ViewSettings(bpy.types.PropertyGroup):
     shown: EnumProperty(name="Show", items=_SHOWN, default="PARAMETER")
     parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
     observation: IntProperty(
-        name="Observation", description="Whose light and image are shown, counted from 0. Of the capture's lights in"
-        " the scene only this one shines", min=0, default=0, update=_observation_changed,
+        name="Observation", description="Whose light and image are shown, counted from 1. Of the capture's lights in"
+        " the scene only this one shines", min=1, default=1, update=_observation_changed,
     )  # fmt: skip
     split: FloatProperty(
         name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
         default=0.5,
     )  # fmt: skip
-    limit: FloatProperty(
-        name="Red At", description="The error, or the standard deviation, that is drawn red; 0 finds one", min=0,
-        soft_max=1, default=0, precision=3,
+    red_error: FloatProperty(
+        name="Red At", description="The error that is drawn red, in % of white; 0 finds one", subtype="PERCENTAGE",
+        min=0, soft_max=100, default=0, precision=2,
+    )  # fmt: skip
+    red_angle: FloatProperty(
+        name="Red At", description="The standard deviation of a normal that is drawn red; 0 takes 10°", subtype="ANGLE",
+        min=0, max=math.pi, default=0,
+    )  # fmt: skip
+    red_deviation: FloatProperty(
+        name="Red At", description="The standard deviation that is drawn red, in the map's own unit; 0 takes a tenth of"
+        " its range", min=0, soft_max=1, default=0, precision=3,
     )  # fmt: skip
     exposure: FloatProperty(name="Exposure", description="In stops, of render and photograph", soft_min=-5, soft_max=5)
+    mark_unused: BoolProperty(
+        name="Mark Unused Pixels", description="Draw diagonal stripes over the photograph's pixels that have no weight:"
+        " clipped ones, and those taken for shadow", default=True,
+    )  # fmt: skip
     opacity: FloatProperty(name="Opacity", subtype="FACTOR", min=0, max=1, default=1)
     show_lights: BoolProperty(name="Lights", description="Draw the dome of lights around the subject", default=True)
     show_cameras: BoolProperty(name="Cameras", description="Draw the capture's cameras", default=True)
@@ -213,6 +228,10 @@ class ViewSettings(bpy.types.PropertyGroup):
         description="Where the truth is known, as in a test: the map that should be found, of the first axis' own."
         " The swarm's goal is drawn from it",
     )  # fmt: skip
+
+    def index(self, count: int) -> int:
+        """Return the index, from 0, of the chosen one of so many observations."""
+        return max(min(self.observation, count), 1) - 1
 
 
 class ExportSettings(bpy.types.PropertyGroup):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import bpy
 
 from . import drawing, session
+from .overlay.handlers import why_hidden
 from .panels import Sidebar, draw_observation
 
 # Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
+_IN_TILES = "This recovery is solved in tiles, which are not drawn: lower the resolution, or allow more memory"
 _OF_A_MAP = ("PARAMETER", "CONFIDENCE")
 _OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
+_OF_A_PHOTOGRAPH = ("REFERENCE", "SPLIT", "BLINK")
 _IN_FALSE_COLORS = ("ERROR", "CONFIDENCE")
 
 
@@ -22,15 +25,26 @@ def draw_shown(layout, context, running: session.Session) -> None:
     if view.shown in _OF_A_MAP:
         column.prop(view, "parameter")
     if view.shown in _IN_FALSE_COLORS:
-        column.prop(view, "limit")
+        column.prop(view, _red_of(view, running))
     if view.shown in _OF_A_LIGHT:
         observations = running.job.capture.observations
-        number = min(view.observation, len(observations) - 1)
         column.prop(view, "observation")
-        drawing.fact(column, context, f"of {len(observations)}", observations[number].name)
+        drawing.fact(column, context, f"of {len(observations)}", observations[view.index(len(observations))].name)
         column.prop(view, "exposure")
+    if view.shown in _OF_A_PHOTOGRAPH:
+        column.prop(view, "mark_unused")
     if view.shown == "SPLIT":
         column.prop(view, "split", slider=True)
+    if reason := why_hidden(context):
+        drawing.wrapped(layout, context, reason, "HIDE_ON")
+
+
+def _red_of(view, running: session.Session) -> str:
+    """Return the property that says what is drawn red, in the unit of the legend."""
+    if view.shown == "ERROR":
+        return "red_error"
+    normal = any(p.is_normal and p.name == view.parameter for p in running.job.model.parameters)
+    return "red_angle" if normal else "red_deviation"
 
 
 class IRPSO_PT_view(Sidebar, bpy.types.Panel):
@@ -40,9 +54,9 @@ class IRPSO_PT_view(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are maps to be seen."""
+        """Whether there are maps to be seen, or to be told why they are not."""
         running = session.current()
-        return running is not None and running.display is not None
+        return running is not None and running.recovery is not None
 
     def draw_header(self, context) -> None:
         """Draw the switch of it all."""
@@ -51,6 +65,9 @@ class IRPSO_PT_view(Sidebar, bpy.types.Panel):
     def draw(self, context) -> None:
         """Draw what is shown and how."""
         view = context.scene.irpso.view
+        if session.current().display is None:
+            drawing.wrapped(self.layout, context, _IN_TILES, "HIDE_ON")
+            return
         if not view.show:
             self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
             return
@@ -88,11 +105,12 @@ def draw_probes(layout, context) -> None:
     view, running = context.scene.irpso.view, session.current()
     layout.operator("irpso.probe", icon="EYEDROPPER")
     column = layout.column(align=True)
-    for number, probe in enumerate(running.probes):
+    for index, probe in sorted(enumerate(running.probes), key=lambda item: item[1].number):
         row = column.row(align=True)
         error = f"   {drawing.percent(probe.curve[-1][1])}" if probe.curve else ""
-        row.label(text=f"{probe.column}, {probe.row}{error}", icon=_PROBE_ICONS[probe.slot], translate=False)
-        row.operator("irpso.probe_remove", text="", icon="X", emboss=False).index = number
+        text = f"{probe.number}:  {probe.column}, {probe.row}{error}"
+        row.label(text=text, icon=_PROBE_ICONS[probe.slot], translate=False)
+        row.operator("irpso.probe_remove", text="", icon="X", emboss=False).index = index
     if not running.probes:
         return
     column = layout.column(heading="Show")

@@ -328,10 +328,11 @@ def test_one_light_shines_at_a_time_and_its_photograph_lies_behind(scene, tmp_pa
     write_views(tmp_path / "views")
     created(scene, tmp_path / "views")
     lights = [obj for obj in scene.objects if obj.type == "LIGHT"]
-    for index in (0, 3, 1, 99):
-        bpy.ops.irpso.show_observation(index=index)
+    for number in (1, 4, 2, 99):
+        bpy.ops.irpso.show_observation(number=number)
         shown = [obj for obj in lights if not obj.hide_render]
-        assert [obj.name[:9] for obj in shown] == [f"Light {min(index, 3):03d}"]
+        assert [obj.name[:9] for obj in shown] == [f"Light {min(number, 4) - 1:03d}"]
+        assert scene.irpso.view.observation == min(number, 4)
         assert shown == [obj for obj in lights if not obj.hide_viewport]
         assert scene.camera == shown[0].irpso.camera
         assert scene.camera.data.background_images[0].image == shown[0].irpso.image
@@ -348,7 +349,7 @@ def test_lights_that_were_given_photographs_by_hand_shine_one_at_a_time_too(scen
     scene.irpso.source = "SCENE"
     bpy.context.view_layer.update()
     for index in (2, 0):
-        bpy.ops.irpso.show_observation(index=index)
+        bpy.ops.irpso.show_observation(number=index + 1)
         assert [obj for obj in [room, *lamps] if not obj.hide_render] == [room, lamps[index]]
         assert [obj for obj in [room, *lamps] if not obj.hide_viewport] == [room, lamps[index]]
 
@@ -398,7 +399,7 @@ def test_cycles_renders_the_photographs_of_a_card(scene, tmp_path, perspective):
     matt.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
     card.data.materials.append(matt)
     for index, frame in enumerate(frames):
-        bpy.ops.irpso.show_observation(index=index)
+        bpy.ops.irpso.show_observation(number=index + 1)
         np.testing.assert_allclose(rendered(scene, tmp_path / f"{index}.exr"), frame, rtol=5e-3, atol=1e-5)
 
 

@@ -1,8 +1,11 @@
 """Where a card stands that has no object yet: clear of what is there, and known until somebody moves it."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
+from mathutils import Euler, Matrix, Vector
 
 from irpso_addon.ui import card_place
 
@@ -51,3 +54,39 @@ def test_what_is_close_to_the_cards_edge_is_in_its_way_too():
     bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.65, 0, 0))
     bpy.context.view_layer.update()
     assert card_place.free_place(bpy.context, 1.0)[0, 3] > 0.75 + 0.5
+
+
+def shown(card, place, height=0.5, sight=None):
+    """The view of a window after ``show_card``. sight: (4, 4) of what it shows, None for something far away."""
+    nothing = Matrix.Translation((1000, 0, 0))
+    view = SimpleNamespace(perspective_matrix=nothing if sight is None else sight, view_perspective="CAMERA")
+    areas = [
+        SimpleNamespace(type="VIEW_3D", width=20, height=20, spaces=SimpleNamespace(active=None)),
+        SimpleNamespace(
+            type="VIEW_3D", width=90, height=40, spaces=SimpleNamespace(active=SimpleNamespace(region_3d=view))
+        ),
+        SimpleNamespace(type="IMAGE_EDITOR", width=500, height=500),
+    ]
+    window = SimpleNamespace(screen=SimpleNamespace(areas=areas))
+    card_place.show_card(SimpleNamespace(window=window, area=areas[2]), card, place, height)
+    return view
+
+
+def test_the_largest_viewport_turns_to_the_place_of_a_card_from_straight_above():
+    place = np.eye(4)
+    place[0, 3] = 1.75
+    view = shown(None, place)
+    assert view.view_location == Vector((1.75, 0, 0)) and view.view_perspective == "PERSP"
+    assert view.view_rotation.to_euler() == Euler() and 1.5 < view.view_distance < 3
+    assert shown(None, place, height=3.0).view_distance == pytest.approx(3 * view.view_distance)
+
+
+def test_a_card_that_stands_out_of_sight_is_looked_at_along_its_own_axis_and_one_in_sight_is_left():
+    turn = Euler((0.3, 0.8, 0.1))
+    card = SimpleNamespace(matrix_world=Matrix.LocRotScale((3, 4, 5), turn, (2, 2, 2)))
+    view = shown(card, np.eye(4))
+    assert (view.view_location - Vector((3, 4, 5))).length < 1e-5
+    assert (view.view_rotation @ Vector((0, 0, 1)) - turn.to_matrix() @ Vector((0, 0, 1))).length < 1e-5
+    assert view.view_distance == pytest.approx(2 * shown(None, np.eye(4)).view_distance)
+    before = shown(card, np.eye(4), sight=Matrix.Diagonal((0.1, 0.1, 0.1, 1)))
+    assert before.view_perspective == "CAMERA" and not hasattr(before, "view_location")

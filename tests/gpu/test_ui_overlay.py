@@ -1,6 +1,7 @@
 """What is drawn over viewports, as numbers: axes, layouts, curves, rays, domes, frusta, swarms. No window is needed."""
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -10,8 +11,9 @@ from mathutils.geometry import intersect_ray_tri
 from irpso_addon.capture.camera import Camera
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.texel_probe import Particles
-from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_colors
-from irpso_addon.ui.overlay.layout import Rectangle, free_rectangle, stacked
+from irpso_addon.ui.overlay import flat, legend, surface
+from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_colors, over_subject
+from irpso_addon.ui.overlay.layout import Rectangle, beside, free_rectangle, stacked, stacked_around
 from irpso_addon.ui.overlay.paint import rounded
 from irpso_addon.ui.overlay.picking import first_hit, nearest_texel, texel_at, view_ray
 from irpso_addon.ui.overlay.place import (
@@ -25,7 +27,7 @@ from irpso_addon.ui.overlay.place import (
     transformed,
 )  # fmt: skip
 from irpso_addon.ui.overlay.plot import curve_plot
-from irpso_addon.ui.overlay.scales import label, linear_ticks, log_ticks, round_down, round_up, steady_limit
+from irpso_addon.ui.overlay.scales import label, linear_ticks, log_ticks, round_down, round_up, steady_limit, ticks_to
 from irpso_addon.ui.overlay.swarm import Trail, box_pixels, choose_axes, goal_place, in_box, star, view_of
 
 pytestmark = pytest.mark.bpy_only
@@ -83,6 +85,13 @@ def test_linear_ticks_are_round_even_and_not_too_many(low, high, most):
     assert np.allclose(np.array(ticks) / step, np.rint(np.array(ticks) / step))
 
 
+@pytest.mark.parametrize(
+    ("top", "ticks"), [(50, [0, 50]), (20, [0, 10, 20]), (0.1, [0, 0.05, 0.1]), (35, [0, 10, 20, 30])]
+)
+def test_the_top_of_a_legend_has_its_number_however_few_there_are(top, ticks):
+    assert ticks_to(top, 4) == pytest.approx(ticks)
+
+
 def test_log_ticks_label_decades_and_mark_the_numbers_between():
     major, minor = log_ticks(0.02, 20)
     assert major == pytest.approx([0.1, 1, 10])
@@ -113,6 +122,80 @@ def test_boxes_are_stacked_upward_then_in_columns_and_left_out_where_there_is_no
     assert stacked(free, [(200, 150), (180, 200)], 10) == [Rectangle(10, 20, 200, 150), Rectangle(10, 180, 180, 200)]
     places = stacked(free, [(200, 150), (180, 300), (400, 100)], 10)
     assert places == [Rectangle(10, 20, 200, 150), Rectangle(220, 20, 180, 300), None]
+
+
+def test_boxes_stand_left_of_the_legend_or_above_it_where_more_of_them_fit():
+    legend_box, sizes = Rectangle(410, 20, 100, 210), [(290, 140)]
+    wide, high = Rectangle(10, 20, 500, 400), Rectangle(10, 20, 380, 400)
+    assert stacked_around(None, wide, sizes, 10) == stacked(wide, sizes, 10)
+    assert stacked_around(legend_box, wide, sizes, 10) == [Rectangle(10, 20, 290, 140)]
+    (place,) = stacked_around(high.corner(100, 210), high, sizes, 10)  # as in one of a quad view's regions
+    assert place == Rectangle(10, 240, 290, 140)
+
+
+def test_a_name_beside_a_point_covers_no_panel_and_stays_where_there_is_room():
+    free, size = Rectangle(0, 0, 400, 300), (80, 20)
+    assert beside((100, 100), size, 10, free, []) == Rectangle(110, 90, 80, 20)
+    legend_box = Rectangle(110, 0, 100, 200)
+    assert beside((100, 100), size, 10, free, [legend_box]) == Rectangle(10, 90, 80, 20)
+    assert beside((390, 100), size, 10, free, []) == Rectangle(300, 90, 80, 20)  # not under a sidebar
+    assert beside((60, 100), size, 10, free, [legend_box]) == Rectangle(20, 110, 80, 20)
+    assert beside((160, 100), size, 10, free, [Rectangle(0, 0, 400, 300)]) is None
+
+
+def test_the_legend_gets_shorter_in_a_low_region_and_leaves_room_for_the_curves_above_it():
+    tall, low = Rectangle(0, 0, 900, 700), Rectangle(0, 0, 380, 380)
+    assert legend.legend_size(1.0, tall) == (104.0, 212.0)
+    width, height = legend.legend_size(1.0, low)
+    assert width == 104.0 and height < 212
+    assert None not in stacked_around(low.corner(width, height), low, [(290, 140)], 10)
+
+
+def seen_with(show_overlays=True, mode="OBJECT", visible=True):
+    """Why a viewport draws no maps on a mesh 'Cup', with its overlays, mode and visibility."""
+    space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=show_overlays))
+    context = SimpleNamespace(space_data=space, view_layer=None, scene=SimpleNamespace(session_uid=1))
+    cup = SimpleNamespace(name="Cup", mode=mode, visible_get=lambda view_layer, viewport: visible)
+    running = SimpleNamespace(job=SimpleNamespace(name="Cup"), mesh=object())
+    return surface.why_unseen(context, running, cup, 1), surface.why_unseen(context, running, None, 1)
+
+
+def test_a_viewport_that_draws_no_maps_says_why():
+    assert seen_with() == ("", "'Cup' has been deleted: undo that")
+    assert "overlays are off" in seen_with(show_overlays=False)[0]
+    assert "not in Object Mode" in seen_with(mode="EDIT")[0]
+    assert "hidden in this viewport" in seen_with(visible=False)[0]
+
+
+def test_an_image_editor_that_draws_no_map_says_why():
+    photograph = bpy.data.images.new("photograph", 2, 2)
+    assert flat.why_covered(SimpleNamespace(mode="VIEW", image=None)) == ""
+    assert "'photograph'" in flat.why_covered(SimpleNamespace(mode="VIEW", image=photograph))
+    assert "choose View" in flat.why_covered(SimpleNamespace(mode="PAINT", image=None))
+
+
+def test_lights_between_the_viewer_and_the_subject_are_told_from_those_around_it():
+    matrix, size = perspective_of((0, 0, 5), (0, 0, 0)), (800, 600)
+    corners = np.array([[x, y, 0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+    places = np.array([[0, 0, 1.0], [0.3, -0.2, 0.8], [1.2, 0, 0.5], [0, -0.9, 0.1]])
+    assert over_subject(places, corners, matrix, size).tolist() == [True, True, False, False]
+
+
+def test_observations_are_counted_from_one_in_the_legend():
+    model = load_model("lambert")
+    shown = surface.Shown("reference", observation=2)
+    assert legend.words(shown, model, ("a", "b", "c")) == "Photograph 3: c"
+
+
+@pytest.mark.parametrize(
+    ("component", "words"),
+    [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 to 1"), ("roughness", "Roughness 0.02 to 1")],
+)
+def test_an_axis_of_the_swarm_is_called_as_the_parameter_that_is_searched_along_it(component, words):
+    from irpso_addon.ui.overlay.swarm import _words
+
+    (axis,) = choose_axes([component], [], load_model("principled"))
+    assert _words(axis) == words
 
 
 def test_curves_lie_where_iteration_and_the_logarithm_of_the_error_say():

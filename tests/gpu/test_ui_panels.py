@@ -269,21 +269,27 @@ def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings
     view = settings.view
     for shown, expected in {
         "PARAMETER": {"parameter"},
-        "ERROR": {"limit"},
-        "CONFIDENCE": {"parameter", "limit"},
+        "ERROR": {"red_error"},
+        "CONFIDENCE": {"parameter", "red_deviation"},
         "RENDER": {"observation", "exposure"},
-        "REFERENCE": {"observation", "exposure"},
-        "SPLIT": {"observation", "exposure", "split"},
+        "REFERENCE": {"observation", "exposure", "mark_unused"},
+        "SPLIT": {"observation", "exposure", "mark_unused", "split"},
     }.items():
         view.shown = shown
-        found = set(drawn("IMAGE_EDITOR").props) & {"parameter", "limit", "observation", "exposure", "split"}
+        found = set(drawn("IMAGE_EDITOR").props) & {
+            "parameter", "red_error", "red_angle", "red_deviation", "observation", "exposure", "mark_unused", "split",
+        }  # fmt: skip
         assert found == expected, shown
-    view.observation = 900  # of another capture
+    view.shown, view.parameter = "CONFIDENCE", "normal"
+    assert {"red_angle"} == set(drawn().props) & {"red_error", "red_angle", "red_deviation"}
+    view.shown = "SPLIT"
+    view.observation = 900
+    assert view.observation == len(LIGHTS)
     assert f"of {len(LIGHTS)}" in drawn().texts
     running.add_probe(3, 4)
     running.probes[0].curve.append((1, 0.0123))
     found = drawn()
-    assert "4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
+    assert "1:  4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
     view.show = False
     assert "shown" not in drawn().props
 

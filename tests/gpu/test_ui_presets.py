@@ -166,7 +166,7 @@ def test_the_menu_says_which_preset_is_set_and_whether_settings_differ_from_it(u
     settings().delta = 0.08
     assert label_of(settings()) == "skin *"
     bpy.ops.irpso.preset_choose(name="paper")
-    assert label_of(settings()) == "The paper"
+    assert label_of(settings()) == "Paper"
 
 
 def test_an_own_preset_can_be_removed_and_a_shipped_one_neither_removed_nor_replaced(user_folder):

@@ -119,10 +119,10 @@ def test_cameras_and_lights_stand_in_the_scene_and_one_light_shines(ready, icon)
     # EEVEE takes minutes to begin on a software renderer.
     ready.run("bpy.context.scene.render.engine = 'CYCLES'\nbpy.context.scene.cycles.preview_samples = 4")
     ready.run("largest('VIEW_3D').spaces.active.shading.type = 'RENDERED'")
-    for index in (0, 40):
-        ready.run(f"settings().view.observation = {index}")
+    for number in (1, 41):
+        ready.run(f"settings().view.observation = {number}")
         ready.run("redrawn(30)", area="", timeout=180)
-        ready.screenshot(f"observation {index} through its camera")
+        ready.screenshot(f"observation {number} through its camera")
     ready.run("largest('VIEW_3D').spaces.active.shading.type = 'SOLID'")
 
 

@@ -92,19 +92,19 @@ def test_the_normal_map_is_seen_in_the_colours_of_a_normal_map(paused, card):
 
 
 def test_errors_run_from_blue_to_red(paused):
-    paused.run("view.shown, view.limit = 'ERROR', 10.0")
+    paused.run("view.shown, view.red_error = 'ERROR', 1000.0")
     places = [texel_on_screen(paused, *texel) for texel in TEXELS]
     paused.screenshot("overlay: small errors")
     assert np.abs(shown_at(paused, places) - BLUE).max() <= NEAR
-    paused.run("view.limit = 1e-9")
+    paused.run("view.red_error = 1e-7")
     paused.screenshot("overlay: large errors")
     assert np.abs(shown_at(paused, places) - RED).max() <= NEAR
-    paused.run("view.limit = 0")
+    paused.run("view.red_error = 0")
     paused.screenshot("overlay: error")
 
 
 def test_left_of_the_split_is_the_render_and_right_of_it_the_photograph(paused, card):
-    paused.run("view.shown, view.observation, view.split = 'SPLIT', 3, 0.5")
+    paused.run("view.shown, view.observation, view.split = 'SPLIT', 4, 0.5")
     paused.screenshot("overlay: split")
     places = [texel_on_screen(paused, *texel) for texel in TEXELS[:4]]
     seen = shown_at(paused, places)
@@ -132,6 +132,18 @@ def test_a_probe_can_be_removed_and_all_of_them(paused):
     assert paused.run("(session.current().probes[-1].row, session.current().probes[-1].slot)") == [4, 2]
     paused.run("bpy.ops.irpso.probe_clear()")
     assert paused.run("(len(session.current().probes), bpy.ops.irpso.probe_clear.poll())") == [0, False]
+
+
+def test_a_viewport_without_overlays_says_why_it_shows_nothing(paused):
+    assert paused.run("handlers.why_hidden(bpy.context)") == ""
+    paused.run("bpy.context.space_data.overlay.show_overlays = False")
+    assert "overlays are off" in paused.run("handlers.why_hidden(bpy.context)")
+    paused.run("bpy.context.space_data.overlay.show_overlays = True")
+
+
+def test_a_number_above_the_last_observation_becomes_the_last(paused):
+    paused.run("view.observation = 99")
+    assert paused.run("view.observation") == 16
 
 
 def test_another_scene_shows_nothing_of_it(paused):

@@ -11,17 +11,16 @@ from ...maps.pictures import MARK_COLORS
 from ..session import Probe, Session
 from .flat import flat_place
 from .layout import Rectangle
-from .legend import PERCENT
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
-from .place import Stand, circle, pixel_size, transformed
+from .place import Stand, circle, pixel_size, to_pixels, transformed
 from .plot import curve_plot
-from .scales import label
+from .scales import PERCENT, label
 
 _MEAN = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
 _LEAST = (290.0, 140.0)
 _SHARE = (0.42, 0.36)  # of a small region that the panel takes at most
-_LIST = 116.0  # wide: the names and last errors beside the curves
+_LIST = 136.0  # wide: the names and last errors beside the curves
 _LIFT = 0.3  # of its radius, over the surface
 _RING = 7.0  # radius of a ring on the subject, in pixels at scale 1
 
@@ -55,6 +54,24 @@ def draw_rings(
         drawing.draw_points(np.array(points), np.array(colors), 3.5 * scale, perspective, depth=True)
 
 
+def name_rings(
+    painter: Painter, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float]
+) -> None:
+    """Write the number of every probe beside its ring, where the surface faces the viewer."""
+    bake = running.domain.bake
+    for probe in running.probes:
+        point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
+        normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
+        ends = np.stack([point, point + pixel_size(perspective, point, size) * normal])
+        clip = ends @ perspective[:, :3].T + perspective[:, 3]
+        if clip[0, 3] > 0 and clip[1, 2] / clip[1, 3] < clip[0, 2] / clip[0, 3]:
+            _name_ring(painter, probe, to_pixels(perspective, point[None], size)[0][0])
+
+
+def _name_ring(painter: Painter, probe: Probe, at: np.ndarray) -> None:
+    painter.chip(str(probe.number), at[0] + (_RING + 4) * painter.scale, at[1] + 2 * painter.scale)
+
+
 def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Session) -> None:
     """Draw the rings over a map that lies flat, a tile in each area."""
     shape = running.domain.shape
@@ -63,6 +80,7 @@ def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Sessi
         painter.rings(at, HALO, _RING, 4.5)
         painter.rings(at, color_of(probe), _RING, 2.2)
         painter.dots(at, color_of(probe), 3)
+        _name_ring(painter, probe, at[0])
 
 
 def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
@@ -76,7 +94,8 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
     """Draw the mean error and those of probed texels against the iterations, in an area of ``curves_size``."""
     s = painter.scale
     series = [("mean", _MEAN, running.history)]
-    series += [(f"{probe.column}, {probe.row}", color_of(probe), probe.curve) for probe in running.probes]
+    for probe in sorted(running.probes, key=lambda probe: probe.number):
+        series.append((f"{probe.number}:  {probe.column}, {probe.row}", color_of(probe), probe.curve))
     plot = curve_plot(
         area.inset(46 * s, 32 * s, _LIST * s, 34 * s),
         [[(iteration, PERCENT * error) for iteration, error in curve] for _, _, curve in series],

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...gpu.viewport import Drawing
-from .place import Stand, circle, transformed
+from .place import Stand, circle, to_pixels, transformed
 
 FITTED = 1.7  # radii of the subject from its centre to the dome
 _RAY = 0.10  # of the way to the subject: the stub of a ray that is drawn at every light
@@ -17,6 +17,8 @@ _GUIDE = (0.50, 0.52, 0.58, 0.50)  # a grey that is seen on dark and on light th
 _CAMERA = (0.80, 0.82, 0.88, 0.75)
 _CURRENT = (1.0, 0.86, 0.45, 1.0)
 _FRUSTUM = 0.16  # of the distance to the subject: how deep a camera is drawn
+_SIZE, _SMALL = 6.5, 2.5  # of a light's disc, in pixels at scale 1
+_RIM = (0.05, 0.05, 0.06, 0.9)
 _GAMMA = 1 / 2.2
 
 
@@ -96,8 +98,24 @@ def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
     return transformed(frame, transformed(camera.matrix, np.array(lines)))
 
 
-def draw_lights(drawing: Drawing, dome: Dome, current: int, perspective: np.ndarray, scale: float) -> None:
-    """Draw the lights, a stub of each one's ray, and the whole ray of the current one (none where negative)."""
+def over_subject(
+    places: np.ndarray, corners: np.ndarray, perspective: np.ndarray, size: tuple[float, float]
+) -> np.ndarray:
+    """Return (K,) bool: which world points (K, 3) lie in a region within the rectangle around corners (N, 3)."""
+    pixels, before = to_pixels(perspective, corners, size)
+    if not before.all():
+        return np.zeros(len(places), bool)
+    at, _ = to_pixels(perspective, places, size)
+    return ((at >= pixels.min(axis=0)) & (at <= pixels.max(axis=0))).all(axis=1)
+
+
+def draw_lights(
+    drawing: Drawing, dome: Dome, current: int, over: np.ndarray, perspective: np.ndarray, scale: float
+) -> None:
+    """Draw the lights, a stub of each one's ray, and the whole ray of the current one (none where negative).
+
+    over: (K,) bool, those that stand over the subject: they are drawn small, without a ray, to let it be seen.
+    """
     guides = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3) for line in guide_lines(dome)]
     if guides:
         drawing.draw_lines(np.concatenate(guides), _GUIDE, scale, perspective, depth=True)
@@ -107,11 +125,13 @@ def draw_lights(drawing: Drawing, dome: Dome, current: int, perspective: np.ndar
         drawing.draw_lines(ray, colors, 1.8 * scale, perspective, depth=True)
         drawing.draw_points(ray[:1], _CURRENT, 15 * scale, perspective, depth=True)
     colors = np.concatenate([dome.colors, np.ones((len(dome.colors), 1))], axis=1)
-    stubs = np.stack([dome.places, dome.places + _RAY * (dome.centre - dome.places)], axis=1).reshape(-1, 3)
+    for chosen, size in ((over, _SMALL), (~over, _SIZE)):
+        drawing.draw_points(dome.places[chosen], _RIM, (size + 2.5) * scale, perspective, depth=True)
+        drawing.draw_points(dome.places[chosen], colors[chosen], size * scale, perspective, depth=True)
+    places, colors = dome.places[~over], colors[~over]
+    stubs = np.stack([places, places + _RAY * (dome.centre - places)], axis=1).reshape(-1, 3)
     faded = np.stack([colors, colors * [1, 1, 1, 0]], axis=1).reshape(-1, 4)
     drawing.draw_lines(stubs, faded, scale, perspective, depth=True)
-    drawing.draw_points(dome.places, (0.05, 0.05, 0.06, 0.9), 9 * scale, perspective, depth=True)
-    drawing.draw_points(dome.places, colors, 6.5 * scale, perspective, depth=True)
 
 
 def draw_cameras(

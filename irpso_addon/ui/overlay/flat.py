@@ -11,11 +11,13 @@ from ...maps.udim import ONE_SQUARE, tile_place
 from .layout import Rectangle
 
 
-def is_free(space) -> bool:
-    """Return whether an Image editor may be drawn over: it shows no image, or one of the recovered maps."""
+def why_covered(space) -> str:
+    """Return why an Image editor is not drawn over, in a sentence; "" where it shows no image or a recovered map."""
     if space.mode not in ("VIEW", "UV"):  # painting and masking are the user's own work
-        return False
-    return space.image is None or MAP_TAG in space.image
+        return "This editor paints or masks: choose View in its header"
+    if space.image is not None and MAP_TAG not in space.image:
+        return f"This editor shows '{space.image.name}': unlink it, or choose a recovered map"
+    return ""
 
 
 def map_areas(region, space, shape: tuple[int, int], tiles: Sequence[int] = ONE_SQUARE) -> list[Rectangle]:

@@ -10,7 +10,7 @@ import bpy
 
 from .. import session
 from .stage import Stage
-from .surface import is_seen
+from .surface import why_unseen
 
 _IDLE_SECONDS = 0.1  # between looks at the settings while the session rests
 
@@ -25,7 +25,14 @@ def is_seen_in(context, space) -> bool:
     if _stage is None:
         return False
     with context.temp_override(area=next(a for a in context.screen.areas if a.spaces.active == space)):
-        return is_seen(bpy.context, _stage.running, _stage.running.subject(), _stage.home_scene)
+        return not why_unseen(bpy.context, _stage.running, _stage.running.subject(), _stage.home_scene)
+
+
+def why_hidden(context) -> str:
+    """Return why the editor of a context draws nothing of the session, in a sentence; "" where it draws."""
+    if _failed is not None and _failed is session.current():
+        return _failed.failure
+    return "" if _stage is None or context.space_data is None else _stage.why_hidden(context)
 
 
 def handler_count() -> int:

@@ -25,6 +25,18 @@ class Rectangle:
         """The upper edge's y."""
         return self.y + self.height
 
+    def corner(self, width: float, height: float) -> Rectangle:
+        """Return a rectangle of a size in the lower right corner."""
+        return Rectangle(self.right - width, self.y, width, height)
+
+    def overlaps(self, other: Rectangle) -> bool:
+        """Return whether they have a part in common."""
+        return self.x < other.right and other.x < self.right and self.y < other.top and other.y < self.top
+
+    def holds(self, other: Rectangle) -> bool:
+        """Return whether another lies inside."""
+        return self.x <= other.x and other.right <= self.right and self.y <= other.y and other.top <= self.top
+
     def inset(self, left: float, bottom: float, right: float, top: float) -> Rectangle:
         """Return what is left between margins."""
         return Rectangle(self.x + left, self.y + bottom, self.width - left - right, self.height - bottom - top)
@@ -67,3 +79,28 @@ def stacked(free: Rectangle, sizes: Sequence[tuple[float, float]], gap: float) -
         places.append(Rectangle(x, y, width, height))
         y, column = y + height + gap, max(column, width)
     return places
+
+
+def stacked_around(
+    corner: Rectangle | None, free: Rectangle, sizes: Sequence[tuple[float, float]], gap: float
+) -> list[Rectangle | None]:
+    """Place boxes as ``stacked`` does left of a box in the lower right corner, or above it where more of them fit."""
+    if corner is None:
+        return stacked(free, sizes, gap)
+    left = Rectangle(free.x, free.y, corner.x - gap - free.x, free.height)
+    above = Rectangle(free.x, corner.top + gap, free.width, free.top - corner.top - gap)
+    choices = [stacked(area, sizes, gap) for area in (left, above)]
+    return max(choices, key=lambda places: sum(place is not None for place in places))
+
+
+def beside(
+    point: Sequence[float], size: tuple[float, float], gap: float, free: Rectangle, taken: Iterable[Rectangle]
+) -> Rectangle | None:
+    """Return a box right, left, above or below of a point: the first inside ``free`` that covers nothing taken."""
+    (x, y), (width, height), taken = point, size, list(taken)
+    low, left = y - height / 2, x - width / 2
+    for corner in ((x + gap, low), (x - gap - width, low), (left, y + gap), (left, y - gap - height)):
+        box = Rectangle(*corner, width, height)
+        if free.holds(box) and not any(box.overlaps(other) for other in taken):
+            return box
+    return None

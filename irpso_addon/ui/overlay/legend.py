@@ -13,10 +13,12 @@ from ...reflectance.model import ReflectanceModel
 from ...solver.display import Shown
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
-from .scales import label, linear_ticks
+from .scales import PERCENT, label, ticks_to
 
-_BAR, _WIDTH = 150.0, 104.0  # of the bar and of its panel, in pixels at scale 1
-PERCENT = 100.0  # errors are told in % of white, as the plots of a result are
+_BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # height of the bar, width of its panel, in pixels at scale 1
+_SHARE = 0.3  # of a small region's height that the bar takes
+_AROUND = 62.0  # of the panel's height, above and below the bar
+_TICK = 15.0  # from one tick to the next, at least
 _OF_WHITE = "% of white"
 
 
@@ -38,7 +40,7 @@ def words(shown: Shown, model: ReflectanceModel, names: tuple[str, ...]) -> str:
     if shown.kind == "confidence":
         return f"{bpy.path.display_name(shown.parameter)}, uncertainty"
     kind = "Render" if shown.kind == "render" else "Photograph"
-    return f"{kind} {shown.observation}: {names[shown.observation]}"
+    return f"{kind} {shown.observation + 1}: {names[shown.observation]}"
 
 
 def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
@@ -53,9 +55,10 @@ def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
     return Scale(title, "± one sigma", shown.limit)
 
 
-def legend_size(scale: float) -> tuple[float, float]:
-    """Return width and height of the legend's panel in pixels."""
-    return _WIDTH * scale, (_BAR + 62) * scale
+def legend_size(scale: float, free: Rectangle) -> tuple[float, float]:
+    """Return width and height of the legend's panel in pixels, less in a region that has little free."""
+    bar = max(_LEAST_BAR, min(_BAR, _SHARE * free.height / scale))
+    return _WIDTH * scale, (bar + _AROUND) * scale
 
 
 def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
@@ -64,18 +67,13 @@ def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
     painter.panel(area)
     painter.text(meaning.title, area.x + 12 * s, area.top - 19 * s)
     painter.text(meaning.unit, area.x + 12 * s, area.top - 34 * s, DIM, SMALL)
-    bar = Rectangle(area.x + 12 * s, area.y + 13 * s, 14 * s, _BAR * s)
+    bar = Rectangle(area.x + 12 * s, area.y + 13 * s, 14 * s, area.height - _AROUND * s)
     painter.triangles(*ramp(bar))
-    for tick in linear_ticks(0, meaning.top, 6):
+    for tick in ticks_to(meaning.top, min(6, int(bar.height / (_TICK * s)))):
         y = bar.y + bar.height * tick / meaning.top
         painter.line((bar.right + 2 * s, y), (bar.right + 6 * s, y), DIM)
         text = label(tick) + (" +" if math.isclose(tick, meaning.top) else "")
         painter.text(text, bar.right + 10 * s, y - 3.5 * s, size=SMALL)
-
-
-def draw_caption(painter: Painter, free: Rectangle, text: str) -> None:
-    """Write what is shown at the lower right corner."""
-    painter.chip(text, free.right, free.y, "right")
 
 
 def ramp(bar: Rectangle) -> tuple[np.ndarray, np.ndarray]:

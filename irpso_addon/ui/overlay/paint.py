@@ -22,6 +22,7 @@ SIZE, SMALL = 11.0, 10.0  # points, as Blender's own labels have
 _FONT = 0  # Blender's own
 _CORNER = 5.0  # radius of a panel's corners, in pixels at scale 1
 _CORNER_STEPS = 5
+_CHIP, _PAD = 21.0, 7.0  # a chip's height, and the room at its sides, in pixels at scale 1
 
 Colors = Sequence[float] | np.ndarray  # (4,) or (N, 4)
 
@@ -83,11 +84,14 @@ class Painter:
 
     def chip(self, text: str, x: float, y: float, align: str = "left") -> None:
         """Write a line on a small backing of its own, y being the backing's lower edge."""
-        pad = 7 * self.scale
-        width = self.width(text) + 2 * pad
+        width, height = self.chip_size(text)
         x -= {"left": 0.0, "centre": width / 2, "right": width}[align]
-        self.panel(Rectangle(x, y, width, CHIP * self.scale))
-        self.text(text, x + pad, y + 6.5 * self.scale)
+        self.panel(Rectangle(x, y, width, height))
+        self.text(text, x + _PAD * self.scale, y + 6.5 * self.scale)
+
+    def chip_size(self, text: str) -> tuple[float, float]:
+        """Return width and height of a chip in pixels."""
+        return self.width(text) + 2 * _PAD * self.scale, _CHIP * self.scale
 
     def flush(self) -> None:
         """Draw what has been asked for."""
@@ -126,9 +130,6 @@ class _Shapes:
     width: float
     points: list[np.ndarray] = field(default_factory=list)
     colors: list[np.ndarray] = field(default_factory=list)
-
-
-CHIP = 21.0  # a chip's height, in pixels at scale 1
 
 
 def rounded(area: Rectangle, radius: float) -> np.ndarray:

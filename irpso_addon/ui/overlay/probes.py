@@ -46,8 +46,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if not running.domain.solvable[self.row, self.column]:
             self.report({"ERROR"}, f"texel ({self.row}, {self.column}) is seen by no photograph; choose another")
             return {"CANCELLED"}
-        running.add_probe(self.row, self.column)
-        handlers.redraw()
+        self._watch(running, self.row, self.column)
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -75,14 +74,21 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if found is None:
             self.report({"INFO"}, "No photograph sees this texel; click another")
             return {"RUNNING_MODAL"}
-        running.add_probe(*found)
-        handlers.redraw()
+        self._watch(running, *found)
         return {"RUNNING_MODAL"}
 
     def cancel(self, context):
         """Leave with the window, or with the file."""
         if context.window is not None:
             self._leave(context)
+
+    def _watch(self, running, row: int, column: int) -> None:
+        """Watch a texel, and say which one is watched no longer for it."""
+        dropped = running.add_probe(row, column)
+        if dropped is not None:
+            where = f"{dropped.column}, {dropped.row}"
+            self.report({"INFO"}, f"Probe {dropped.number} has moved here from texel {where}: there are four at most")
+        handlers.redraw()
 
     @staticmethod
     def _leave(context):
@@ -168,7 +174,7 @@ def _contains(item, x: int, y: int) -> bool:
 
 
 def _flat_texel(running, region, space, place: tuple[float, float]) -> tuple[int, int] | None:
-    if not flat.is_free(space):
+    if flat.why_covered(space):
         return None
     uv = flat.texture_place(flat.map_areas(region, space, running.domain.shape, running.tiles), *place)
     return None if uv is None else texel_at(uv, running.domain.shape)

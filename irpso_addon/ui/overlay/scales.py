@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+PERCENT = 100.0  # errors are told in % of white, as the plots of a result are
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 # How far the wanted limit may stray from the one that is shown before it changes: a legend that jumps is unreadable.
 _HOLD_BELOW, _HOLD_ABOVE = 0.45, 1.8
@@ -40,6 +41,12 @@ def linear_ticks(low: float, high: float, most: int) -> list[float]:
         step = round_up(step * 1.5)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [index * step for index in range(first, last + 1)]
+
+
+def ticks_to(top: float, most: int) -> list[float]:
+    """Return at most ``most`` round values from 0 on, ``top`` among them where it is round itself."""
+    choices = [linear_ticks(0, top, count) for count in range(most, 1, -1)]
+    return next((ticks for ticks in choices if math.isclose(ticks[-1], top)), choices[0])
 
 
 def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list[float]]:

@@ -19,15 +19,16 @@ from .. import preferences
 from ..job import image_map
 from ..session import Probe, Session
 from . import curves, dome, flat, legend, surface, swarm
-from .layout import Rectangle, free_rectangle, stacked
+from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import Painter
-from .place import Stand, to_pixels
+from .place import Stand, to_pixels, transformed
 
 _log = logging.getLogger(__name__)
 
 _MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
 _LEAST = (300.0, 230.0)  # of a region's free part, at scale 1, for panels to be drawn in it
 _PICTURE_SECONDS = 0.012  # of measuring errors between two redraws
+_STRIPES = 9.0  # pixels at scale 1 from one stripe to the next
 _SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
 
 
@@ -82,7 +83,7 @@ class Stage:
     def draw_view(self, context) -> None:
         """Draw in the space of a viewport: the map on its subject, lights, cameras, rings around probes."""
         running, subject = self.running, self.running.subject()
-        if not self._draws_in(context, subject):
+        if not self._draws_in(context):
             return
         view, region = context.scene.irpso.view, context.region
         stand, perspective = self._stand(subject), np.array(context.region_data.perspective_matrix)
@@ -92,7 +93,8 @@ class Stage:
             curves.draw_rings(self.drawing, running, stand, perspective, size, scale)
         if view.show_lights:
             lights = self._dome(view, stand)
-            dome.draw_lights(self.drawing, lights, self._observation(view), perspective, scale)
+            over = dome.over_subject(lights.places, transformed(stand.frame, self._corners), perspective, size)
+            dome.draw_lights(self.drawing, lights, self._observation(view), over, perspective, scale)
         if view.show_cameras:
             current = running.job.capture.observations[self._observation(view)].camera
             dome.draw_cameras(self.drawing, self._cameras(), current, stand, perspective, scale)
@@ -100,27 +102,29 @@ class Stage:
     def draw_pixels(self, context) -> None:
         """Draw over a viewport: legend, curves, swarm, names."""
         subject = self.running.subject()
-        if not self._draws_in(context, subject):
+        if not self._draws_in(context):
             return
         view, region = context.scene.irpso.view, context.region
         painter = Painter(self.drawing, context.preferences.system.ui_scale)
-        if view.show_lights:
-            self._name_light(painter, view, subject, context)
+        size, perspective = (region.width, region.height), np.array(context.region_data.perspective_matrix)
         if view.show:
-            self._draw_split_line(painter, context, Rectangle(0, 0, region.width, region.height))
+            curves.name_rings(painter, self.running, self._stand(subject), perspective, size)
+            self._draw_split_line(painter, context, Rectangle(0, 0, *size))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
+        taken: list[Rectangle] = []
         # Of a quad view one has the panels: the user's own.
         if context.region_data == context.space_data.region_3d and _has_room(free, painter.scale):
-            if view.show:
-                self._draw_legend(painter, context.scene, free)
-            self._draw_panels(painter, view, free)
+            corner = self._draw_legend(painter, context.scene, free) if view.show else None
+            taken = [*self._draw_panels(painter, view, free, corner), *([corner] if corner else [])]
+        if view.show_lights:
+            self._name_light(painter, view, subject, perspective, size, free, taken)
         painter.flush()
 
     def draw_image(self, context) -> None:
         """Draw over an Image editor: the map flat, rings, legend."""
         running, space, region = self.running, context.space_data, context.region
         view = context.scene.irpso.view
-        wanted = running.domain is not None and view.show and flat.is_free(space)
+        wanted = running.domain is not None and view.show and not flat.why_covered(space)
         if not wanted or not surface.is_in_scene(context.scene, running, running.subject(), self.home_scene):
             return
         shown, pictures = self._pictures_of(context.scene)
@@ -129,17 +133,18 @@ class Stage:
         painter = Painter(self.drawing, context.preferences.system.ui_scale)
         areas = flat.map_areas(region, space, running.domain.shape, running.tiles)
         first, second = _pair(view, pictures)
+        stripes = _stripes(view, painter.scale)
         for index, area in enumerate(areas):
             part = index / len(areas), (index + 1) / len(areas)
             size = area.width, area.height
-            self.drawing.draw_flat(first, (area.x, area.y), size, second, view.split, view.opacity, part)
+            self.drawing.draw_flat(first, (area.x, area.y), size, second, view.split, view.opacity, part, stripes)
         curves.draw_flat_rings(painter, areas, running)
         self._draw_split_line(painter, context, flat.bounds(areas))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         if _has_room(free, painter.scale):
-            self._draw_legend(painter, context.scene, free)
+            corner = self._draw_legend(painter, context.scene, free)
             if all(other.type != "VIEW_3D" for other in context.screen.areas):  # else the panels are there
-                self._draw_panels(painter, view, free)
+                self._draw_panels(painter, view, free, corner)
         painter.flush()
 
     def close(self) -> None:
@@ -147,11 +152,17 @@ class Stage:
         self._forget()
         self.drawing.close()
 
-    def _draws_in(self, context, subject) -> bool:
-        """Return whether a viewport shows the subject, and not its kept material, which nothing should stand before."""
-        running = self.running
-        seen = running.domain is not None and surface.is_seen(context, running, subject, self.home_scene)
-        return seen and not surface.shows_itself(context, running)
+    def why_hidden(self, context) -> str:
+        """Return why the editor of a context draws nothing of the session, in a sentence; "" where it draws."""
+        if context.space_data.type == "IMAGE_EDITOR":
+            return flat.why_covered(context.space_data)
+        reason = surface.why_unseen(context, self.running, self.running.subject(), self.home_scene)
+        if not reason and surface.shows_itself(context, self.running):  # nothing should stand before a kept material
+            reason = "This viewport renders the material that was kept: choose Solid shading to see what is shown here"
+        return reason
+
+    def _draws_in(self, context) -> bool:
+        return self.running.domain is not None and not self.why_hidden(context)
 
     def _begin(self) -> None:
         self._forget()
@@ -189,20 +200,22 @@ class Stage:
 
     def _look(self) -> bool:
         """Read the probed texels, at most once for each iteration."""
-        progress = self.running.progress
-        watched = {scene.irpso.view.probe - 1 for scene in self._scenes() if scene.irpso.view.show_swarm}
-        new = progress.evaluations != self._looked or any(not probe.curve for probe in self.running.probes)
-        if not self.running.probes or not new:
+        running, progress = self.running, self.running.progress
+        if not running.probes:
+            return False
+        watched = [running.probe(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm]
+        unread = any(not probe.curve for probe in running.probes) or any(p.slot not in self._trails for p in watched)
+        if progress.evaluations == self._looked and not unread:
             return False
         self._looked = progress.evaluations
-        for index, probe in enumerate(self.running.probes):
+        for probe in running.probes:
             state = self._reader.read(probe.row, probe.column)
             if state is None:
                 continue
             made = progress.iteration_in_all
             if np.isfinite(state.error) and (not probe.curve or probe.curve[-1][0] < made):
                 probe.curve.append((made, state.error))
-            if index in watched:
+            if probe in watched:
                 self._trails.setdefault(probe.slot, swarm.Trail()).follow(state.particles, (probe.row, probe.column))
         return True
 
@@ -216,7 +229,7 @@ class Stage:
         return dome.dome_of(domain.lights, domain.intensities, stand, view.dome_radius)
 
     def _observation(self, view) -> int:
-        return min(view.observation, self.running.domain.observations - 1)
+        return view.index(self.running.domain.observations)
 
     def _cameras(self) -> list[Camera]:
         """Return the cameras in the domain's frame: that of a card is its only camera's own."""
@@ -234,7 +247,8 @@ class Stage:
             return
         first, second = _pair(view, pictures)
         size = (context.region.width, context.region.height)
-        self._surface.draw(first, perspective, stand.frame, second, view.split, size, view.opacity)
+        stripes = _stripes(view, context.preferences.system.ui_scale)
+        self._surface.draw(first, perspective, stand.frame, second, view.split, size, view.opacity, stripes=stripes)
 
     def _draw_split_line(self, painter: Painter, context, area: Rectangle) -> None:
         view = context.scene.irpso.view
@@ -248,36 +262,44 @@ class Stage:
         painter.chip("Render", x - gap, y, "right")
         painter.chip("Photograph", x + gap, y)
 
-    def _draw_legend(self, painter: Painter, scene: bpy.types.Scene, free: Rectangle) -> None:
+    def _draw_legend(self, painter: Painter, scene: bpy.types.Scene, free: Rectangle) -> Rectangle | None:
+        """Draw legend or caption into the lower right corner; return where it is."""
         shown, _ = self._pictures_of(scene)
         if not shown:
-            return
+            return None
         model, names = self.running.job.model, tuple(o.name for o in self.running.job.capture.observations)
         item = shown[surface.blink_index() if scene.irpso.view.shown == "BLINK" else 0]
         meaning = legend.scale_of(item, model)
         if meaning is not None:
-            width, height = legend.legend_size(painter.scale)
-            legend.draw_legend(painter, Rectangle(free.right - width, free.y, width, height), meaning)
-        elif len(shown) == 1 or scene.irpso.view.shown == "BLINK":
-            legend.draw_caption(painter, free, legend.words(item, model, names))
+            area = free.corner(*legend.legend_size(painter.scale, free))
+            legend.draw_legend(painter, area, meaning)
+            return area
+        if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has names of its own
+            return None
+        text = legend.words(item, model, names)
+        area = free.corner(*painter.chip_size(text))
+        painter.chip(text, area.x, area.y)
+        return area
 
-    def _draw_panels(self, painter: Painter, view, free: Rectangle) -> None:
+    def _draw_panels(self, painter: Painter, view, free: Rectangle, corner: Rectangle | None) -> list[Rectangle]:
+        """Draw curves and swarm beside what is in the lower right corner; return where they are."""
         running = self.running
         with_curves = view.show_curves and bool(running.history or running.probes)
         with_swarm = view.show_swarm and bool(running.probes)
-        chosen = running.probes[min(view.probe, len(running.probes)) - 1] if with_swarm else None
+        chosen = running.probe(view.probe) if with_swarm else None
         trail = self._trails.get(chosen.slot if chosen else -1, swarm.Trail())
         sizes = [curves.curves_size(painter.scale, free)] if with_curves else []
         sizes += [swarm.swarm_size(painter.scale, trail)] if chosen else []
-        places = stacked(free, sizes, _GAP * painter.scale)
+        places = stacked_around(corner, free, sizes, _GAP * painter.scale)
         if with_curves and places[0] is not None:
             curves.draw_curves(painter, places[0], running)
         if chosen is not None and places[-1] is not None:
             axes = self._axes(view, trail)
             goal = self._goal(view, axes, chosen)
-            title = f"Swarm of texel {chosen.column}, {chosen.row}"
+            title = f"Swarm of probe {chosen.number}: {chosen.column}, {chosen.row}"
             color = curves.color_of(chosen)
             swarm.draw_swarm(painter, places[-1], title, color, trail, axes, running.seconds, goal)
+        return [place for place in places if place is not None]
 
     def _axes(self, view, trail: swarm.Trail) -> list[swarm.Axis]:
         names = trail.particles.names if trail.particles is not None else ()
@@ -299,17 +321,18 @@ class Stage:
         truth = self._truths[key]
         return None if truth is None else swarm.goal_place(axes, parameter, truth[probe.row, probe.column])
 
-    def _name_light(self, painter: Painter, view, subject, context) -> None:
-        """Write the current observation's number and name beside its light."""
-        index, region = self._observation(view), context.region
-        stand = self._stand(subject)
-        perspective = np.array(context.region_data.perspective_matrix)
-        place = self._dome(view, stand).places[index][None]
-        (at,), (before,) = to_pixels(perspective, place, (region.width, region.height))
-        free = _free(context.area, region)
-        if before and free.x <= at[0] < free.right and free.y <= at[1] < free.top:
-            name = self.running.job.capture.observations[index].name
-            painter.chip(f"{index}  {name}", at[0] + 12 * painter.scale, at[1] - 10 * painter.scale)
+    def _name_light(
+        self, painter: Painter, view, subject, perspective: np.ndarray, size: tuple[float, float], free: Rectangle,
+        taken: list[Rectangle],
+    ) -> None:  # fmt: skip
+        """Write the current observation's number and name beside its light, where nothing else is written."""
+        index = self._observation(view)
+        place = self._dome(view, self._stand(subject)).places[index][None]
+        (at,), (before,) = to_pixels(perspective, place, size)
+        text = f"{index + 1}  {self.running.job.capture.observations[index].name}"
+        area = beside(at, painter.chip_size(text), 12 * painter.scale, free, taken)
+        if before and area is not None:
+            painter.chip(text, area.x, area.y)
 
 
 def _pair(view, pictures: list) -> tuple:
@@ -317,6 +340,11 @@ def _pair(view, pictures: list) -> tuple:
     if view.shown == "BLINK" and len(pictures) == 2:
         return pictures[surface.blink_index()], None
     return pictures[0], pictures[1] if len(pictures) == 2 else None
+
+
+def _stripes(view, scale: float) -> float:
+    """Return how many pixels apart the stripes over samples without weight are, 0 for none."""
+    return _STRIPES * scale if view.mark_unused else 0.0
 
 
 def _has_room(free: Rectangle, scale: float) -> bool:

@@ -13,7 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...solver.display import Shown
 from ..session import Session
 from .place import Stand, card_corners, card_frame, stand_of
-from .scales import round_up, steady_limit
+from .scales import PERCENT, round_up, steady_limit
 
 _BLINKS = 2.0  # pictures a second
 _MEAN_TO_RED = 4.0  # errors spread over about this many times their mean
@@ -32,14 +32,14 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     model = running.job.model
     names = [parameter.name for parameter in model.parameters]
     parameter = view.parameter if view.parameter in names else names[0]
-    observation = min(view.observation, running.domain.observations - 1)
+    observation = view.index(running.domain.observations)
     if view.shown == "PARAMETER":
         return (Shown("parameter", parameter),)
     if view.shown == "ERROR":
-        limit = view.limit or steady_limit(_MEAN_TO_RED * (running.error or 0.0), former_limit)
+        limit = view.red_error / PERCENT or steady_limit(_MEAN_TO_RED * (running.error or 0.0), former_limit)
         return (Shown("error", limit=limit),)
     if view.shown == "CONFIDENCE":
-        return (Shown("confidence", parameter, limit=view.limit or _deviation_limit(model, parameter)),)
+        return (Shown("confidence", parameter, limit=_deviation_limit(view, model, parameter)),)
     exposure = 2.0**view.exposure
     render = Shown("render", observation=observation, exposure=exposure)
     reference = Shown("reference", observation=observation, exposure=exposure)
@@ -91,18 +91,23 @@ def bounding_corners(running: Session) -> np.ndarray:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
-def is_seen(context, running: Session, subject, home_scene: int) -> bool:
-    """Return whether the viewport of a context shows the subject, with nothing of the user's in its place.
+def why_unseen(context, running: Session, subject, home_scene: int) -> str:
+    """Return why the viewport of a context draws no maps on the subject, in a sentence; "" where it draws them.
 
     home_scene: the session_uid of the scene in which a card will stand that has no object yet.
     """
-    space = context.space_data
+    space, name = context.space_data, running.job.name
     if not space.overlay.show_overlays:
-        return False
+        return "Viewport overlays are off: switch them on in this viewport's header"
+    if subject is None and running.mesh is not None:
+        return f"'{name}' has been deleted: undo that"
     if subject is None:
-        return running.mesh is None and context.scene.session_uid == home_scene
-    # What is being edited or painted is not to be covered by what it was before.
-    return subject.mode == "OBJECT" and subject.visible_get(view_layer=context.view_layer, viewport=space)
+        return "" if context.scene.session_uid == home_scene else "The card is in another scene"
+    if subject.mode != "OBJECT":  # what is being edited or painted is not to be covered by what it was before
+        return f"'{subject.name}' is not in Object Mode: press Tab, or choose Object Mode in the header"
+    if not subject.visible_get(view_layer=context.view_layer, viewport=space):
+        return f"'{subject.name}' is hidden in this viewport: show it in the Outliner, or leave local view"
+    return ""
 
 
 def is_in_scene(scene: bpy.types.Scene, running: Session, subject, home_scene: int) -> bool:
@@ -117,6 +122,8 @@ def shows_itself(context, running: Session) -> bool:
     return running.kept and not running.active and context.space_data.shading.type in ("MATERIAL", "RENDERED")
 
 
-def _deviation_limit(model: ReflectanceModel, name: str) -> float:
+def _deviation_limit(view, model: ReflectanceModel, name: str) -> float:
     parameter = model.parameter(name)
-    return _RED_ANGLE if parameter.is_normal else round_up(_RED_SHARE * (parameter.range[1] - parameter.range[0]))
+    if parameter.is_normal:
+        return view.red_angle or _RED_ANGLE
+    return view.red_deviation or round_up(_RED_SHARE * (parameter.range[1] - parameter.range[0]))

@@ -145,7 +145,7 @@ def draw_swarm(
         painter.text("No swarm searches it now", area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
         return
     if not trail.live:
-        painter.text("the last that searched", area.right - 12 * s, area.top - 20 * s, DIM, SMALL, "right")
+        painter.text("the last that searched", area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
     view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION) if len(axes) == 3 else np.eye(3)
@@ -208,7 +208,7 @@ def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, inside: 
         end = pixels[[4, 2, 1][i]]
         painter.line(pixels[0], end, _AXES[i], 1.4)
         outward = (end - middle) / max(np.linalg.norm(end - middle), 1e-9)
-        text, (x, y) = _short(axis), end + outward * 9 * painter.scale
+        text, (x, y) = f"{'XYZ'[i]}  {_words(axis)}", end + outward * 9 * painter.scale
         width, rim = painter.width(text, SMALL), 8 * painter.scale
         x -= 0 if outward[0] > 0.35 else width if outward[0] < -0.35 else width / 2
         x = min(max(x, panel.x + rim), panel.right - rim - width)
@@ -270,7 +270,7 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
     return np.stack([np.broadcast_to(at, outline.shape), outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
 
 
-def _short(axis: Axis) -> str:
+def _words(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
-    words = {"r": "Red", "g": "Green", "b": "Blue"}.get(part, f"{bpy.path.display_name(parameter)} {part}".strip())
+    words = f"{bpy.path.display_name(parameter)} {part.upper()}".strip()
     return f"{words} {label(axis.low)} to {label(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
