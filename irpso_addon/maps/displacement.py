@@ -26,7 +26,7 @@ def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, fold
     image = data_image(maps, "height", height.values[..., None], subject, folder)
     # Repeated, the corners of a card would take half of their height from the other side.
     texture = nodes.node(
-        "map height", "ShaderNodeTexImage", _PLACES["map height"], "height", image=image, extension="EXTEND"
+        "map height", "ShaderNodeTexImage", _PLACES["map height"], "Height", image=image, extension="EXTEND"
     )
     if uv_map:
         uv = nodes.node("uv", "ShaderNodeUVMap", _PLACES["uv"], uv_map=uv_map)

@@ -278,7 +278,7 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
     for row, table in enumerate(tables):
         y = 300 - 320 * row
         texture = nodes.node(
-            f"map {table.name}", "ShaderNodeTexImage", (-860, y), table.name, image=images[table.name],
+            f"map {table.name}", "ShaderNodeTexImage", (-860, y), _label(table), image=images[table.name],
             extension=extension,
         )  # fmt: skip
         if uv is not None:
@@ -293,6 +293,11 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
         else:
             sources |= _separated(nodes, table, texture, y)
     return sources
+
+
+def _label(table: MapTable) -> str:
+    """Return the names of the sockets that a map drives, as Blender has them; of a parameter without one, its own."""
+    return ", ".join(p.socket or p.name.replace("_", " ").title() for p in table.parameters)
 
 
 def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str, object]:

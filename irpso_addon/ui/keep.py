@@ -1,33 +1,28 @@
-"""Keeping what was found: as the subject's material, in one undo step, and as files like the command line's."""
+"""Keeping what was found as the subject's material, in one undo step; and what exports need of it."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, StringProperty
 
 from ..errors import InputError, IrpsoError
 from ..geometry.extras import Extras, extra_maps
 from ..geometry.margins import blender_maps
 from ..gpu import context as gpu_context
 from ..maps import material
-from ..maps.extra import NORMAL_SPACES
+from ..maps.extra import ExtraMap
 from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
 from ..maps.report import build_report, limit_warnings
 from ..maps.result import Maps
 from ..maps.tables import map_tables
-from ..maps.write import write_maps
 from ..reflectance.model import shipped_models
 from ..solver.pictures import error_preview
 from . import preferences, session, unkept
 from .card_place import put_card
-from .file_paths import absolute
 
 NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
@@ -41,18 +36,12 @@ def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     return maps, blender_maps(maps, running.mesh, running.domain.bake, running.domain.seams)
 
 
-def extras_of(running: session.Session, settings: Any, found: Maps, written: Maps) -> tuple[list, Height | None]:
-    """Return the maps that the export settings ask for besides, and the relief."""
-    spaces = tuple(space for space in NORMAL_SPACES if getattr(settings, f"normal_{space}"))
-    wanted = Extras(spaces, settings.height, settings.displacement)
+def extras_of(
+    running: session.Session, wanted: Extras, found: Maps, written: Maps
+) -> tuple[list[ExtraMap], Height | None]:
+    """Return the maps that are wanted besides the model's, and the relief. Raises InputError."""
     wanted.check(found.model)
     return extra_maps(wanted, found, written, running.domain.bake, running.mesh, running.job.capture.cameras[0])
-
-
-def beside(running: session.Session) -> Path:
-    """Return the folder that an export proposes: that of the .blend, or of the capture."""
-    source = running.job.capture.source
-    return Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent if source else Path.home()
 
 
 def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
@@ -147,14 +136,13 @@ def _keep(context, running: session.Session) -> str:
     if subject is not None:
         material.check_object(subject)
     found, maps = found_maps(running, confidence=False)
-    _, height = extras_of(running, context.scene.irpso.export, found, maps)
+    _, height = extras_of(running, Extras(displacement=context.scene.irpso.displacement), found, maps)
     folder = preferences.current(context).folder()
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
-    displaced = height if context.scene.irpso.export.displacement else None
-    made = material.build_material(maps, name, folder, uv_map, displaced)
+    made = material.build_material(maps, name, folder, uv_map, height)
     made[material.ORIGIN], made[material.STAMP] = running.job.origin, running.stamp
     if running.mesh is None:
-        former, subject = subject, material.card_object(name, *maps.covered.shape, displaced is not None)
+        former, subject = subject, material.card_object(name, *maps.covered.shape, height is not None)
         if former is None:
             put_card(subject, running.job.place)
         _show(context, subject, new=former is None)
@@ -180,50 +168,6 @@ def _show(context, card, new: bool) -> None:
         for obj in context.view_layer.objects:
             obj.select_set(obj == card)
         context.view_layer.objects.active = card
-
-
-class IRPSO_OT_export_maps(bpy.types.Operator):
-    """Write the maps into a folder: pictures of 16 bits, EXR of 32 bits, a report and a preview"""
-
-    bl_idname = "irpso.export_maps"
-    bl_label = "Export Maps"
-
-    directory: StringProperty(name="Folder", description="Where the maps are written", subtype="DIR_PATH")
-    filename: StringProperty(name="New Folder", description="The folder in it that is made for them; empty for none")
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context) -> bool:
-        """Whether there is something to export."""
-        return has_found(cls)
-
-    def invoke(self, context, event):
-        """Ask for the folder, and propose one."""
-        running = session.current()
-        self.directory, self.filename = f"{beside(running)}{os.sep}", f"{running.job.name} maps"
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context):
-        """Write everything, or nothing."""
-        running = session.current()
-        if running is None or running.recovery is None:  # it may have ended while the folder was chosen
-            self.report({"ERROR"}, NOTHING)
-            return {"CANCELLED"}
-        if not self.directory:
-            self.report({"ERROR"}, "No folder: choose where the maps are to be written")
-            return {"CANCELLED"}
-        try:
-            folder = absolute(self.directory, "Folder") / self.filename
-            maps, written = found_maps(running, confidence=True)
-            extras, height = extras_of(running, context.scene.irpso.export, maps, written)
-            report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
-            files = write_maps(written, folder, report, pictures_of(running, maps), extras)
-        except IrpsoError as error:
-            self.report({"ERROR"}, " ".join(str(error).splitlines()))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{len(files)} files written to {folder}")
-        return {"FINISHED"}
 
 
 class IRPSO_OT_standard_view(bpy.types.Operator):
@@ -256,4 +200,4 @@ def is_standard_view(scene) -> bool:
     return scene.view_settings.view_transform == _STANDARD and scene.view_settings.look == "None"
 
 
-CLASSES = (IRPSO_OT_keep, IRPSO_OT_export_maps, IRPSO_OT_standard_view)
+CLASSES = (IRPSO_OT_keep, IRPSO_OT_standard_view)

@@ -292,6 +292,9 @@ def draw_progress(layout, context, running: session.Session) -> None:
     if running.recovery is not None:
         row.operator("irpso.stop", text="Stop and Keep", icon="CHECKMARK")
     row.operator("irpso.cancel", text="Cancel", icon="X")
+    if running.recovery is not None and running.state == "paused":
+        _draw_displacement(layout, context)
+        layout.operator("irpso.export", text="Export…", icon="EXPORT")
 
 
 def draw_result(layout, context, running: session.Session) -> None:
@@ -316,14 +319,22 @@ def draw_result(layout, context, running: session.Session) -> None:
     row = layout.row()
     row.scale_y = 1.0 if kept else 2.0
     row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")
+    _draw_displacement(layout, context)
     row = layout.row(align=True)
-    row.operator("irpso.export_maps", text="Export Maps…", icon="EXPORT")
+    row.operator("irpso.export", text="Export…", icon="EXPORT")
     row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
     if kept and not is_standard_view(context.scene):
         drawing.wrapped(
             layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
         )
         layout.operator("irpso.standard_view", icon="COLOR")
+
+
+def _draw_displacement(layout, context) -> None:
+    """Draw what Keep adds to the material."""
+    column = layout.column(heading="Keep With")
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(context.scene.irpso, "displacement")
 
 
 class IRPSO_PT_search(Sidebar, bpy.types.Panel):

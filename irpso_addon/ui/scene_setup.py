@@ -78,7 +78,7 @@ def create_scene(scene, draft: Draft, capture: Capture) -> list:
 
 
 def observation_count(scene) -> int:
-    """Return how many observations there are to choose from: the recovery's, else the lights that the capture has in the scene."""
+    """Return how many observations there are to choose from: the recovery's, else the capture's lights in the scene."""
     running = session.current()
     return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
 

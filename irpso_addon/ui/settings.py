@@ -15,8 +15,6 @@ from bpy.props import (
 )
 
 from ..errors import InputError
-from ..exports.formats import FORMATS
-from ..exports.textures import CONVENTIONS
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
 from ..solver.lights import MOST_DEGREES
 from ..solver.texel_probe import component_names
@@ -108,10 +106,6 @@ _MODEL_ITEMS = [
     *(_model_item(name) for name in shipped_models()),
     (CUSTOM, "Own Model…", "A .toml that declares the parameters, with its .glsl beside it"),
 ]
-
-
-_FORMATS = [(name, title, what) for name, (title, what) in FORMATS.items()]
-_CONVENTIONS = [(name, name.title(), f"Names and normals that {name.title()} expects") for name in CONVENTIONS]
 
 
 def _parameter_items(self, context):
@@ -234,23 +228,6 @@ class ViewSettings(bpy.types.PropertyGroup):
         return max(min(self.observation, count), 1) - 1
 
 
-class ExportSettings(bpy.types.PropertyGroup):
-    """What an export, or Keep, writes besides the model's maps, and for which programs."""
-
-    normal_object: BoolProperty(name="Object Space", description="Write normals in the object's own axes as well")
-    normal_world: BoolProperty(name="World Space", description="Write normals in the world's axes as well")
-    normal_directx: BoolProperty(name="DirectX", description="Write the normal map with green turned over as well")
-    height: BoolProperty(name="Height", description="Write the relief as well, found by integrating the normals")
-    displacement: BoolProperty(
-        name="Displacement", description="Have the material that Keep makes displace the surface by the relief."
-        " The mesh has to be fine enough to show it: add a Subdivision Surface modifier",
-    )  # fmt: skip
-    format: EnumProperty(name="Format", description="What other programs read", items=_FORMATS, default="textures")
-    convention: EnumProperty(
-        name="Names", description="What files are called, and which way normals point", items=_CONVENTIONS
-    )
-
-
 class Settings(bpy.types.PropertyGroup):
     """All that a recovery needs to know of a scene."""
 
@@ -314,7 +291,10 @@ class Settings(bpy.types.PropertyGroup):
     schedule: PointerProperty(type=ScheduleSettings)
     seed: IntProperty(name="Seed", description="Of the random numbers: the same seed gives the same maps")
     view: PointerProperty(type=ViewSettings)
-    export: PointerProperty(type=ExportSettings)
+    displacement: BoolProperty(
+        name="Displacement", description="Have the material that Keep makes displace the surface by the relief."
+        " The mesh has to be fine enough to show it: add a Subdivision Surface modifier",
+    )  # fmt: skip
 
 
 class ObservationSettings(bpy.types.PropertyGroup):
@@ -329,7 +309,7 @@ class ObservationSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-CLASSES = (FindingItem, ParameterItem, ViewSettings, ExportSettings, Settings, ObservationSettings)
+CLASSES = (FindingItem, ParameterItem, ViewSettings, Settings, ObservationSettings)
 
 
 def register() -> None:

@@ -39,7 +39,7 @@ settings.resolution, settings.seed = int(resolution), {SEED}
 if blend:
     settings.object = bpy.data.objects[name]
 done = [bpy.ops.irpso.recover()]
-done.append(bpy.ops.irpso.export_maps(directory=out))
+done.append(bpy.ops.irpso.export(filepath=out))
 irpso_addon.unregister()
 print("TOLD", json.dumps([sorted(step) for step in done]), flush=True)
 os._exit(0)

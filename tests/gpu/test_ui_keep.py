@@ -71,7 +71,7 @@ def image_values(name):
 
 
 def test_without_a_recovery_every_button_says_what_to_do():
-    for operator in (bpy.ops.irpso.keep, bpy.ops.irpso.export_maps):
+    for operator in (bpy.ops.irpso.keep, bpy.ops.irpso.export):
         assert "press Recover" in refusal(operator)
 
 
@@ -140,8 +140,7 @@ def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made
     assert not bpy.data.materials and not Path("/irpso test maps").exists()
     with pytest.raises(InputError, match="not saved yet"):  # before an hour of work, too
         make_job(bpy.context)
-    assert "Folder: //out lies beside" in refusal(bpy.ops.irpso.export_maps, directory="//out")
-    assert "Export: //out lies beside" in refusal(bpy.ops.irpso.export_as, filepath="//out")
+    assert "Export: //out lies beside" in refusal(bpy.ops.irpso.export, filepath="//out")
 
 
 def test_a_material_of_a_library_is_refused_with_what_to_do_and_nothing_is_made(recovered, tmp_path):
@@ -165,7 +164,7 @@ def test_a_mesh_that_was_deleted_is_missed(recovered, monkeypatch):
 
 def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_path):
     recovered.history[:] = [(1, 0.1), (2, 0.05), (4, 0.02)]
-    bpy.ops.irpso.export_maps(directory=str(tmp_path / "out"))
+    bpy.ops.irpso.export(filepath=str(tmp_path / "out"))
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {
         *(f"{name}.{kind}" for name in MAPS for kind in ("png", "exr")),
@@ -198,12 +197,25 @@ def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
     assert set(pictures_of(recovered, maps)) == {"preview", "convergence"}
 
 
-def test_an_export_that_cannot_be_written_is_refused_in_one_line(recovered, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    said = refusal(bpy.ops.irpso.export_maps, directory=str(tmp_path / "file" / "out"))
-    assert "is a file" in said and "with -o" not in said and len(said.splitlines()) == 1
-    assert (tmp_path / "file").read_text() == "mine"
-    assert "choose where" in refusal(bpy.ops.irpso.export_maps)
+def test_a_fifth_probe_takes_the_place_and_the_number_of_the_oldest_which_is_told(recovered, capfd):
+    for column in range(4):
+        bpy.ops.irpso.probe(row=2, column=column)
+    assert "moved" not in capfd.readouterr().out
+    bpy.ops.irpso.probe(row=3, column=7)
+    assert "Probe 1 has moved here from texel 0, 2: there are four at most" in capfd.readouterr().out
+    assert [(probe.number, probe.column) for probe in recovered.probes] == [(2, 1), (3, 2), (4, 3), (1, 7)]
+    assert recovered.probe(1).column == 7 and recovered.probe(3).column == 2
+    bpy.ops.irpso.probe_remove(index=0)
+    assert recovered.probe(2) == recovered.probes[0]
+    bpy.ops.irpso.probe_clear()
+    assert recovered.probe(1) is None
+
+
+def test_image_nodes_are_called_as_the_sockets_that_they_drive(recovered):
+    bpy.ops.irpso.keep()
+    nodes = bpy.data.materials["IRPSO leaf"].node_tree.nodes
+    labels = {node.label for node in nodes if node.bl_idname == "ShaderNodeTexImage"}
+    assert labels == {"Base Color", "Normal", "Roughness", "Specular IOR Level"}
 
 
 def test_the_standard_view_is_set_only_when_asked_for(recovered):

@@ -253,7 +253,7 @@ def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, car
     assert "irpso.standard_view" not in drawn().operators
     bpy.ops.irpso.keep()
     found = drawn()
-    assert {"irpso.keep", "irpso.export_maps", "irpso.cancel", "irpso.standard_view"} <= set(found.operators)
+    assert {"irpso.keep", "irpso.export", "irpso.cancel", "irpso.standard_view"} <= set(found.operators)
     bpy.ops.irpso.cancel()
     assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
 

@@ -181,14 +181,14 @@ def test_two_windows_the_background_and_the_command_line_find_the_same_maps(
         area="",
     )
     finish(ready)
-    ready.run(f"bpy.ops.irpso.export_maps(directory={str(tmp_path / 'window')!r})")
+    ready.run(f"bpy.ops.irpso.export(filepath={str(tmp_path / 'window')!r})")
     script = tmp_path / "operator.py"
     script.write_text(
         "import bpy\n"
         f"bpy.ops.irpso.import_capture(filepath={str(capture)!r})\n"
         "bpy.context.scene.irpso.subject, bpy.context.scene.irpso.seed = 'CARD', 7\n"
         "bpy.ops.irpso.recover()\n"
-        f"bpy.ops.irpso.export_maps(directory={str(tmp_path / 'background')!r})\n"
+        f"bpy.ops.irpso.export(filepath={str(tmp_path / 'background')!r})\n"
     )
     variables = {"BLENDER_USER_RESOURCES": str(settings), "TMPDIR": str(tmp_path)}
     program = (blender.executable, "--gpu-backend", backend)
