@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -331,6 +333,8 @@ class AssignImages(bpy.types.Operator):
 
     def invoke(self, context, event):
         """Ask for the files."""
+        if bpy.data.filepath:  # else the browser proposes the open file itself
+            self.directory = f"{Path(bpy.data.filepath).parent}{os.sep}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

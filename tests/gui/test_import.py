@@ -155,6 +155,20 @@ def test_the_distance_of_a_card_under_near_lights_is_asked_for_and_kept_to(ready
     assert ready.run("[item.message for item in settings().findings if 'distance' in item.message]") == []
 
 
+def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile()", area="")
+    ready.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / 'scene.blend')!r})", area="")
+    ready.run("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
+    ready.run("bpy.ops.irpso.assign_images('INVOKE_DEFAULT')")
+    ready.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    ready.settle()
+    ready.move(*ready.region("FILE_BROWSER").centre)
+    ready.key("Return")
+    ready.wait("all(area.type != 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    assert any("no image was chosen" in line for line in ready.reports())
+    assert ready.run("[image.name for image in bpy.data.images if image.source == 'FILE']") == []
+
+
 def test_the_preferences_show_a_report_on_the_gpu_and_copy_it(ready):
     ready.run("bpy.ops.irpso.doctor()", timeout=120)
     ready.run("bpy.ops.irpso.copy_report()")
