@@ -218,7 +218,7 @@ class _Measure:
 
     def _start(self, lent: Mapping[str, Any], progress: Progress, budget: float | None) -> None:
         if not self._coming:
-            size = lent["u_position"].width, lent["u_position"].height
+            size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
             self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
         self._work = self._measuring(self._coming, budget)

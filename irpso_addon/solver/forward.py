@@ -12,7 +12,7 @@ from ..geometry.domain import Domain, GeometryBake, tile
 from ..gpu import context, textures
 from ..reflectance.model import ReflectanceModel
 from .kernels import render_pass
-from .state import Estimates, observation_defines, upload_geometry, upload_observations
+from .state import Estimates, geometry_layers, observation_defines, upload_observations
 
 
 class Renderer:
@@ -35,7 +35,9 @@ class Renderer:
         context.ensure()
         state = bake.coverage.astype(np.float32)
         self._inputs = {
-            **upload_geometry(bake.position, bake.normal, bake.tangent, state, np.ones_like(state)),
+            "u_geometry": textures.upload_layers(
+                geometry_layers(bake.position, bake.normal, bake.tangent, state, np.ones_like(state))
+            ),
             **Estimates(model, dict(values)).bindings(),
             "u_observation_table": upload_observations(lights, intensities, views),
             # Never read; but what a shader declares Vulkan wants bound.

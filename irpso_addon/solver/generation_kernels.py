@@ -51,19 +51,12 @@ def build_generation_passes(
     means = {f"u_mean_{b}": kernels.FLOAT_2D for b in blocks}
     weights = {f"u_best_linear_{b}": kernels.FLOAT_2D for b in linears}
     fitnesses = [f"fitness_{i}" for i in range(-(-particles // 4))]
-    update = {
-        **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")},
-        "u_best_fitness": kernels.FLOAT_2D, **bests, **means, **weights, **kernels.estimate_samplers(model),
-        **kernels.GEOMETRY, **kernels.PACKING,
-    }  # fmt: skip
-    # The pass that writes the means must not have them bound.
-    unaveraged = {name: kind for name, kind in update.items() if name not in means}
-    evaluate = {**update, **kernels.OBSERVATIONS}
-    judge = {
-        **update,
-        **{f"u_{name}": kernels.FLOAT_2D for name in fitnesses},
-        **{f"u_linear_{b}": kernels.FLOAT_2D for b in linears},
-    }
+    estimates = kernels.estimate_samplers(model)
+    state = {f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
+    best_so_far = {"u_best_fitness": kernels.FLOAT_2D, **bests, **weights, **kernels.PACKING}
+    found = {f"u_{name}": kernels.FLOAT_2D for name in [*fitnesses, *(f"linear_{b}" for b in linears)]}
+    # Particles are placed by the estimates and moved by the means: all together are more than 16 textures.
+    placed, moved = {**best_so_far, **estimates}, {**best_so_far, **state, **means}
     defines = {
         **domain_defines, **codec.defines, **linear.defines, **kernels.estimate_defines(model),
         **kernels.schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across,
@@ -75,18 +68,18 @@ def build_generation_passes(
         name = f"swarm/{source}.glsl"
         return Pass(Kernel(name, tuple(outputs), samplers, kernels.MOVE, {**defines, **more}, given), how)
 
-    found = [Output(f"o_{name}") for name in fitnesses] + [Output(f"o_linear_{b}") for b in linears]
-    state = [Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")]
+    finds = [Output(f"o_{name}") for name in fitnesses] + [Output(f"o_linear_{b}") for b in linears]
+    commits = [Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")]
     best = [Output(f"o_best_{b}") for b in blocks] + [Output(f"o_best_linear_{b}") for b in linears]
     best.append(Output("o_best_fitness", "R32F"))
     return GenerationPasses(
-        place=make("generation", found, evaluate, START=1),
-        place_commit=make("generation_commit", state, judge, START=1),
-        place_best=make("generation_best", best, judge, START=1),
-        mean=make("generation_mean", [Output(f"o_mean_{b}") for b in blocks], unaveraged),
-        move=make("generation", found, evaluate),
-        commit=make("generation_commit", state, judge),
-        best=make("generation_best", best, judge),
-        resolve=make("generation_resolve", list(kernels.estimate_outputs(model)), unaveraged, how="fragment"),
+        place=make("generation", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
+        place_commit=make("generation_commit", commits, {**placed, **state, **found}, START=1),
+        place_best=make("generation_best", best, {**placed, **found}, START=1),
+        mean=make("generation_mean", [Output(f"o_mean_{b}") for b in blocks], best_so_far),
+        move=make("generation", finds, {**moved, **estimates, **kernels.OBSERVATIONS}),
+        commit=make("generation_commit", commits, {**moved, **found}, ESTIMATES=0),
+        best=make("generation_best", best, {**moved, **found}, ESTIMATES=0),
+        resolve=make("generation_resolve", list(kernels.estimate_outputs(model)), {**placed, **state}, how="fragment"),
         take_halo=kernels.take_halo_pass(codec, defines),
     )

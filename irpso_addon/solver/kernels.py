@@ -11,9 +11,10 @@ from .codec import Codec
 from .schedule import Schedule
 
 FLOAT_2D = "FLOAT_2D"
-GEOMETRY = {"u_position": FLOAT_2D, "u_normal": FLOAT_2D, "u_tangent": FLOAT_2D}
-PACKING = {"u_place": FLOAT_2D, "u_packed": FLOAT_2D}
-OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": "FLOAT_2D_ARRAY"}
+LAYERS = "FLOAT_2D_ARRAY"
+GEOMETRY = {"u_geometry": LAYERS}
+PACKING = {**GEOMETRY, "u_packed": FLOAT_2D}
+OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
 MOVE = {
     **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
@@ -89,9 +90,7 @@ def build_stage_passes(
         commit_global=make(
             "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
         ),
-        resolve=make(
-            "resolve", estimate_outputs(model), {**bests, **estimates, **GEOMETRY, **PACKING}, _SIZE, how="fragment"
-        ),
+        resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **PACKING}, _SIZE, how="fragment"),
         take_halo=take_halo_pass(codec, defines),
     )
 

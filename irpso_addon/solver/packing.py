@@ -10,7 +10,6 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.seams import SeamMap
-from ..gpu import textures
 
 _EXACT = 1 << 24  # float32 numbers whole ones up to here
 
@@ -62,26 +61,23 @@ class Packing:
         result[self._rows, self._columns] = flat[: len(self._rows)]
         return result
 
-    def upload(self) -> dict[str, Any]:
-        """Return the textures of shaders/common/packing.glsl by sampler name."""
-        return {name: textures.upload(array) for name, array in self.arrays().items()}
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what shaders/common/packing.glsl reads, float32: layers of places (1 or more, h, w, 4) and u_packed.
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return u_place (x, y of a packed texel) and u_packed (its inverse), float32 of two channels.
-
-        With seams they have four, as shaders/common/packing.glsl says.
+        u_packed, the inverse of the places, has two channels; with seams four, and a border around the domain.
         """
-        places = np.stack([self._columns, self._rows], axis=-1).astype(np.float32)
+        places = np.zeros((len(self._rows), 4), np.float32)
+        places[:, 0], places[:, 1] = self._columns, self._rows
         index = np.arange(len(self._rows))
         inverse = np.full((*self.shape, 2), -1, np.float32)
         inverse[self._rows, self._columns] = np.stack([index % self.width, index // self.width], axis=-1)
         if self.seams is not None:
             return self._with_seams(self.seams, places, inverse)
-        return {"u_place": self._grid(places), "u_packed": inverse}
+        return self._grid(places)[None], inverse
 
-    def _with_seams(self, seams: SeamMap, places: np.ndarray, inverse: np.ndarray) -> dict[str, np.ndarray]:
-        where = [of[self._rows, self._columns][:, None] for of in (seams.chart, seams.island)]
-        own = self._grid(np.concatenate([places, *where], axis=-1, dtype=np.float32), -1)
+    def _with_seams(self, seams: SeamMap, places: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for channel, of in ((2, seams.chart), (3, seams.island)):
+            places[:, channel] = of[self._rows, self._columns]
         height, width = self.shape
         numbers = np.full(height * width + self.annex, -1)
         numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
@@ -95,15 +91,14 @@ class Packing:
         begins = np.diff(flat, prepend=-1) != 0
         following = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
         chain = np.stack([target % self.width, target // self.width, seams.of[held], following], axis=-1)
-        rows = -(-len(chain) // self.width)
-        chains = np.full((rows, self.width, 4), -1, np.float32)
+        layers = -(-len(chain) // (self.width * self.height))
+        chains = np.full((layers, self.height, self.width, 4), -1, np.float32)
         chains.reshape(-1, 4)[: len(chain)] = chain
         border = ((seams.reach, seams.reach), (seams.reach, seams.reach), (0, 0))
         packed = np.concatenate([inverse, seams.chart[..., None], np.full((height, width, 1), -1)], axis=-1)
         packed = np.pad(packed.astype(np.float32), border, constant_values=-1)
         packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)
-        # The chains stand in rows of their own, the first one last, which is found without the packing's size.
-        return {"u_place": np.concatenate([own, chains[::-1]]), "u_packed": packed}
+        return np.concatenate([self._grid(places, -1)[None], chains]), packed
 
     def _grid(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
         rest = np.zeros((self.width * self.height - len(self._rows), *values.shape[1:]), values.dtype)

@@ -173,7 +173,7 @@ def device_bytes(texels: int, rectangle: int, need: Need) -> int:
 
 def host_bytes(texels: int, rectangle: int, need: Need) -> int:
     """Return the bytes on the host while a tile is put on the device or taken off: its stack, geometry and state."""
-    geometry = 3 * FLOAT4 + FLOAT2
+    geometry = 4 * FLOAT4
     return _places_of(texels) * (FLOAT4 * need.observations + geometry + need.kept) + FLOAT2 * rectangle
 
 
@@ -214,8 +214,10 @@ def _amounts(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None
         annex = int(beside * (need.reach if need.reach <= LOOKED_FOR else SEAM_REACH))
         texels += min(annex, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
-        # Places have four channels, and so has what lies past borders.
-        seams = FLOAT2 * _places_of(texels) + FLOAT4 * (bordered + int(beside * SEAM_REACH)) - FLOAT2 * part.size
+        # What lies past borders has four channels; what is seen there fills whole layers of the geometry.
+        places = _places_of(texels)
+        layers = -(-int(beside * SEAM_REACH) // places)
+        seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
     return texels, device_bytes(texels, part.size, need) + seams, host_bytes(texels, part.size, need) + seams
 
 

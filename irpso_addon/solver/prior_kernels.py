@@ -81,15 +81,14 @@ def build_prior_passes(
         name = f"swarm/{source}.glsl"
         return Pass(Kernel(name, outputs, samplers, CONSTANTS, {**common, **more}, includes), how)
 
-    looks = {**GEOMETRY, **PACKING}
     return PriorPasses(
         noise=make("prior_noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
-        variance=make("prior_variance", (Output("o_noise"),), {**_NOISE, **looks}),
+        variance=make("prior_variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
         deviation=make(
             "confidence", _outputs(model, "deviation"), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1
         ),
-        pool=make("prior_pool", beliefs, {**estimates, **belief, **own, **looks}),
-        pool_last=make("prior_pool", beliefs, {**estimates, **belief, **own, **looks}, LAST=1),
+        pool=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}),
+        pool_last=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}, LAST=1),
         begin=make(
             "prior_begin",
             (*estimate_outputs(model), Output("o_status"), Output("o_penalty", "R32F")),

@@ -39,8 +39,11 @@ class DomainTextures:
         self.domain, self.packing = domain, packing
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
+        self.scale = scale
         arrays = arrays or domain_arrays(domain, packing, scale)
-        self.textures = {name: textures.upload(array) for name, array in arrays.items()}
+        self.textures = {
+            "u_geometry": textures.upload_layers(arrays["u_geometry"]), "u_packed": textures.upload(arrays["u_packed"])
+        }  # fmt: skip
         self.textures["u_observation_table"] = upload_observations(domain.lights, domain.intensities, domain.views)
         if stack is not None:
             self.give_stack(stack)
@@ -56,26 +59,20 @@ def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[s
     normal = packing.pack(bake.normal, 0.0 if seams is None else seams.annex_normal)
     tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.annex_tangent)
     position, state = packing.pack(bake.position), packed_states(domain, packing)
-    return {**geometry_arrays(position, normal, tangent, state, scale), **packing.arrays()}
+    places, packed = packing.arrays()
+    geometry = geometry_layers(position, normal, tangent, state, scale)
+    return {"u_geometry": np.concatenate([geometry, places]), "u_packed": packed}
 
 
-def geometry_arrays(
+def geometry_layers(
     position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Return what shaders/common/frame.glsl reads. state, scale: (H, W), carried in alpha."""
-    return {
-        "u_position": np.concatenate([position, state[..., None]], axis=-1, dtype=np.float32),
-        "u_normal": np.concatenate([normal, scale[..., None]], axis=-1, dtype=np.float32),
-        "u_tangent": tangent,
-    }
+) -> np.ndarray:
+    """Return the layers of u_geometry that frames are made of (shaders/common/frame.glsl), (3, H, W, 4) float32.
 
-
-def upload_geometry(
-    position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
-) -> dict[str, Any]:
-    """Return the textures of ``geometry_arrays``."""
-    arrays = geometry_arrays(position, normal, tangent, state, scale)
-    return {name: textures.upload(array) for name, array in arrays.items()}
+    state, scale: (H, W), carried in alpha.
+    """
+    layers = [(position, state[..., None]), (normal, scale[..., None]), (tangent,)]
+    return np.stack([np.concatenate(parts, axis=-1, dtype=np.float32) for parts in layers])
 
 
 def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Any:

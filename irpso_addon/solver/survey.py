@@ -218,7 +218,7 @@ def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates,
     at = model.offset(normal)
     known = {
         "normal": packed[..., at : at + 3],
-        "base": textures.download(domain.textures["u_normal"])[..., 3:],  # the texel's scale
+        "base": domain.scale[..., None],
     }
     default = {
         p.name: np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components)) for p in own.parameters

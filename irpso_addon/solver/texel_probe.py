@@ -170,7 +170,7 @@ class _SwarmProbe:
         samplers = {
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
             **{f"u_best_{b}": kernels.FLOAT_2D for b in range(codec.blocks)},
-            **kernels.estimate_samplers(model), **kernels.GEOMETRY, **kernels.PACKING,
+            **kernels.estimate_samplers(model), **kernels.PACKING,
         }  # fmt: skip
         given = {**kernels.model_includes(model), "codec.glsl": codec.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}

@@ -1,8 +1,9 @@
 // The material of a texel as it is known or estimated now. Reads u_estimate_0 to u_estimate_2: the components of all
-// parameters, in the order of the model's table.
+// parameters, in the order of the model's table. With ESTIMATES 0 none is bound.
 
 #include "material.glsl"
 
+#if ESTIMATES > 0
 Material estimate_at(ivec2 texel)
 {
     float c[12];
@@ -24,3 +25,4 @@ Material estimate_at(ivec2 texel)
     }
     return material_from(c);
 }
+#endif

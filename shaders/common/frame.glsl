@@ -1,7 +1,9 @@
 // The geometry of a texel: where it is, and the orthonormal frame in which its material is described.
-// Reads u_position (xyz, state), u_normal (xyz, scale), u_tangent (xyz, sign).
+// Reads u_geometry.
 
-// States of a texel, in u_position.w.
+#include "common/geometry.glsl"
+
+// States of a texel, in w of GEOMETRY_POSITION.
 #define TEXEL_OUTSIDE 0
 #define TEXEL_SOLVED 1
 #define TEXEL_HALO 2
@@ -15,27 +17,27 @@ struct Frame {
 
 int state_at(ivec2 texel)
 {
-    return int(texelFetch(u_position, texel, 0).w);
+    return int(geometry_at(GEOMETRY_POSITION, texel).w);
 }
 
 // Returns the radiance by which a robust fitness divides a texel's errors.
 float scale_at(ivec2 texel)
 {
-    return texelFetch(u_normal, texel, 0).w;
+    return geometry_at(GEOMETRY_NORMAL, texel).w;
 }
 
 Frame frame_at(ivec2 texel)
 {
     Frame f;
-    f.position = texelFetch(u_position, texel, 0).xyz;
+    f.position = geometry_at(GEOMETRY_POSITION, texel).xyz;
 #ifdef CARD
     // On a card the world's frame, the camera's and the texel's are one.
     f.tangent = vec3(1.0, 0.0, 0.0);
     f.bitangent = vec3(0.0, 1.0, 0.0);
     f.normal = vec3(0.0, 0.0, 1.0);
 #else
-    vec4 tangent = texelFetch(u_tangent, texel, 0);
-    f.normal = texelFetch(u_normal, texel, 0).xyz;
+    vec4 tangent = geometry_at(GEOMETRY_TANGENT, texel);
+    f.normal = geometry_at(GEOMETRY_NORMAL, texel).xyz;
     f.tangent = tangent.xyz;
     f.bitangent = tangent.w * cross(f.normal, f.tangent);
 #endif

@@ -1,14 +1,16 @@
-// Solved texels lie densely packed in all textures of a recovery. Reads u_place (the domain's texel of a packed one)
-// and u_packed (the packed texel of a domain's, −1 where none is solved).
+// Solved texels lie densely packed in all textures of a recovery. Reads GEOMETRY_PLACE of u_geometry (the domain's texel
+// of a packed one) and u_packed (the packed texel of a domain's, −1 where none is solved).
 //
-// With SEAMS, the reach of a seam map (geometry/seams.py), u_place has in z the chart and in w the island of a texel, and
+// With SEAMS, the reach of a seam map (geometry/seams.py), a place has in z the chart and in w the island of a texel, and
 // u_packed in z the chart that lies at a place, from SEAMS texels outside the domain on. What a chart sees elsewhere is
-// told place by place: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y, the
-// chart that sees it there, next entry) fill the last rows of u_place, from the last one upward.
+// listed place by place: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y,
+// the chart that sees it there, next entry) fill the layers after GEOMETRY_PLACE, texel by texel.
+
+#include "common/geometry.glsl"
 
 ivec2 place_of(ivec2 packed_texel)
 {
-    return ivec2(texelFetch(u_place, packed_texel, 0).xy);
+    return ivec2(geometry_at(GEOMETRY_PLACE, packed_texel).xy);
 }
 
 // Returns the packed texel, or (−1, −1) outside the domain and where nothing is solved.
@@ -27,7 +29,7 @@ ivec2 packed_at(ivec2 place)
 ivec4 surface_place_of(ivec2 packed_texel)
 {
 #ifdef SEAMS
-    return ivec4(texelFetch(u_place, packed_texel, 0));
+    return ivec4(geometry_at(GEOMETRY_PLACE, packed_texel));
 #else
     return ivec4(place_of(packed_texel), 0, 0);
 #endif
@@ -46,10 +48,11 @@ ivec2 neighbour_at(ivec4 from, ivec2 by)
     if (chart == from.z || chart == from.w) {
         return ivec2(there.xy);
     }
-    ivec2 size = textureSize(u_place, 0);
+    ivec2 size = textureSize(u_geometry, 0).xy;
     int next = int(there.w);
     while (next >= 0) {
-        vec4 entry = texelFetch(u_place, ivec2(next % size.x, size.y - 1 - next / size.x), 0);
+        int row = next / size.x;
+        vec4 entry = geometry_at(GEOMETRY_PLACE + 1 + row / size.y, ivec2(next % size.x, row % size.y));
         if (int(entry.z) == from.z) {
             return ivec2(entry.xy);
         }

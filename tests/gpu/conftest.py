@@ -36,6 +36,16 @@ def pytest_unconfigure(config):
         os._exit(config.stash[_exit_status])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_samplers():
+    """Let every pass be refused that reads more than 16 textures, as on the GPUs that have no more units."""
+    from irpso_addon.gpu import context
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(context, "max_samplers", lambda: 16)
+        yield
+
+
 @pytest.fixture(scope="module")
 def registered():
     """Have the extension registered."""

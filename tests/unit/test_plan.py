@@ -34,11 +34,11 @@ def disc(size, radius):
 def test_the_bytes_of_a_texel_are_those_counted_by_hand():
     # lambert: 6 components in two RGBA textures; base colour 3 + normal on the hemisphere 2 = 5 dimensions, two blocks.
     need = need_of(100)
-    stack, geometry, place = 100 * 16, 3 * 16, 2 * 4
+    stack, geometry = 100 * 16, 4 * 16
     estimates, deviations, residual = 2 * 2 * 16, 2 * 16, 16
     atlas = 20 * (16 + 16 + 16 + 4)  # 9 particles · 2 blocks in an atlas of 5 × 4 tiles
     bests, candidates = 2 * 16 + 4, 4 * 16 + 16
-    texel = stack + geometry + place + estimates + deviations + residual + atlas + bests + candidates
+    texel = stack + geometry + estimates + deviations + residual + atlas + bests + candidates
     # 256 covered texels lie in 16 × 16 places; the rectangle of 400 has 8 bytes each, the table of lights 48 a light.
     assert device_bytes(256, 400, need) == 256 * texel + 400 * 8 + 100 * 48
     assert need.kept == atlas + bests + 2 * 16

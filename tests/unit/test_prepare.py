@@ -198,7 +198,7 @@ def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options
     np.testing.assert_array_equal(found[:, :count, 3][clear], wanted[clear].astype(np.float32))
     np.testing.assert_array_equal(found[:, :count, :3], domain.stack[:, texels[0], texels[1], :3])
     assert (found[:, count:] == 0).all() and 0 < (wanted > 0).mean() < 0.95
-    places = prepared.arrays["u_place"].reshape(-1, 2)[:count].astype(int)
+    places = prepared.arrays["u_geometry"][3].reshape(-1, 4)[:count, :2].astype(int)
     np.testing.assert_array_equal(places, np.stack(texels[::-1], axis=-1))
 
 
@@ -210,7 +210,7 @@ def test_a_part_of_what_is_prepared_has_the_numbers_of_the_whole():
     part = whole.part(rows, columns).packed(tile(domain, 5, 3, 15, 8), load_schedule("standard"))
     np.testing.assert_array_equal(part.scale, whole.scale[rows, columns])
     np.testing.assert_array_equal(part.guess["normal"], whole.guess["normal"][rows, columns])
-    assert part.brightness == whole.brightness and part.stack.shape[1:3] == part.arrays["u_position"].shape[:2]
+    assert part.brightness == whole.brightness and part.stack.shape[1:3] == part.arrays["u_geometry"].shape[1:3]
 
 
 @pytest.mark.parametrize("box", [(5, 3, 1, 2), (0, 0, 1, 30), (3, 4, 20, 9), (11, 0, 30, 1), (12, 12, 1, 1)])

@@ -1,0 +1,11 @@
+// The static numbers of a texel, in the layers of u_geometry: one texture for all of them, because GPUs bind as few as 16.
+
+#define GEOMETRY_POSITION 0 // xyz, state
+#define GEOMETRY_NORMAL 1 // xyz, scale
+#define GEOMETRY_TANGENT 2 // xyz, sign
+#define GEOMETRY_PLACE 3 // common/packing.glsl, and all layers after it
+
+vec4 geometry_at(int layer, ivec2 texel)
+{
+    return texelFetch(u_geometry, ivec3(texel, layer), 0);
+}
