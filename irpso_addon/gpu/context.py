@@ -64,6 +64,24 @@ def is_software(renderer: str) -> bool:
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 
+def is_software_vulkan(renderer: str, backend: str) -> bool:
+    """Return whether the device is Mesa's software Vulkan, on which Blender ends by SIGSEGV after some 65 000 draws.
+
+    Blender makes a descriptor set for each draw and recycles their pool once the driver calls it full. lavapipe never
+    does, and gives every set a mapping of its own, of which Linux allows a process 65 530 (vm.max_map_count). Measured
+    with Blender 5.2.2 and Mesa 26.2.6: 264 sets for one redraw of the default window, the end in the 248th, without
+    any add-on (tests/gui/software_vulkan.py).
+    """
+    return backend == "VULKAN" and is_software(renderer)
+
+
+def on_software_vulkan() -> bool:
+    """Return whether the current context is one of ``is_software_vulkan``."""
+    import gpu
+
+    return is_software_vulkan(gpu.platform.renderer_get(), gpu.platform.backend_type_get())
+
+
 def max_texture_size() -> int:
     """Return the longest side of a 2-D texture, in texels."""
     import gpu

@@ -24,7 +24,7 @@ from .recovery import Progress, Recovery
 from .state import kernel_defines
 from .unknowns import build_unknowns
 
-_KEPT = 4  # pictures: two areas, each with two beside one another
+KEPT = 4  # pictures: two areas, each with two beside one another
 _SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
 _UNMEASURED = -1.0
 _FRACTION, _COLOR, _NORMAL = range(3)  # u_encoding of shaders/view/show_parameter.glsl
@@ -125,7 +125,7 @@ class Display:
     def _kept(self, shown: Shown) -> tuple[Any, Any]:
         """Return the picture's texture and what it was drawn of, None where it has not been."""
         if shown not in self._pictures:
-            if len(self._pictures) < _KEPT:
+            if len(self._pictures) < KEPT:
                 self._pictures[shown] = textures.empty(*self._size, "RGBA16F"), None
             else:  # passes hold on to the frame buffers of their targets, so these are used again
                 _, (oldest, _) = self._pictures.popitem(last=False)

@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ..gpu.context import is_software_vulkan
 from ..gpu.probe import chosen_entry
 from ..maps.report import versions
 from ..reflectance.model import shipped_models
 from .schedule import shipped_presets
 
+SOFTWARE_VULKAN = (
+    "Software Vulkan crashes Blender after some hundred redraws of its window; save often, or start Blender with"
+    " --gpu-backend opengl"
+)
+
 
 def machine_facts(found: Mapping[str, Any]) -> dict[str, str]:
     """Return what ``gpu.probe.probe`` found, in words: name → fact, in reading order."""
     ratio = found["fragment_seconds"] / found["compute_seconds"]
+    software_vulkan = is_software_vulkan(found["renderer"], found["backend"])
     return {
         **{f"version of {name}": value for name, value in versions().items()},
         "GPU": found["renderer"],
         "vendor": found["vendor"],
         "driver": found["version"],
-        "backend": found["backend"],
+        "backend": found["backend"] + (f"; {SOFTWARE_VULKAN}" if software_vulkan else ""),
         "largest texture": f"{found['max_texture_size']} texels, {found['max_texture_layers']} layers",
         "probe": f"right both ways; compute runs {ratio:.2f} times as fast as fragment passes",
         "passes used": chosen_entry(found),

@@ -57,9 +57,9 @@ class TileRecovery(Recovery):
 class _Tile:
     """A tile, and where its recovery is.
 
-    domain: with its halo. solved: texels of its own. state: of the recovery while that is not on the device; files:
-    where it lies, if not in memory. strips: what other tiles have told of the texels of this one's halo and annex;
-    coming: the same of the iteration that the burst under way leads to.
+    domain: with its halo. solved: texels of its own. error: their mean when it was looked at last. state: of the
+    recovery while that is not on the device; files: where it lies, if not in memory. strips: what other tiles have told
+    of the texels of this one's halo and annex; coming: the same of the iteration that the burst under way leads to.
     """
 
     box: Box
@@ -70,6 +70,7 @@ class _Tile:
     recovery: TileRecovery | None = None
     progress: Progress | None = None
     reached: bool = False
+    error: float | None = None
     state: Checkpoint | None = None
     files: dict[str, np.ndarray] = field(default_factory=dict)
     strips: dict[int, Told] = field(default_factory=dict)
@@ -88,7 +89,7 @@ class TiledRecovery:
     least the reach of every phase. on_device: how many tiles lie on the device at once, None for all; fewer take turns,
     each making as many iterations as need no neighbours, and what the others remember waits in memory, or in files in
     the folder ``scratch``. Needs, and raises, what Recovery does. There is no view(): no textures hold the
-    whole, and some tiles may not be on the device; maps(confidence=False) tells how it goes.
+    whole, and some tiles may not be on the device; a window looks at it through solver/tiled_view.py.
     """
 
     def __init__(
@@ -124,6 +125,11 @@ class TiledRecovery:
             self._recovery(number)
         for part in self._tiles:  # a tile that has not been on the device is where the first one is
             part.progress = part.progress or self._tiles[0].progress
+
+    @property
+    def live(self) -> list[tuple[Box, TileRecovery]]:
+        """The tiles on the device now: their own texels, and their recoveries, to look at and not to step."""
+        return [(part.box, part.recovery) for part in self._tiles if part.recovery is not None]
 
     @property
     def resident(self) -> bool:
@@ -210,10 +216,15 @@ class TiledRecovery:
         return dict(saved.notes)
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each tile on the device, as Recovery.mean_error."""
-        live = [part for part in self._tiles if part.recovery is not None]
-        errors = np.array([part.recovery.mean_error() for part in live])
-        return float(np.average(errors, weights=[part.solved for part in live]))
+        """Return the mean error over a few thousand texels of each tile, as Recovery.mean_error.
+
+        Of a tile that waits for its turn it is the one that was found last; one that never was looked at has no part.
+        """
+        for part in self._tiles:
+            if part.recovery is not None:
+                part.error = part.recovery.mean_error()
+        known = [part for part in self._tiles if part.error is not None]
+        return float(np.average([part.error for part in known], weights=[part.solved for part in known]))
 
     def changed(self, schedule: Schedule, seed: int | None = None) -> TiledRecovery:
         """Raise InputError: a recovery in tiles does not change its settings midway."""

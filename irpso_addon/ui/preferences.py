@@ -19,6 +19,7 @@ from .features import RELATIVE_PATH
 from .file_paths import absolute
 
 DISPLAY_RATE = 10  # pictures a second
+_SPARING_SECONDS = 10.0  # between two pictures where draws are numbered (gpu/context.py)
 _ENTRIES = (
     ("auto", "Automatic", "Compute shaders where a test finds them at least 1.5 times as fast, else fragment passes"),
     ("fragment", "Fragment", "Always draw, as the paper does: the fastest on most GPUs for desktops and laptops"),
@@ -53,6 +54,11 @@ def current(context) -> Wanted:
         return Wanted()
     chosen = addon.preferences
     return Wanted(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, chosen.output_folder)
+
+
+def picture_seconds(context) -> float:
+    """Return the seconds between two pictures of a recovery that is under way."""
+    return max(1 / current(context).display_rate, _SPARING_SECONDS if gpu_context.on_software_vulkan() else 0.0)
 
 
 def memory_fault(text: str) -> str:

@@ -5,7 +5,9 @@ import time
 import bpy
 
 from ..errors import IrpsoError
+from ..gpu import context as gpu_context
 from ..gpu import probe
+from ..solver.machine import SOFTWARE_VULKAN
 from . import preferences, session, unkept
 from .asked import schedule_asked
 from .job import make_job, missing
@@ -56,6 +58,8 @@ class IRPSO_OT_recover(bpy.types.Operator):
         except IrpsoError as error:
             self.report({"ERROR"}, session.words(error))
             return {"CANCELLED"}
+        if gpu_context.on_software_vulkan():
+            self.report({"WARNING"}, SOFTWARE_VULKAN)
         follow(context, begun)
         return {"FINISHED"}
 
@@ -108,7 +112,7 @@ class IRPSO_OT_run(bpy.types.Operator):
         # A first guess is found the sooner the less else is done.
         self._drew = self._returned >= self._draw_at and running.state != "preparing"
         if self._drew:
-            self._draw_at = self._returned + 1 / preferences.current(context).display_rate
+            self._draw_at = self._returned + preferences.picture_seconds(context)
             _redraw(context)
         return {"PASS_THROUGH"} if running.active else self._leave(context)
 

@@ -28,9 +28,9 @@ from ..solver.lights import Lights
 from ..solver.memory import free_memory
 from ..solver.planning import AnyRecovery, untiled
 from ..solver.prepare import Prepared, prepare
-from ..solver.pyramid import Pyramid
-from ..solver.recovery import Progress, Recovery
+from ..solver.progress import Progress
 from ..solver.schedule import Schedule
+from ..solver.tiled_view import TiledDisplay, display_of
 from . import unkept
 from .job import Job, LightWish
 
@@ -97,7 +97,7 @@ class Session:
         self.state, self.title, self.failure = "loading", "Reading images", ""
         self.domain: Domain | None = None
         self.recovery: AnyRecovery | None = None
-        self.display: Display | None = None
+        self.display: Display | TiledDisplay | None = None
         self.lights: Lights | None = None  # where they were to be found
         self.probes: list[Probe] = []
         self.history: list[tuple[int, float]] = []
@@ -327,8 +327,7 @@ class Session:
         if self.job.resumed is not None:
             self._take(self.recovery.load(self.job.resumed))
         self._home = None if bpy.app.background else Home()
-        if isinstance(self.recovery, Recovery | Pyramid):  # a domain in tiles has no picture of the whole
-            self.display = Display(self.recovery, self.job.known)
+        self.display = display_of(self.recovery, self.job.known)
         self.state = "running"
         if self.job.resumed is not None:  # at rest, as it was
             self.title = self.recovery.progress.title
@@ -408,12 +407,12 @@ class Session:
         self.display.close()
         self.recovery.close()
         self._home = None if bpy.app.background else Home()
-        self.recovery, self.display = changed, Display(changed, self.job.known)
+        self.recovery, self.display = changed, display_of(changed, self.job.known)
 
     def _look(self) -> None:
-        """Note the mean error now and then. A domain in tiles does not tell it while it is solved."""
+        """Note the mean error now and then."""
         now = time.perf_counter()
-        if not isinstance(self.recovery, Recovery | Pyramid) or now - self._asked < _ERROR_EVERY and self.active:
+        if self.recovery is None or now - self._asked < _ERROR_EVERY and self.active:
             return
         progress = self.recovery.progress
         if progress.iteration < 0 and self.history:

@@ -31,9 +31,6 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if running is None or running.domain is None:
             cls.poll_message_set("Nothing to probe: press Recover and wait until the images are read")
             return False
-        if running.recovery is not None and running.display is None:
-            cls.poll_message_set("A recovery in tiles cannot be probed: lower the resolution, or allow more memory")
-            return False
         return True
 
     def execute(self, context):

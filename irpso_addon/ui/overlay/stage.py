@@ -15,6 +15,7 @@ from ...gpu.home import Home
 from ...gpu.viewport import Drawing, Surface
 from ...solver.display import Shown
 from ...solver.texel_probe import TexelProbe
+from ...solver.tiled_view import TiledTexelProbe, texel_probe_of
 from .. import preferences
 from ..job import image_map
 from ..session import Probe, Session
@@ -47,7 +48,7 @@ class Stage:
         self._of: object = None  # the recovery that surface, pictures and reader are of
         self._surface: Surface | None = None
         self._corners: np.ndarray | None = None
-        self._reader: TexelProbe | None = None
+        self._reader: TexelProbe | TiledTexelProbe | None = None
         self._pictures: dict[int, tuple[tuple[Shown, ...], list]] = {}  # by the scene's session_uid
         self._limits: dict[int, float] = {}
         self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
@@ -59,8 +60,7 @@ class Stage:
         """Return whether pictures are to be drawn anew, by the preferences' display rate."""
         if self._of is not self.running.recovery:
             return True
-        rate = preferences.current(bpy.context).display_rate
-        return self.is_home() and time.perf_counter() - self._updated >= 1 / rate
+        return self.is_home() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
 
     def is_home(self) -> bool:
         """Return whether the recovery may be touched: the context is current in which it works."""
@@ -169,7 +169,7 @@ class Stage:
         self._of, self._home = self.running.recovery, Home()
         self.home_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
         self._surface = surface.make_surface(self.running)
-        self._reader = TexelProbe(self.running.recovery)
+        self._reader = texel_probe_of(self.running.recovery)
 
     def _forget(self) -> None:
         for made in (self._surface, self._reader):

@@ -1,0 +1,13 @@
+// Over the picture of a whole domain, which may have fewer texels than that: lays a tile's own texels into it and leaves
+// the others as they are. Reads u_tile, the picture of the tile with its halo. u_x, u_y: where that begins in the domain;
+// u_left to u_top: the tile's own texels; u_across, u_up: texels of the domain to one of the picture.
+
+bool texel_kernel(ivec2 texel)
+{
+    ivec2 place = ivec2((vec2(texel) + 0.5) * vec2(u_across, u_up));
+    if (any(lessThan(place, ivec2(u_left, u_bottom))) || any(greaterThanEqual(place, ivec2(u_right, u_top)))) {
+        return false;
+    }
+    o_picture = texelFetch(u_tile, place - ivec2(u_x, u_y), 0);
+    return true;
+}
