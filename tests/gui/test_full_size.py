@@ -2,10 +2,8 @@
 
 from tests.gui.test_run import MODULES
 
-FEW = {
-    "survey_iterations": 1, "survey_polish_iterations": 1, "iterations": 1, "polish_iterations": 1,
-    "polish_starts": False, "polish_rounds": 0, "prior_rounds": 1, "prior_iterations": 1,
-}  # fmt: skip
+FEW = {"survey_iterations": 0, "iterations": 1, "polish_iterations": 1, "polish_starts": False, "polish_rounds": 0,
+       "prior_rounds": 0}  # fmt: skip
 # Of what lavapipe may map in one process, 65 530 (irpso_addon/gpu/context.py); Blender's own drawing takes its part.
 MAPPINGS = 60_000
 COUNT = "sum('memfd:allocation' in line for line in open('/proc/self/maps'))"
