@@ -10,7 +10,6 @@ from .panels import Sidebar, draw_observation
 
 # Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
-_IN_TILES = "This recovery is solved in tiles, which are not drawn: lower the resolution, or allow more memory"
 _OF_A_MAP = ("PARAMETER", "CONFIDENCE")
 _OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
 _OF_A_PHOTOGRAPH = ("REFERENCE", "SPLIT", "BLINK")
@@ -54,7 +53,7 @@ class IRPSO_PT_view(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are maps to be seen, or to be told why they are not."""
+        """Whether there are maps to be seen."""
         running = session.current()
         return running is not None and running.recovery is not None
 
@@ -65,9 +64,6 @@ class IRPSO_PT_view(Sidebar, bpy.types.Panel):
     def draw(self, context) -> None:
         """Draw what is shown and how."""
         view = context.scene.irpso.view
-        if session.current().display is None:
-            drawing.wrapped(self.layout, context, _IN_TILES, "HIDE_ON")
-            return
         if not view.show:
             self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
             return
