@@ -65,15 +65,15 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
 
 def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
     """Yield twice for each frame, and return what ``frame_shifts`` does."""
+    shifts = np.zeros((len(frames), 2), int)
+    reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
+    if len(frames) < 3 or reach < 1:
+        return shifts
     features = np.empty(frames.shape, np.float32)
     for frame, out in zip(frames, features, strict=True):
         yield
         out[:] = edge_sizes(frame)
     total = features.sum(axis=0, dtype=np.float64)
-    shifts = np.zeros((len(frames), 2), int)
-    reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
-    if len(frames) < 3 or reach < 1:
-        return shifts
     for k, feature in enumerate(features):
         yield
         cross = whitened(np.fft.rfft2(feature) * np.conj(np.fft.rfft2(total - feature)), frames.shape[1:])
@@ -135,6 +135,8 @@ def outwardness(normals: np.ndarray, mask: np.ndarray) -> tuple[float, float, in
     The border of a solid object is where it turns away, so both are above 0; a negative one says that this axis is
     mirrored. Measured on the bunnies: about 0.2 each. count: border texels; those along the frame do not count.
     """
+    if min(mask.shape) < 2:
+        return 0.0, 0.0, 0
     up, right = np.gradient(mask.astype(float))
     border = mask & (np.hypot(up, right) > 0)
     border[[0, -1]] = border[:, [0, -1]] = False

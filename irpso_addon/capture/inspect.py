@@ -21,6 +21,7 @@ from .types import Capture
 
 _T = TypeVar("_T")
 _THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
+_LEAST = 16  # pixels: the shortest side that is kept, of images of that many
 _COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _FLAT = 0.05  # flatness: a noise of 1 % becomes one of about 20 % across the plane
@@ -69,10 +70,13 @@ class Report:
 
 @dataclass
 class _Frames:
-    """What is kept of the frames of one camera: thumbnails and crops of grey radiance, and counts over its mask."""
+    """What is kept of the frames of one camera: thumbnails and crops of grey radiance, and counts over its mask.
+
+    factors: by how much rows and columns of thumbnails are reduced.
+    """
 
     mask: np.ndarray
-    factor: int
+    factors: tuple[int, int]
     window: tuple[slice, slice]
     names: list[str]
     indices: list[int]
@@ -231,14 +235,14 @@ def _frames_of(capture: Capture, index: int) -> _Frames:
     camera, mask = capture.cameras[index], capture.masks[index]
     count = max(1, sum(observation.camera == index for observation in capture.observations))
     affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
-    factor = -(-max(camera.width, camera.height) // min(_THUMBNAIL, affordable))
+    factors = _factors((camera.height, camera.width), min(_THUMBNAIL, affordable))
     side = min(_CROP, affordable)
     rows, columns = np.nonzero(mask)
     window = tuple(
         slice(start := int(np.clip(np.median(at) - side // 2, 0, max(0, size - side))), min(size, start + side))
         for at, size in ((rows, camera.height), (columns, camera.width))
     )
-    return _Frames(mask, factor, window, [], [], [], [], [])
+    return _Frames(mask, factors, window, [], [], [], [], [])
 
 
 def _keep(frames: _Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
@@ -247,7 +251,7 @@ def _keep(frames: _Frames, index: int, name: str, found: Samples) -> Iterator[Fi
     kept = frames.mask
     frames.names.append(name)
     frames.indices.append(index)
-    frames.thumbnails.append(_shrunk(grey, frames.factor))
+    frames.thumbnails.append(_shrunk(grey, frames.factors))
     frames.crops.append(grey[frames.window].copy())
     frames.clipped.append(float(found.clipped[kept].mean()))
     bad, negative = int(found.not_finite[kept].sum()), int(found.negative[kept].sum())
@@ -261,10 +265,18 @@ def _keep(frames: _Frames, index: int, name: str, found: Samples) -> Iterator[Fi
         yield Finding("warning", "image_black", f"{name}: is all black; take it and its light out of the list")
 
 
-def _shrunk(image: np.ndarray, factor: int) -> np.ndarray:
-    """Return an image reduced by a whole factor by averaging; rows and columns that are left over are dropped."""
-    height, width = (side // factor * factor for side in image.shape)
-    return image[:height, :width].reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3))
+def _factors(shape: tuple[int, ...], longest: int) -> tuple[int, int]:
+    """Return what reduces (rows, columns) to sides of ``longest`` pixels at most, both alike but for narrow strips."""
+    factor = -(-max(shape) // longest)
+    rows, columns = (min(factor, max(1, side // _LEAST)) for side in shape)
+    return rows, columns
+
+
+def _shrunk(image: np.ndarray, factors: tuple[int, int]) -> np.ndarray:
+    """Return an image reduced by whole factors by averaging; rows and columns that are left over are dropped."""
+    rows, columns = (side // factor for side, factor in zip(image.shape, factors, strict=True))
+    down, across = factors
+    return image[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3))
 
 
 def _brightness(frames: _Frames) -> str:
@@ -275,9 +287,9 @@ def _brightness(frames: _Frames) -> str:
 def _frame_steps(frames: _Frames) -> Generator[None, None, list[Finding]]:
     """Return what comparing the frames of one camera finds."""
     shifts = yield from checks.shift_steps(np.stack(frames.crops))
-    if frames.factor > 1:
+    if max(frames.factors) > 1:
         coarse = yield from checks.shift_steps(np.stack(frames.thumbnails))
-        coarse *= frames.factor
+        coarse *= frames.factors[::-1]
         shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
                           coarse, shifts)  # fmt: skip
     yield
@@ -295,7 +307,7 @@ def _frame_findings(frames: _Frames, shifts: np.ndarray) -> Iterator[Finding]:
             f" ({np.mean(frames.clipped):.1%} of all images'); expose shorter",
         )
     thumbnails = np.stack(frames.thumbnails)
-    small = [_shrunk(thumbnail, -(-max(thumbnail.shape) // _COMPARED)) for thumbnail in thumbnails]
+    small = [_shrunk(thumbnail, _factors(thumbnail.shape, _COMPARED)) for thumbnail in thumbnails]
     for i, j, difference in checks.similar_frames(np.stack(small), _SIMILAR)[:5]:
         code, word = ("image_same", "is") if difference <= _IDENTICAL else ("image_similar", "is nearly")
         message = f"{names[j]}: {word} the same image as {names[i]} (difference {difference:.2%})"
@@ -328,7 +340,7 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         return
     if checks.flatness(directions) < _FLAT_USELESS:
         return
-    mask = _shrunk(frames.mask.astype(float), frames.factor) > 0.999
+    mask = _shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
     agreement, count = checks.mirror_agreement(normals, mask)
     out_x, out_y, border = checks.outwardness(normals, mask)

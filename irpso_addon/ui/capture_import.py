@@ -23,6 +23,7 @@ from ..errors import InputError
 from ..geometry.scene import middle_of
 from ..geometry.scene_capture import wide_lights
 from ..maps.blender_images import decode
+from . import drawing, failures
 from .file_paths import absolute
 from .job import subject_object
 from .scene_capture import capture_of, capture_path, keep_places
@@ -108,11 +109,15 @@ def _tick() -> float | None:
     if not _running:
         return None
     check, now = _running[0], time.perf_counter()
-    more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
+    more = False
+    with failures.told("The check"):
+        more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
+    if not more:
+        _running.clear()
     check.paused = time.perf_counter()
     if not more or check.paused - check.shown > _SHOWN:
         check.shown = check.paused
-        _redraw()
+        drawing.redraw_sidebars()
     return _PAUSE if more else None
 
 
@@ -147,15 +152,6 @@ def _store_findings(settings, findings: Iterable[Finding], known: str = "") -> N
         item = settings.findings.add()
         item.severity = finding.severity
         item.message = finding.message.replace(known, "") if known else finding.message
-
-
-def _redraw() -> None:
-    """Have the sidebars drawn, which is quick, and not the views that they lie on."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            for region in area.regions if area.type in _AREAS else ():
-                if region.type == "UI":
-                    region.tag_redraw()
 
 
 class ImportCapture(bpy.types.Operator):

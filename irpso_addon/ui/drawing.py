@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import textwrap
 
+import bpy
+
 _CHARACTER = 6.6  # pixels of an average one at scale 1, in Blender's own font
 _MARGINS = 58  # pixels of a panel's width that text does not get: edges, tab, icon
 _GAPS = 45  # the same, without an icon
@@ -30,6 +32,15 @@ def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
         left.label(text=name)
         row.label(text=line, translate=False)
         name = ""
+
+
+def redraw_sidebars() -> None:
+    """Have the sidebars drawn anew, which is quick, and not the views that they lie on."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions if area.type in ("VIEW_3D", "IMAGE_EDITOR") else ():
+                if region.type == "UI":
+                    region.tag_redraw()
 
 
 def _characters(context, margins: int = _MARGINS) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from . import session
-from .panels import draw_progress, draw_result
+from .panels import Failures, draw_progress, draw_result
 from .view_panels import draw_probes, draw_shown
 
 
@@ -19,6 +19,10 @@ class _ImageSidebar:
         """Whether there are maps to be seen."""
         running = session.current()
         return running is not None and running.display is not None
+
+
+class IRPSO_PT_image_failures(Failures, _ImageSidebar, bpy.types.Panel):
+    """What has failed."""
 
 
 class IRPSO_PT_image_maps(_ImageSidebar, bpy.types.Panel):
@@ -57,4 +61,4 @@ class IRPSO_PT_image_probes(_ImageSidebar, bpy.types.Panel):
         draw_probes(self.layout, context)
 
 
-CLASSES = (IRPSO_PT_image_maps, IRPSO_PT_image_recover, IRPSO_PT_image_probes)
+CLASSES = (IRPSO_PT_image_failures, IRPSO_PT_image_maps, IRPSO_PT_image_recover, IRPSO_PT_image_probes)

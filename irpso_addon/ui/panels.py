@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import drawing, session, upkeep
+from . import drawing, failures, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object
 from .keep import is_standard_view
@@ -26,6 +26,26 @@ class Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "IRPSO"
+
+
+class Failures:
+    """What has failed where no operator could report it, above all else."""
+
+    bl_label = "Failed"
+    bl_options = {"HIDE_HEADER"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is anything to tell."""
+        return bool(failures.said())
+
+    def draw(self, context) -> None:
+        """Draw it, and the button that takes it away."""
+        failures.draw(self.layout, context)
+
+
+class IRPSO_PT_failures(Failures, Sidebar, bpy.types.Panel):
+    """What has failed."""
 
 
 class _BeforeRun(Sidebar):
@@ -398,6 +418,7 @@ def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]
 
 
 CLASSES = (
+    IRPSO_PT_failures,
     IRPSO_PT_capture,
     IRPSO_PT_capture_facts,
     IRPSO_PT_subject,

@@ -8,7 +8,7 @@ from ..errors import IrpsoError
 from ..gpu import context as gpu_context
 from ..gpu import probe
 from ..solver.machine import SOFTWARE_VULKAN
-from . import preferences, session, unkept
+from . import failures, preferences, session, unkept
 from .asked import schedule_asked
 from .job import make_job, missing
 from .restore import follow
@@ -45,7 +45,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
             session.end()
-            self.report({"ERROR"}, session.words(error))
+            self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
         return _keep(self)
 
@@ -56,7 +56,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
         try:
             begun = session.begin(make_job(context))
         except IrpsoError as error:
-            self.report({"ERROR"}, session.words(error))
+            self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
         if gpu_context.on_software_vulkan():
             self.report({"WARNING"}, SOFTWARE_VULKAN)
@@ -93,6 +93,12 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def modal(self, context, event):
         """Work for one slice at a time; everything but Esc goes on to Blender."""
+        with failures.told("The recovery's timer"):
+            return self._heed(context, event)
+        self._session.pause()
+        return self._leave(context)
+
+    def _heed(self, context, event):
         running = self._session
         if not self._is_on() or not running.active:
             return self._leave(context)
@@ -178,7 +184,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
             running.resume(schedule_of(scene.irpso.schedule))
             running.job.asked["schedule"] = schedule_asked(scene.irpso.schedule)
         except IrpsoError as error:
-            self.report({"ERROR"}, session.words(error))
+            self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
         if context.window is not None:
             bpy.ops.irpso.run("INVOKE_DEFAULT")

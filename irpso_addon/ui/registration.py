@@ -7,6 +7,7 @@ from types import ModuleType
 
 # In this order; each may have CLASSES, register() and unregister(). What a module's classes refer to comes before it.
 MODULES = (
+    "failures",
     "preferences",
     "schedule_settings",
     "settings",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -15,7 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..capture.steps import told_as
-from ..errors import InputError, IrpsoError
+from ..errors import InputError
 from ..geometry.domain import Domain
 from ..gpu import context
 from ..gpu.home import Home
@@ -31,24 +30,14 @@ from ..solver.prepare import Prepared, prepare
 from ..solver.progress import Progress
 from ..solver.schedule import Schedule
 from ..solver.tiled_view import TiledDisplay, display_of
-from . import unkept
+from . import failures, unkept
 from .job import Job, LightWish
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
-_SETTINGS = {
-    "--distance": "Card Distance",
-    "--memory": "Memory Budget",
-    "--resolution": "Resolution",
-    "--slots": "Slots",
-    "start without --resume": "forget it, and recover anew",
-    "run without --resume": "forget it, and recover anew",
-    "--resume": "Restore",
-}  # as the engine's errors call them
 _KEPT_SHARE = 0.1  # of the memory that is free, for what was prepared: a second run need not wait for that either
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
 
-_log = logging.getLogger(__name__)
 listeners: list[Callable[[], None]] = []  # called when there is something new to draw
 _current: Session | None = None
 _loaded: _Loaded | None = None  # the last domain that was read: a second run need not wait
@@ -195,12 +184,8 @@ class Session:
         try:
             self._work(started + budget_s)
             self._look()
-        except (IrpsoError, MemoryError) as error:
-            self.failure = words(error)
-            self.close()
         except Exception as error:  # noqa: BLE001  a modal operator that raises is called again, and again
-            _log.exception("the recovery has ended")
-            self.failure = f"The recovery has ended: {' '.join(str(error).split()) or type(error).__name__}"
+            self.failure = failures.tell("The recovery", error)
             self.close()
         took = time.perf_counter() - started
         self.longest_stall_s = max(self.longest_stall_s, took)
@@ -433,17 +418,10 @@ def begin(job: Job) -> Session:
     global _current
     if _current is not None:
         _current.close()
+    failures.clear()
     _current = Session(job)
     _tell()
     return _current
-
-
-def words(error: Exception) -> str:
-    """Return what an IrpsoError or a MemoryError says, in one line, with settings called as they are in Blender."""
-    text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
-    for option, setting in _SETTINGS.items():
-        text = text.replace(option, setting)
-    return text
 
 
 def end() -> None:
@@ -478,5 +456,6 @@ def unregister() -> None:
 
 
 @persistent
+@failures.told("Leaving the file")
 def _on_load(*_: object) -> None:
     forget()

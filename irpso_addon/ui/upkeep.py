@@ -5,9 +5,11 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from . import failures
 from .settings import CUSTOM, refresh_parameters
 
 
+@failures.told("Listing the maps of the model")
 def fill_lists() -> None:
     """Give every scene the parameters of its model. Panels may not: while they are drawn nothing can be changed."""
     for scene in bpy.data.scenes:

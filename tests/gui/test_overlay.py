@@ -179,7 +179,7 @@ def test_the_image_editor_shows_the_map_flat_and_takes_clicks(paused, card):
 
 
 def test_a_drawing_that_fails_ends_the_overlay_once_and_is_told(paused):
-    paused.expect("Traceback|the overlay has ended|broken on purpose")
+    paused.expect("Traceback|The overlay has ended|broken on purpose")
     paused.run(
         "stage = import_module(handlers.__name__.replace('handlers', 'stage')).Stage\nright = stage.draw_pixels\n"
         "def broken(self, context):\n    raise ValueError('broken on purpose')\n"
@@ -187,7 +187,11 @@ def test_a_drawing_that_fails_ends_the_overlay_once_and_is_told(paused):
     )
     paused.run("redrawn()", area="")
     paused.wait("handlers.handler_count() == 0")
-    assert "broken on purpose" in paused.run("session.current().failure")
+    paused.run("redrawn()", area="")
+    paused.run("redrawn()", area="")
+    said = paused.run("import_module(handlers.__name__.replace('overlay.handlers', 'failures')).said()")
+    assert said == ["The overlay has ended: broken on purpose"]
+    paused.screenshot("overlay: failed")
     assert paused.log().count("ValueError: broken on purpose") == 1
     paused.run("stage.draw_pixels = right")
 

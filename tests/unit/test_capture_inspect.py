@@ -275,3 +275,12 @@ def test_cameras_are_looked_at_in_their_own_axes(tmp_path):
 
 def test_five_lights_about_the_axis_are_not_suspicious():
     assert checks.flatness(LIGHTS) > 0.2 and not checks.same_lights(LIGHTS)
+
+
+@pytest.mark.parametrize("shape", [(16, 17_000), (17_000, 16), (64, 16_384), (20, 300), (1, 500), (2, 2), (1, 1)])
+def test_a_strip_of_any_width_is_looked_over(tmp_path, shape):
+    texture = np.random.default_rng(2).random(shape)
+    frames = np.stack([(0.5 + 0.1 * k) * texture for k in range(3)]).astype(np.float32)
+    found = report(tmp_path, frames, RINGS[:3], None, half=True)
+    assert dict(found.facts)["camera"].startswith(f"{shape[1]}×{shape[0]} ")
+    assert not found.codes - {"lights_few"}

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Any
 
 import bpy
 
-from .. import session
+from .. import failures, session
 from .stage import Stage
 from .surface import why_unseen
 
+_OVERLAY = "The overlay"  # as failures call it
 _IDLE_SECONDS = 0.1  # between looks at the settings while the session rests
 
-_log = logging.getLogger(__name__)
 _handles: list[tuple[type, Any]] = []
 _stage: Stage | None = None
 _failed: session.Session | None = None  # whose overlay has ended; it is not begun again
@@ -59,9 +58,9 @@ def _follow() -> None:
     if running is None or running is _failed or bpy.app.background:
         return
     if _stage is None:
-        _begin(running)
-    if _stage.is_due():
-        _guarded(_stage.update)
+        _guarded(running, _begin, running)
+    if _stage is not None and running is not _failed and _stage.is_due():
+        _guarded(running, _stage.update)
 
 
 def _begin(running: session.Session) -> None:
@@ -90,6 +89,7 @@ def _end() -> None:
         redraw()
 
 
+@failures.told(_OVERLAY)
 def _idle() -> float | None:
     """Heed changed settings while the session rests and nobody else does."""
     if _stage is None or _stage.running is _failed:
@@ -97,31 +97,28 @@ def _idle() -> float | None:
         return None
     if not _stage.running.active:
         if _stage.is_home():
-            if _guarded(_stage.update):
+            if _guarded(_stage.running, _stage.update):
                 redraw()
         else:
             redraw(_stage.home_window)  # drawing a window makes its context current, until another is drawn
-        if _guarded(_stage.wants_redraw):
+        if _guarded(_stage.running, _stage.wants_redraw):
             redraw()
     return _IDLE_SECONDS
 
 
-def _guarded(work: Callable[..., Any], *arguments: Any) -> Any:
+def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any) -> Any:
     """Do some work; an exception ends the overlay of this session once and for all, and is told."""
     global _failed
-    try:
+    with failures.told(_OVERLAY):
         return work(*arguments)
-    except Exception as error:  # noqa: BLE001  Blender would call it again at every redraw
-        _log.exception("the overlay has ended")
-        _failed = _stage.running
-        _failed.failure = _failed.failure or f"The overlay has ended: {' '.join(str(error).split())}"
-        return None
+    _failed = running
+    return None
 
 
 def _draw(method: Callable[[Stage, Any], None]) -> None:
     # Handlers are not removed here: Blender is going through the list of them.
     if _stage is not None and _stage.running is not _failed and not _stage.running.closed:
-        _guarded(method, _stage, bpy.context)
+        _guarded(_stage.running, method, _stage, bpy.context)
 
 
 def _draw_view() -> None:

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 from bpy.props import IntProperty
 
-from .. import session
+from .. import failures, session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
 from .surface import bounding_corners, is_solved, stand, triangles_of
@@ -57,6 +57,11 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
     def modal(self, context, event):
         """Take clicks on the subject; whatever else happens goes on to Blender."""
+        with failures.told("Probing"):
+            return self._heed(context, event)
+        return self._leave(context)
+
+    def _heed(self, context, event):
         running = session.current()
         if running is None or running.domain is None:
             return self._leave(context)
