@@ -18,6 +18,7 @@ _REMEDIES = {  # of a module that is missing
     "OpenEXR": "install the extension from the zip that `make extension` builds, which holds it, or OpenEXR with pip",
     "bpy": "install bpy with pip, or use an installed Blender",
 }
+_SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and name them"
 _EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
 
 
@@ -116,6 +117,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
     _add_distance(add)
+    add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     add.add_argument(
         "--intensities", choices=("given", "estimate"), default="given", help="of lights: as given, or up to one scale"
     )
@@ -200,6 +202,7 @@ def _add_inspect(commands: argparse._SubParsersAction) -> None:
     add.add_argument("capture", help="folder, .lp file or capture.toml")
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
     _add_distance(add)
+    add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     _add_common(add)
 
 

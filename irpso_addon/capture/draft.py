@@ -13,7 +13,7 @@ from .images import ImageRef, ImageStore
 from .picture import Decoder
 from .problems import CaptureError, raise_all
 from .steps import run_steps
-from .types import Capture, Light, Observation
+from .types import Capture, LeftOut, Light, Observation
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class ViewDraft:
 class Draft:
     """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
 
-    card_distance: as Capture's.
+    card_distance, left_out: as Capture's.
     """
 
     name: str
@@ -65,6 +65,7 @@ class Draft:
     shots: tuple[Shot, ...]
     views: tuple[ViewDraft, ...]
     card_distance: float | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
@@ -97,7 +98,9 @@ def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None,
         Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera]), light, shot.camera)
         for shot, light in zip(draft.shots, lights, strict=True)
     )
-    return Capture(draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance)
+    return Capture(
+        draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance, draft.left_out
+    )
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,15 @@ class _Reader:
         found = self.store.samples(self.image)
         height, width = found.rgba.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
-            raise _size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
+            raise size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
         return found
+
+
+def written_lights(draft: Draft) -> list[Light]:
+    """Return the lights of a draft's observations; none where one of them is not sound."""
+    faults: list[CaptureError] = []
+    lights = [_light(shot, faults) for shot in draft.shots]
+    return [] if faults else lights
 
 
 def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
@@ -159,14 +169,18 @@ def _camera_size(
     if not seen and view.size is None:
         faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
         return 1, 1
-    sizes = [size for _, size in seen]
-    # The size that most images have: then the fault is told of the odd ones.
-    expected = view.size or max(set(sizes), key=sizes.count)
-    faults += [_size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
+    expected = common_size(view, [size for _, size in seen])
+    faults += [size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
     return expected
 
 
-def _size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]) -> CaptureError:
+def common_size(view: ViewDraft, sizes: list[tuple[int, int]]) -> tuple[int, int]:
+    """Return the size that a camera's images must have: as written, or that of most: then the odd ones are at fault."""
+    return view.size or max(sizes, key=sizes.count)
+
+
+def size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]) -> CaptureError:
+    """Return the error for an image that is not of the size (width, height) that its camera's images have."""
     return CaptureError(
         f"{image}: is {size[0]}×{size[1]} pixels where its camera has {expected[0]}×{expected[1]};"
         " all images of a camera must be of one size, unscaled and uncropped",
@@ -190,6 +204,7 @@ def _mask(view: ViewDraft, size: tuple[int, int], store: ImageStore, faults: lis
         if not mask.any():
             raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
         return mask
-    except CaptureError as error:
-        faults.append(error)
+    except CaptureError as error:  # with a code of its own: no image can be left out for it
+        code = error.code if error.code.startswith("mask") else f"mask_{error.code}"
+        faults.append(CaptureError(error.message, code))
         return everything

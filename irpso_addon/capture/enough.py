@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from .problems import CaptureError
+from .types import Light
 
 ASKS = ("normals", "roughness", "two lobes")
 FEW = 0.1  # of the texels may fail where lights are called enough
@@ -47,6 +50,9 @@ ACROSS = (
     Figure(0.2, (0.0, 0.117, 0.215)),
     Figure(0.5, (0.0, 0.037, 0.063)),
 )
+FEWEST = 3  # lights of a normal
+FLAT_USELESS = 1e-3  # smallest over largest singular value of lights below which they have no third direction
+_ONE_PLACE = 1e-6  # of their distance from the world's origin: near lights that stand no further apart
 # A set that misses a measured value by less than this is taken to reach it.
 _SLACK = 0.97
 
@@ -57,6 +63,48 @@ class Shortfall:
 
     code: str
     message: str
+
+
+def no_normal(lights: Sequence[Light]) -> Shortfall | None:
+    """Return why lights give a normal at no texel, whatever is photographed; None where they may.
+
+    Seen from a point, lights whose directions lie in one plane leave the normal's part across that plane open.
+    Distant lights do so everywhere where their directions have rank 2, near lights where they stand on one line.
+    """
+    if len(lights) < FEWEST:
+        what = f"has {len(lights)} light{'s' * (len(lights) != 1)}"
+        return Shortfall("few", f"{what}; a normal needs at least three")
+    rows = _projective(lights)
+    different = len(np.unique(np.round(rows, 6), axis=0))
+    if different < FEWEST:
+        what = f"has {len(lights)} images under {different} different light{'s' * (different > 1)}"
+        return Shortfall("same", f"{what}; a normal needs at least three")
+    values = np.linalg.svd(rows, compute_uv=False)
+    if values[FEWEST - 1] >= FLAT_USELESS * values[0]:
+        return None
+    what = "all lights lie in one plane through the subject" if lights[0].distant else "all lights stand on one line"
+    return Shortfall("coplanar", f"{what}, across which no normal can be told; add lights off it")
+
+
+def _projective(lights: Sequence[Light]) -> np.ndarray:
+    """Return (K, 4) lights as points of projective space: (x, y, z, 1) of near ones about their middle, in units of
+    their spread, and (x, y, z, 0) of distant ones. From a point t light (p, w) is seen along p − w t.
+    """
+    rows = np.array([(*light.vector, 0.0 if light.distant else 1.0) for light in lights])
+    near = rows[:, 3] > 0
+    if near.any():
+        places = rows[near, :3]
+        about = places - places.mean(axis=0)
+        spread = np.linalg.norm(about, axis=1).max()
+        rows[near, :3] = about / spread if spread > _ONE_PLACE * np.linalg.norm(places, axis=1).max() else 0.0
+    return rows
+
+
+def check_normal(source: str, lights: Sequence[Light]) -> None:
+    """Raise CaptureError, naming the source, where lights can give no normal."""
+    if lack := no_normal(lights):
+        message = f"{source}: {lack.message}; or give the normals, and recover the rest"
+        raise CaptureError(message, f"lights_{lack.code}")
 
 
 def half_angle(directions: np.ndarray) -> float:

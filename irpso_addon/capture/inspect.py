@@ -12,7 +12,9 @@ from typing import TypeVar
 import numpy as np
 
 from . import checks, enough, places
-from .draft import Draft, build_steps
+from .damage import sound_steps
+from .draft import Draft, build_steps, written_lights
+from .images import ImageStore
 from .picture import Decoder, Samples
 from .problems import CaptureError
 from .read import read_draft
@@ -25,7 +27,6 @@ _LEAST = 16  # pixels: the shortest side that is kept, of images of that many
 _COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _FLAT = 0.05  # flatness: a noise of 1 % becomes one of about 20 % across the plane
-_FLAT_USELESS = 1e-3
 _IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
 _CLIPPED = 0.02  # of the masked pixels of all frames
 _MIRRORED, _TURNED = -0.1, -0.1  # agreement and outwardness below which an axis counts as mirrored
@@ -34,11 +35,15 @@ _ENOUGH = 500  # squares or border texels that make either a finding
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong: "error" where a recovery cannot use the capture, else "warning"; with the remedy in words."""
+    """Something wrong: "error" where a recovery cannot use the capture, else "warning"; with the remedy in words.
+
+    ask: which of enough.ASKS it is an obstacle to, "" for whatever is recovered.
+    """
 
     severity: str
     code: str
     message: str
+    ask: str = ""
 
 
 @dataclass(frozen=True)
@@ -91,14 +96,16 @@ def inspect_capture(
     colour_space: str = "auto",
     asked: Sequence[str] = ("normals",),
     card_distance: float | None = None,
+    skip_damaged: bool = False,
 ) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
     asked: of enough.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
     warned of. What else they are enough for is among the facts. card_distance: goes before the capture's own.
+    skip_damaged: as for read_capture.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
-    return run_steps(inspect_steps(path, decoder, colour_space, asked, card_distance))
+    return run_steps(inspect_steps(path, decoder, colour_space, asked, card_distance, skip_damaged))
 
 
 def inspect_steps(
@@ -107,19 +114,26 @@ def inspect_steps(
     colour_space: str = "auto",
     asked: Sequence[str] = ("normals",),
     card_distance: float | None = None,
+    skip_damaged: bool = False,
 ) -> Generator[str, None, Report]:
     """Yield, before each piece of the work, what it is, in words, and return what ``inspect_capture`` does."""
     path = Path(path)
     try:
         draft = read_draft(path, colour_space)
+        if skip_damaged:
+            steps = sound_steps(draft, ImageStore(decoder))
+            draft = yield from _told("Looking for damaged images", len(draft.shots), steps)
     except CaptureError as error:
         return Report(path, (), _errors(error))
     draft = replace(draft, card_distance=card_distance or draft.card_distance)
-    facts = [("kind", draft.kind), ("images", str(len(draft.shots)))]
-    findings = list(_light_findings(draft))
+    left_out = f", {len(draft.left_out)} more left out" if draft.left_out else ""
+    facts = [("kind", draft.kind), ("images", f"{len(draft.shots)}{left_out}")]
+    findings = [Finding("warning", "left_out", f"left out: {one.why}") for one in draft.left_out]
     lacks = {ask: _lacks(draft, ask) for ask in enough.ASKS}
-    findings += [Finding("warning", f"lights_{s.code}", f"{draft.source}: {s.message}")
-                 for ask in asked for s in lacks[ask]]  # fmt: skip
+    findings += _light_findings(draft)
+    if all(finding.severity != "error" for finding in findings):  # which says it already
+        findings += [Finding("warning", f"lights_{s.code}", f"{draft.source}: {s.message}", ask)
+                     for ask in asked for s in lacks[ask]]  # fmt: skip
     facts.append(("enough for", _enough_for(lacks)))
     try:
         capture = yield from _told("Looking at headers", len(draft.shots), build_steps(draft, decoder))
@@ -181,10 +195,10 @@ def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
 def _light_findings(draft: Draft) -> Iterator[Finding]:
     vectors = np.array([shot.vector for shot in draft.shots if shot.distant], float).reshape(-1, 3)
     wheres = [shot.where for shot in draft.shots if shot.distant]
-    if len(draft.shots) < 3:
-        yield Finding(
-            "error", "lights_few", f"{draft.source}: has {len(draft.shots)} lights; a normal needs at least three"
-        )
+    lights = written_lights(draft)
+    lack = enough.no_normal(lights) if lights else None
+    if lack is not None:
+        yield Finding("error", f"lights_{lack.code}", f"{draft.source}: {lack.message}", "normals")
     if len(vectors) < 3 or not np.isfinite(vectors).all() or not vectors.any(axis=1).all():
         return
     odd = checks.not_unit(vectors)
@@ -197,12 +211,13 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
             " are used as directions, so check that they are no positions",
         )
     flat = checks.flatness(directions)
-    if flat < _FLAT:
+    if flat < _FLAT and lack is None:
         yield Finding(
-            "error" if flat < _FLAT_USELESS else "warning",
+            "warning",
             "lights_coplanar",
             f"{draft.source}: all lights lie nearly in one plane through the subject ({flat:.3f}); across it normals"
             " are uncertain: add lights off that plane",
+            "normals",
         )
     cameras = [shot.camera for shot in draft.shots if shot.distant]
     # Cameras around a subject photograph it under the same lights.
@@ -212,17 +227,22 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
 
 
 def _lacks(draft: Draft, ask: str) -> list[enough.Shortfall]:
-    """Return what the lights lack for ``ask``; nothing where fewer than three, or none to speak of, are an error."""
-    distant = np.array([shot.distant for shot in draft.shots], bool)
-    vectors = np.array([shot.vector for shot in draft.shots], float).reshape(-1, 3)
+    """Return what the lights lack for ``ask``: all, where one of them is none."""
+    lights = written_lights(draft)
+    if not lights:
+        return [enough.Shortfall("unreadable", "one of the lights is none")]
+    if lack := enough.no_normal(lights):
+        return [lack]
+    distant = np.array([light.distant for light in lights])
+    vectors = np.array([light.vector for light in lights])
     on_card = draft.card_distance is not None and len(draft.views) == 1 and not draft.views[0].placed
     if on_card:  # near lights as its middle sees them
         vectors[~distant] += (0.0, 0.0, draft.card_distance)
     told = on_card or distant.all()
-    if len(vectors) < 3 or not np.isfinite(vectors).all() or (told and not vectors.any(axis=1).all()):
+    if told and not vectors.any(axis=1).all():
         return []
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if told else None
-    return list(enough.shortfalls(ask, len(vectors), directions))
+    return list(enough.shortfalls(ask, len(lights), directions))
 
 
 def _enough_for(lacks: dict[str, list[enough.Shortfall]]) -> str:
@@ -338,7 +358,7 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         if not places.near_lights(capture):  # of which places.card_problems tells
             yield Finding("warning", "lights_reversed", message)
         return
-    if checks.flatness(directions) < _FLAT_USELESS:
+    if checks.flatness(directions) < enough.FLAT_USELESS:
         return
     mask = _shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
@@ -382,7 +402,7 @@ def _place_findings(draft: Draft, capture: Capture, frames: _Frames) -> Iterator
 def _brightest(frames: _Frames, capture: Capture) -> np.ndarray:
     """Return (K,) a bright radiance, the 99th percentile, of each observation in its mask; NaN of unreadable ones."""
     bright = np.full(len(capture.observations), np.nan)
-    mask = _shrunk(frames.mask.astype(float), frames.factor) > 0.5
+    mask = _shrunk(frames.mask.astype(float), frames.factors) > 0.5
     if mask.any():
         bright[frames.indices] = [np.percentile(thumbnail[mask], 99) for thumbnail in frames.thumbnails]
     return bright

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from . import diligent, rti, table
+from .damage import without_damaged
 from .draft import Draft, build_capture
+from .images import ImageStore
 from .picture import COLOUR_SPACES, Decoder
 from .problems import CaptureError
 from .types import Capture
@@ -13,16 +15,22 @@ from .types import Capture
 _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
 
 
-def read_capture(path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto") -> Capture:
+def read_capture(
+    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", skip_damaged: bool = False
+) -> Capture:
     """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded when they are asked for.
 
     Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
     Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
     decoder: reads the formats that are no EXR (``irpso_addon.maps.blender_images.decode`` is one); without it such
     images are refused. colour_space: "srgb", "linear", or "auto" (8-bit files sRGB, all others linear).
-    Raises InputError naming the file and the remedy.
+    skip_damaged: whether images that cannot be decoded are left out, and named in the capture; each is then decoded
+    once now. Raises InputError naming the file and the remedy.
     """
-    return build_capture(read_draft(path, colour_space), decoder)
+    draft = read_draft(path, colour_space)
+    if skip_damaged:
+        draft = without_damaged(draft, ImageStore(decoder))
+    return build_capture(draft, decoder)
 
 
 def read_draft(path: Path | str, colour_space: str = "auto") -> Draft:

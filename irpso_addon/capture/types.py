@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,11 +67,21 @@ class Observation:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """An observation that is not used, as its image is damaged. index: in the capture's own list, from 0."""
+
+    index: int
+    image: str
+    why: str
+
+
+@dataclass(frozen=True)
 class Capture:
     """The observations of one subject. masks: one (H, W) bool array per camera, row 0 at the bottom.
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
     None where it is not known. Raises InputError where it is no length.
+    left_out: what its files list and it does not hold.
     """
 
     name: str
@@ -80,7 +90,18 @@ class Capture:
     masks: tuple[np.ndarray, ...]
     source: Path | None = None
     card_distance: float | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     def __post_init__(self) -> None:
         if self.card_distance is not None and not 0 < self.card_distance < math.inf:
             raise CaptureError(f"card_distance is {self.card_distance:g}; give a length above 0", "value")
+
+    @property
+    def listed(self) -> int:
+        """How many observations its files list."""
+        return len(self.observations) + len(self.left_out)
+
+    def numbers(self, listed: Iterable[int]) -> list[int]:
+        """Return the indices that observations of the files' list have here, without those that are left out."""
+        gone = [one.index for one in self.left_out]
+        return [index - sum(other < index for other in gone) for index in listed if index not in gone]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
+from ..capture.damage import DAMAGE
 from ..capture.inspect import inspect_capture
 from ..errors import InputError
 from ..maps.blender_images import decode
@@ -16,13 +17,15 @@ _ASKED = ("normals", "roughness")  # what recover's default model has; a fact te
 def run(options: Namespace) -> dict:
     """Print facts and findings; exit code 2 where a finding is an error."""
     distance = positive("--distance", options.distance)
-    report = inspect_capture(options.capture, decode, options.colour_space, _ASKED, distance)
+    report = inspect_capture(options.capture, decode, options.colour_space, _ASKED, distance, options.skip_damaged)
     if not report.facts:  # it could not even be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:
         width = max(len(name) for name, _ in report.facts)
         lines = [f"{name:{width}}  {value}" for name, value in report.facts]
         lines += [f"{finding.severity}: {finding.message}" for finding in report.findings] or ["nothing suspicious"]
+        if report.codes & DAMAGE:
+            lines.append("hint: --skip-damaged, here and of recover, leaves damaged images out")
         sys.stdout.write("\n".join(lines) + "\n")
     findings = [{"severity": f.severity, "code": f.code, "message": f.message} for f in report.findings]
     return {"facts": dict(report.facts), "findings": findings, "exit_code": 0 if report.usable else 2}

@@ -9,6 +9,7 @@ from argparse import Namespace
 
 import numpy as np
 
+from ..capture.damage import naming_remedy
 from ..cluster.job import check_alike, choose_device, going_down_together
 from ..cluster.member import Member, Share, around
 from ..cluster.ranks import Agreed, Ranks
@@ -131,10 +132,11 @@ def _share(
     def read() -> Domain | None:
         if part is None:
             return None
-        if job.mesh is None:
-            return domain_from_card(job.capture, window=part)
-        options_of = {"shadows": options.shadows, "window": part, "surface": surface}
-        return domain_from_mesh(job.capture, job.mesh, *job.resolution, **options_of)
+        with naming_remedy(options.skip_damaged):
+            if job.mesh is None:
+                return domain_from_card(job.capture, window=part)
+            options_of = {"shadows": options.shadows, "window": part, "surface": surface}
+            return domain_from_mesh(job.capture, job.mesh, *job.resolution, **options_of)
 
     window = ranks.agreed(read)
     bake, seams = surface

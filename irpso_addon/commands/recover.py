@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..capture.damage import naming_remedy
+from ..capture.enough import check_normal
 from ..capture.read import read_capture
 from ..capture.types import Capture
 from ..cluster.ranks import joined
@@ -156,7 +158,11 @@ def finish(
     )  # fmt: skip
     warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
+    left_out = job.capture.left_out
+    warnings += [f"left out: {one.why}" for one in left_out]
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
+    if left_out:
+        report["left_out"] = [asdict(one) for one in left_out]
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
     if lights is not None:
         report["lights"] = lights.report()
@@ -207,10 +213,14 @@ def check(options: Namespace, opened: bool) -> Job:
     extras.check(model)
     known = known_from_options(options.known, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
-    capture = _capture(options)
-    held_out = index_list("--hold-out", options.hold_out, len(capture.observations))
-    if len(capture.observations) - len(held_out) < 3:
-        raise InputError(f"{options.capture}: fewer than 3 observations are left to fit; a normal needs 3 lights")
+    with naming_remedy(options.skip_damaged):
+        capture = _capture(options)
+    held_out = capture.numbers(index_list("--hold-out", options.hold_out, capture.listed))
+    fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]
+    if not fitted:
+        raise InputError(f"{options.capture}: no observation is left to fit; hold out fewer")
+    if any(parameter.is_normal and parameter.name not in known for parameter in model.parameters):
+        check_normal(options.capture, fitted)
     resolution = resolution if mesh is None else mesh.domain_size(*resolution)
     return Job(
         capture,
@@ -258,9 +268,9 @@ def _blend_of(options: Namespace) -> str | None:
 def _capture(options: Namespace) -> Capture:
     """Return the capture; that of a scene's own cameras and lights is the file that was opened for the mesh."""
     if _is_scene(options.capture):
-        return capture_of_open_file(options.colour_space)
+        return capture_of_open_file(options.colour_space, options.skip_damaged)
     distance = positive("--distance", options.distance)
-    capture = read_capture(options.capture, decode, options.colour_space)
+    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged)
     return replace(capture, card_distance=distance or capture.card_distance)
 
 
@@ -298,10 +308,11 @@ def _domain(options: Namespace, job: Job, mesh: MeshData | None, plan: Plan) -> 
     scratch = scratch_folder(job.folder) if plan.stack_on == "scratch" else None
     if scratch is not None:
         job.capture, job.held_out = held_out_last(job.capture, job.held_out)
-    if mesh is None:
-        domain = domain_from_card(job.capture, scratch=scratch)
-    else:
-        domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
+    with naming_remedy(options.skip_damaged):
+        if mesh is None:
+            domain = domain_from_card(job.capture, scratch=scratch)
+        else:
+            domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
     settle(options, job, domain)
     return domain
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.damage import DAMAGE, check_numbers
 from ..capture.images import ImageStore
+from ..capture.problems import CaptureError
 from ..capture.steps import run_steps
-from ..capture.types import Capture, Observation
+from ..capture.types import Capture, LeftOut, Observation
 from ..errors import InputError
 from ..files import natural
 from ..maps.blender_images import decode
@@ -24,11 +26,11 @@ CAPTURE, ASPECT = "irpso_capture", "irpso_pixel_aspect"
 _SETTINGS = "irpso"  # where the user interface keeps an object's image and camera
 
 
-def scene_steps(scene: Any, colour_space: str = "auto") -> Generator[None, None, Capture]:
+def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = False) -> Generator[None, None, Capture]:
     """Yield before each piece of work, and return the capture of a scene: its lights that have an image, by name.
 
-    Each light is seen by its own camera or the scene's; a camera's own image is its mask. colour_space: as for
-    read_capture. Raises InputError naming the object and the remedy.
+    Each light is seen by its own camera or the scene's; a camera's own image is its mask. colour_space: and
+    skip_damaged: as for read_capture. Raises InputError naming the object and the remedy.
     """
     import bpy
 
@@ -38,12 +40,28 @@ def scene_steps(scene: Any, colour_space: str = "auto") -> Generator[None, None,
         raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
     store = ImageStore(decode)
     seen_by: dict[str, list[tuple[Any, Photograph]]] = {}
-    vectors = {}
+    vectors, why = {}, {}
     for obj in lights:
         yield
+        try:
+            photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
+            if skip_damaged:
+                check_numbers(photograph.where, photograph.read())
+        except CaptureError as error:
+            if not skip_damaged or error.code not in DAMAGE:
+                raise
+            why[obj.name] = error.message
+            continue
         vectors[obj.name] = light_of(obj)
-        photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
         seen_by.setdefault(_camera_object(obj, scene).name, []).append((obj, photograph))
+    if skip_damaged:
+        odd = {obj.name: error.message for name, pairs in seen_by.items() for obj, error in _odd_sizes(pairs, name)}
+        seen_by = {name: [pair for pair in pairs if pair[0].name not in odd] for name, pairs in seen_by.items()}
+        vectors = {name: light for name, light in vectors.items() if name not in odd}
+        why |= odd
+    if not vectors:
+        raise InputError(f"{next(iter(why.values()))} (and so it is with the photographs of all lights)")
+    left_out = tuple(LeftOut(n, obj.name, why[obj.name]) for n, obj in enumerate(lights) if obj.name in why)
     names = sorted(seen_by, key=natural)
     cameras, masks = [], []
     for name in names:
@@ -55,14 +73,14 @@ def scene_steps(scene: Any, colour_space: str = "auto") -> Generator[None, None,
     observations = tuple(
         Observation(name, _reader(photographs[name][1]), light, photographs[name][0]) for name, light in vectors.items()
     )
-    return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks))
+    return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks), left_out=left_out)
 
 
-def capture_of_open_file(colour_space: str = "auto") -> Capture:
+def capture_of_open_file(colour_space: str = "auto", skip_damaged: bool = False) -> Capture:
     """Return the capture that the scene of the open file is. Raises InputError as ``scene_steps`` does."""
     import bpy
 
-    return run_steps(scene_steps(bpy.context.scene, colour_space))
+    return run_steps(scene_steps(bpy.context.scene, colour_space, skip_damaged))
 
 
 def setting(obj: Any, name: str) -> Any:
@@ -124,17 +142,23 @@ def _camera(obj: Any, width: int, height: int, scene: Any) -> Camera:
 
 
 def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int, int]:
+    for _, error in _odd_sizes(pairs, camera):
+        raise error
+    return pairs[0][1].size
+
+
+def _odd_sizes(pairs: list[tuple[Any, Photograph]], camera: str) -> Iterator[tuple[Any, CaptureError]]:
+    """Yield the lights whose photographs are not of the size that most of a camera's have, with the error."""
     sizes = [photograph.size for _, photograph in pairs]
-    # The size that most have: then the error tells of an odd one.
-    expected = max(set(sizes), key=sizes.count)
-    for _, photograph in pairs:
+    expected = max(sizes, key=sizes.count)
+    for obj, photograph in pairs:
         if photograph.size != expected:
             width, height = photograph.size
-            raise InputError(
+            message = (
                 f"{photograph.where} is {width} × {height}, others of camera '{camera}' are {expected[0]} ×"
                 f" {expected[1]}; all images of a camera must be of one size, unscaled and uncropped"
             )
-    return expected
+            yield obj, CaptureError(message, "size")
 
 
 def _mask(obj: Any, camera: Camera, store: ImageStore) -> np.ndarray:

@@ -58,7 +58,8 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
         return _packed(image, where, space)
     reference = ImageRef(file_of(image), image.get(PART), image.get(LAYER), space)
     if not reference.path.is_file():
-        raise InputError(f"{where} is not there: {reference.path}; choose it again, or use File > External Data")
+        message = f"{where} is not there: {reference.path}; choose it again, or use File > External Data"
+        raise CaptureError(message, "missing")
     with _told(where):
         size = store.size(reference)
     return Photograph(size, where, lambda: store.samples(reference), lambda: store.mask(reference))
@@ -147,4 +148,4 @@ def _told(where: str, path: Path | None = None) -> Iterator[None]:
             raise InputError(
                 f"{where} is an EXR of several layers; save the one to be used by itself, or list it in a capture.toml"
             ) from error
-        raise InputError(f"{where}: {error.message.replace(f'{path}: ', '')}") from error
+        raise CaptureError(f"{where}: {error.message.replace(f'{path}: ', '')}", error.code) from error

@@ -66,7 +66,7 @@ def ask_again(settings: Any, asked: dict[str, Any]) -> None:
         if values["image"] is not None and values["image"] not in images:
             raise InputError(f"this file has no image '{values['image']}', given for {name}; open the file that has it")
     for name in _plain(settings):
-        if name in asked["settings"]:
+        if name in asked["settings"] and asked["settings"][name] != _data(getattr(settings, name)):
             setattr(settings, name, asked["settings"][name])
     settings.object = None if asked["object"] is None else objects[asked["object"]]
     settings.slots, settings.slot_list = ("ALL", "") if asked["slots"] is None else ("NAMED", asked["slots"])

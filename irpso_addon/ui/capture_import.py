@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
+from ..capture import enough
 from ..capture.draft import Draft
 from ..capture.inspect import Finding, Report, inspect_steps
 from ..capture.places import card_depth, card_middle
@@ -23,7 +24,7 @@ from ..errors import InputError
 from ..geometry.scene import middle_of
 from ..geometry.scene_capture import wide_lights
 from ..maps.blender_images import decode
-from . import drawing, failures
+from . import drawing, failures, findings
 from .file_paths import absolute
 from .job import subject_object
 from .scene_capture import capture_of, capture_path, keep_places
@@ -92,11 +93,23 @@ def asked_of(settings) -> tuple[str, ...]:
     return tuple(asked)
 
 
+def check_capture(scene) -> None:
+    """Begin the check of files, or make the one of the scene's cameras and lights."""
+    settings = scene.irpso
+    if settings.source == "SCENE":
+        _check_scene(scene)
+    elif settings.capture_path:
+        begin_check(scene)
+
+
 def begin_check(scene) -> None:
     """Look the scene's capture over: in the background at once, in a window bit by bit while it goes on working."""
     settings = scene.irpso
-    distance = settings.card_distance or None
-    steps = inspect_steps(capture_path(settings), decode, settings.colour_space, asked_of(settings), distance)
+    asked = dict.fromkeys(("normals", *asked_of(settings)))  # a panel leaves out what does not matter
+    steps = inspect_steps(
+        capture_path(settings), decode, settings.colour_space, tuple(asked), settings.card_distance or None,
+        settings.skip_damaged,
+    )  # fmt: skip
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
     if bpy.app.background:
         _slice(_running[0], math.inf)
@@ -142,16 +155,7 @@ def _store(settings, report: Report) -> None:
     settings.checked_path = settings.capture_path
     settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
     folder = report.path if report.path.is_dir() else report.path.parent
-    _store_findings(settings, report.findings, f"{folder}{os.sep}")
-
-
-def _store_findings(settings, findings: Iterable[Finding], known: str = "") -> None:
-    """Keep findings as settings. known: how the paths in them begin, which is left out: a panel is narrow."""
-    settings.findings.clear()
-    for finding in findings:
-        item = settings.findings.add()
-        item.severity = finding.severity
-        item.message = finding.message.replace(known, "") if known else finding.message
+    findings.keep(settings, report.findings, f"{folder}{os.sep}")
 
 
 class ImportCapture(bpy.types.Operator):
@@ -212,8 +216,7 @@ def _kept_path(path: Path) -> str:
 
 def _warn(operator, settings) -> None:
     """Report the first of the findings, errors before warnings."""
-    found = sorted(settings.findings, key=lambda item: item.severity != "error")
-    if found:
+    if found := findings.shown(settings):
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         operator.report({"WARNING"}, found[0].message + more)
 
@@ -235,12 +238,8 @@ class CheckCapture(bpy.types.Operator):
 
     def execute(self, context):
         """Begin the check of files, or make the one of the scene's cameras and lights."""
-        settings = context.scene.irpso
-        if settings.source == "FILES":
-            begin_check(context.scene)
-        else:
-            _check_scene(context.scene)
-        _warn(self, settings)
+        check_capture(context.scene)
+        _warn(self, context.scene.irpso)
         return {"FINISHED"}
 
 
@@ -252,12 +251,15 @@ def _check_scene(scene) -> None:
         capture = capture_of(scene)
         place = _subject_place(settings, capture)
     except InputError as error:
-        _store_findings(settings, [Finding("error", "scene", str(error))])
+        findings.keep(settings, [Finding("error", getattr(error, "code", "scene"), failures.words(error))])
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
+    found = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
+    if lack := enough.no_normal([one.light for one in capture.observations]):
+        found.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
     wide = [] if place is None else wide_lights(scene, place)
-    _store_findings(settings, [Finding("warning", "light_wide", text) for text in wide])
+    findings.keep(settings, [*found, *(Finding("warning", "light_wide", text) for text in wide)])
 
 
 def _subject_place(settings, capture: Capture) -> np.ndarray | None:

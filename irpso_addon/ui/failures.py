@@ -21,6 +21,7 @@ _SETTINGS = {
     "start without --resume": "forget it, and recover anew",
     "run without --resume": "forget it, and recover anew",
     "--resume": "Restore",
+    "--skip-damaged": "Leave Out Damaged Images",
 }
 
 _log = logging.getLogger(__name__)

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.damage import naming_remedy
+from ..capture.enough import FEWEST, check_normal
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
@@ -28,7 +30,7 @@ from ..solver.plan import Plan
 from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
 from ..solver.prepare import Prepared
 from ..solver.schedule import Schedule
-from . import preferences
+from . import findings, preferences
 from .asked import asked_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path, wants_distance
@@ -88,9 +90,10 @@ class Job:
         coverage = covered_texels(self.capture, self.mesh, size)
         plan = self.plan(coverage)
         scratch = self.scratch if plan.stack_on == "scratch" else None
-        if self.mesh is None:
-            return (yield from card_steps(self.capture, scratch=scratch))
-        return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
+        with naming_remedy(skipping=False):
+            if self.mesh is None:
+                return (yield from card_steps(self.capture, scratch=scratch))
+            return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
 
     def know(self, domain: Domain) -> None:
         """Find ``known``, which is in the frames of a domain's texels."""
@@ -125,10 +128,15 @@ def missing(context) -> str:
     settings = context.scene.irpso
     if settings.source == "FILES" and not settings.capture_path:
         return "No capture: import a folder of photographs, an .lp list or a capture.toml"
-    if settings.source == "SCENE" and not any(
-        obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects
-    ):
-        return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+    if text := findings.obstacle(settings):
+        return text
+    if settings.source == "SCENE":
+        count = sum(obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects)
+        if not count:
+            return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+        if count < FEWEST and findings.wants_normal(settings):
+            lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
+            return f"Only {lights}: a normal needs at least three; add some, or give the normals"
     if wants_distance(context.scene) and not (settings.card_distance or _stated_distance(settings)):
         return "No distance of the card: its lights have places; set Card Distance, in the unit of the places"
     if settings.subject == "MESH":
@@ -161,8 +169,8 @@ def make_job(context) -> Job:
     settings, wanted = context.scene.irpso, preferences.current(context)
     model, schedule = model_of(settings), schedule_of(settings.schedule)
     capture = capture_of(context.scene)
-    if len(capture.observations) < 3:
-        raise InputError(f"capture '{capture.name}' has fewer than 3 observations; a normal needs 3 lights")
+    if findings.wants_normal(settings):
+        check_normal(f"capture '{capture.name}'", [one.light for one in capture.observations])
     obj = subject_object(context) if settings.subject == "MESH" else None
     mesh = slots = None
     if obj is not None:
@@ -273,7 +281,11 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
     if settings.source != "FILES":
         return None
     draft = read_draft(capture_path(settings), settings.colour_space)
-    images = (*(shot.image for shot in draft.shots), *(view.mask for view in draft.views if view.mask))
+    gone = {one.index for one in capture.left_out}
+    images = (
+        *(shot.image for k, shot in enumerate(draft.shots) if k not in gone),
+        *(view.mask for view in draft.views if view.mask),
+    )
     files = {image.path: image.path.stat() for image in images}
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
     lights = tuple((observation.light, observation.camera) for observation in capture.observations)

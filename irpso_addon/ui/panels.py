@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from . import drawing, failures, session, upkeep
+from ..capture.damage import DAMAGE
+from . import drawing, failures, findings, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object
 from .keep import is_standard_view
@@ -124,11 +125,7 @@ def _draw_fact(layout, context, line: str) -> None:
 def _summary(context) -> list[str]:
     """Return what is known of the capture, a fact a line; nothing where it is another one by now."""
     settings = context.scene.irpso
-    return settings.summary.splitlines() if _is_checked(settings) or checking(context.scene) else []
-
-
-def _is_checked(settings) -> bool:
-    return settings.source == "SCENE" or settings.checked_path == settings.capture_path
+    return settings.summary.splitlines() if findings.is_checked(settings) or checking(context.scene) else []
 
 
 def _draw_check(layout, context, settings) -> None:
@@ -142,7 +139,7 @@ def _draw_check(layout, context, settings) -> None:
     if doing:
         layout.label(text=doing, icon="SORTTIME", translate=False)
         return
-    found = sorted(settings.findings, key=lambda item: item.severity != "error") if _is_checked(settings) else []
+    found = findings.shown(settings)
     for item in found[:_MOST_FINDINGS]:
         row = layout.row()
         row.alert = item.severity == "error"
@@ -151,6 +148,9 @@ def _draw_check(layout, context, settings) -> None:
         layout.label(text=f"and {len(found) - _MOST_FINDINGS} more like these", icon="BLANK1")
     if lines and not found:
         layout.label(text="Nothing Suspicious", icon="CHECKMARK")
+    # The check of a scene looks at headers alone: that pixels are cut short shows when they are read.
+    if settings.skip_damaged or settings.source == "SCENE" or any(item.code in DAMAGE for item in found):
+        layout.prop(settings, "skip_damaged")
     layout.operator("irpso.check_capture", text="Check Again" if lines else "Check", icon="VIEWZOOM")
 
 

@@ -11,7 +11,7 @@ from bpy.props import StringProperty
 
 from ..errors import InputError, IrpsoError
 from ..solver.checkpoint import glance
-from . import drawing, session, unkept
+from . import drawing, failures, session, unkept
 from .asked import ask_again
 from .card_place import show_card
 from .job import Job, make_job
@@ -72,7 +72,7 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
         try:
             begun = session.begin(restored_job(context, self._found()))
         except IrpsoError as error:
-            self.report({"ERROR"}, session.words(error))
+            self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
         if not bpy.app.background:
             follow(context, begun)
@@ -104,6 +104,7 @@ def follow(context, begun: session.Session) -> None:
     bpy.ops.irpso.run("INVOKE_DEFAULT")
 
 
+@failures.told("Marking the file as changed")
 def mark_changed() -> None:
     """Have Blender ask before it closes the file, as long as there is a recovery that is not kept.
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..capture.damage import naming_remedy, sound_steps
 from ..capture.draft import Draft, build_steps
+from ..capture.images import ImageStore
 from ..capture.read import read_draft
 from ..capture.steps import run_steps
 from ..capture.types import Capture
@@ -26,9 +28,16 @@ def capture_of(scene) -> Capture:
 def capture_steps(scene) -> Generator[None, None, Capture]:
     """Yield before each image's header is looked at, and return what ``capture_of`` does."""
     settings = scene.irpso
-    if settings.source == "SCENE":
-        return (yield from _scene_steps(scene))
-    return (yield from build_steps(draft_of(settings), decode))
+    with naming_remedy(settings.skip_damaged):
+        if settings.source == "SCENE":
+            return (yield from _scene_steps(scene))
+        return (yield from build_steps((yield from draft_steps(settings)), decode))
+
+
+def draft_steps(settings) -> Generator[None, None, Draft]:
+    """Yield before each image that is decoded, and return what the capture's files say: see ``draft_of``."""
+    draft = draft_of(settings)
+    return (yield from sound_steps(draft, ImageStore(decode))) if settings.skip_damaged else draft
 
 
 def draft_of(settings) -> Draft:
@@ -61,7 +70,8 @@ def wants_distance(scene) -> bool:
 
 
 def _scene_steps(scene) -> Generator[None, None, Capture]:
-    capture = yield from scene_steps(scene)  # whose images say themselves how they are encoded
+    # Its images say themselves how they are encoded.
+    capture = yield from scene_steps(scene, skip_damaged=scene.irpso.skip_damaged)
     return replace(capture, card_distance=scene.irpso.card_distance or None)
 
 

@@ -12,11 +12,13 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringPrope
 from mathutils import Matrix, Vector
 
 from ..capture.camera import Camera
+from ..capture.damage import naming_remedy
 from ..capture.draft import Draft, build_capture
 from ..capture.headers import read_header
 from ..capture.images import ImageRef, ImageStore
 from ..capture.places import card_depth, card_middle, card_size
 from ..capture.raw import is_raw
+from ..capture.steps import run_steps
 from ..capture.types import Capture
 from ..errors import InputError
 from ..files import natural
@@ -25,11 +27,11 @@ from ..geometry.scene_capture import ASPECT, CAPTURE, lights_in_order, photograp
 from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
-from . import session
+from . import failures, session
 from .card_place import is_free
 from .file_paths import absolute
 from .job import subject_object
-from .scene_capture import draft_of
+from .scene_capture import draft_steps
 from .scene_objects import RESOLUTION, set_camera, set_light
 
 _ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
@@ -266,12 +268,13 @@ class CreateScene(bpy.types.Operator):
         scene = context.scene
         settings = scene.irpso
         try:
-            draft = draft_of(settings)
-            capture = build_capture(draft, decode)
+            draft = run_steps(draft_steps(settings))
+            with naming_remedy(settings.skip_damaged):
+                capture = build_capture(draft, decode)
             on_card = settings.subject == "CARD" and len(capture.cameras) == 1
             depth = card_depth(capture) if on_card else None
         except InputError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
         lights = create_scene(scene, draft, capture)
         if on_card:

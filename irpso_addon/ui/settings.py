@@ -96,6 +96,12 @@ def _observation_changed(self, context) -> None:
     show_observation(self.id_data, self.observation)
 
 
+def _skipping_changed(self, context) -> None:
+    from .capture_import import check_capture  # which stands on these settings
+
+    check_capture(self.id_data)
+
+
 def _model_item(name: str) -> tuple[str, str, str]:
     """Return the entry of a shipped model: the short part of its title, and as its tooltip the long one."""
     short, _, long = load_model(name).title.partition(": ")
@@ -145,7 +151,9 @@ class FindingItem(bpy.types.PropertyGroup):
     """One thing that is wrong with a capture."""
 
     severity: StringProperty()
+    code: StringProperty()
     message: StringProperty()
+    ask: StringProperty(description="What it is an obstacle to, empty for everything")
 
 
 class ParameterItem(bpy.types.PropertyGroup):
@@ -241,6 +249,10 @@ class Settings(bpy.types.PropertyGroup):
         description="Of the capture's image files; with This Scene each image's own Color Space counts",
         items=_COLOUR_SPACES,
     )
+    skip_damaged: BoolProperty(
+        name="Leave Out Damaged Images", description="Go on without images that are missing or cannot be decoded: each"
+        " is decoded once to find out", update=_skipping_changed,
+    )  # fmt: skip
     light_strengths: EnumProperty(
         name="Light Strengths", description="Whether the capture's light intensities are known", items=_STRENGTHS
     )

@@ -62,6 +62,60 @@ def test_two_lights_are_too_few(tmp_path):
     assert found.codes == {"lights_few"} and not found.usable
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_cannot_give_a_normal_is_called_enough_for_nothing(tmp_path, count):
+    found = report(tmp_path, FRAMES[:count], RINGS[:count])
+    assert dict(found.facts)["enough for"] == "not for normals (few), roughness (few), two lobes (few)"
+    assert f"has {count} light{'s' * (count > 1)}; a normal needs at least three" in finding(found, "lights_few")
+
+
+def near(*places):
+    return [Light(place, (1.0, 1.0, 1.0), False) for place in places]
+
+
+DISTANT = [Light(tuple(light)) for light in RINGS.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("lights", "code"),
+    [
+        (DISTANT, None),
+        (DISTANT[:3], None),
+        (DISTANT[:2], "few"),
+        ([DISTANT[0]] * 5, "same"),
+        ([*DISTANT[:2]] * 4, "same"),
+        ([Light((np.sin(a), 0.0, np.cos(a))) for a in (-1, -0.5, 0.2, 0.7)], "coplanar"),
+        (near((1, 0, 2), (-1, 1, 2), (0, -1, 2)), None),
+        (near((1, 0, 2), (1, 0, 2), (1, 0, 2), (1, 0, 2)), "same"),
+        (near((1, 0, 2), (2, 0, 2), (1, 0, 2), (2, 0, 2)), "same"),
+        (near(*((100 + k, 50.0, 200.0) for k in range(6))), "coplanar"),
+        (near(*((100 + k, 50.0, 200.0 + k**2) for k in range(6))), None),
+        ([*near((0, 0, 3), (0, 0, 3)), DISTANT[0]], "same"),
+        ([*near((0, 0, 3)), *DISTANT[:2]], None),
+        ([*near((0, 0, 3), (1, 0, 3)), DISTANT[0]], None),
+        ([*near((0, 0, 3), (1, 0, 3)), Light((1.0, 0.0, 0.0))], "coplanar"),
+    ],
+)
+def test_lights_that_leave_the_normal_open_everywhere_are_told_from_those_that_do_not(lights, code):
+    lack = enough.no_normal(lights)
+    assert (lack and lack.code) == code
+    # By its definition: the directions from points drawn at random, of full rank at one of them or at none.
+    ranks = []
+    for point in np.random.default_rng(0).uniform(-1, 1, (5, 3)):
+        toward = np.array([np.subtract(light.vector, 0 if light.distant else point) for light in lights])
+        ranks.append(np.linalg.matrix_rank(toward / np.linalg.norm(toward, axis=1, keepdims=True), tol=1e-6))
+    assert (max(ranks) == 3) == (code is None)
+
+
+def test_near_lights_in_one_place_are_enough_for_nothing(tmp_path):
+    write_diligent(tmp_path, FRAMES[:5], RINGS[:5])
+    rows = "".join(f'[[observation]]\nimage = "{k:03d}.exr"\nlight_position = [0, 0, 2]\n' for k in range(5))
+    (tmp_path / "capture.toml").write_text(f"[[camera]]\n{rows}")
+    found = inspect_capture(tmp_path)
+    assert dict(found.facts)["enough for"] == "not for normals (same), roughness (same), two lobes (same)"
+    assert "has 5 images under 1 different light; a normal" in finding(found, "lights_same") and not found.usable
+
+
 def even_lights(count, degrees=73.0, across=1.0, seed=0):
     """Lights even over a cap of the sphere, in random order, squeezed in y."""
     rng = np.random.default_rng(seed)
