@@ -213,7 +213,7 @@ CAPTURES = {
         broken("card", lambda c: edit(c / "capture.toml", "[[camera]]", "[[c")), r"not valid TOML"),
     "an unknown camera": (
         broken("card", lambda c: edit(c / "capture.toml", 'camera = "camera 1"', 'camera = "up"')), r"toml.*'up'"),
-    "two lights": (broken("card", too_few), r"needs 3 lights"),
+    "two lights": (broken("card", too_few), r"has 2 lights; a normal needs at least three"),
     "two cameras and no mesh": (broken("card", second_camera), r"2 cameras"),
     "images without a number in them": (broken("card", nothing_to_see), r"no image of capture"),
 }  # fmt: skip
@@ -278,7 +278,7 @@ OPTIONS = {
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
     "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
-    "too many held out": (recover("--hold-out", "0,1,2,3"), r"needs 3 lights"),
+    "too many held out": (recover("--hold-out", "0,1,2,3"), r"has 2 lights; a normal needs at least three"),
     "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: there is no such file"),
     "ground truth of no known map": (
         lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model principled"),

@@ -12,7 +12,7 @@ from irpso_addon.errors import InputError
 from irpso_addon.geometry import scene_lights
 from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.blender_images import decode
-from irpso_addon.ui import capture_import, scene_capture, scene_setup
+from irpso_addon.ui import capture_import, findings, scene_capture, scene_setup
 from irpso_addon.ui.settings import model_of
 from tests.unit.capture_maker import LIGHTS, shade, sphere, write_diligent, write_png
 
@@ -583,3 +583,80 @@ def test_what_cannot_be_a_capture_is_told_with_the_remedy(scene, tmp_path, spoil
     assert "\n" not in str(caught.value) and ";" in str(caught.value)
     bpy.ops.irpso.check_capture()
     assert [item.severity for item in scene.irpso.findings] == ["error"]
+
+
+# ---- what bars Recover
+
+
+def recoverable(scene):
+    """Return whether Recover can be pressed, and what the panel says where it cannot."""
+    from irpso_addon.ui import job, upkeep
+
+    upkeep.fill_lists()
+    return bpy.ops.irpso.recover.poll(), job.missing(bpy.context)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_lights_bar_recover_with_the_reason_unless_normals_are_given(scene, tmp_path, count):
+    normals, mask = sphere(24)
+    write_diligent(tmp_path, shade(normals)[:count], LIGHTS[:count], mask)
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path))
+    possible, why = recoverable(scene)
+    assert not possible and f"has {count} light" in why and "a normal needs at least three" in why
+    assert "enough for: not for normals (few)" in scene.irpso.summary
+    for item in scene.irpso.parameters:
+        item.recover = not item.is_normal
+    assert recoverable(scene) == (True, "") and findings.shown(scene.irpso) == []
+
+
+def test_lights_of_the_scene_that_are_too_few_bar_recover_with_the_reason(scene, tmp_path):
+    image = image_of(tmp_path / "a.png", np.full((4, 4, 3), 99))
+    add_camera(scene)
+    scene.irpso.source = "SCENE"
+    for count in range(3):
+        possible, why = recoverable(scene)
+        assert not possible and ("No light" if count == 0 else f"Only {count} light") in why
+        add_light(scene, f"Key {count}", image)
+    assert recoverable(scene)[0]
+    bpy.ops.irpso.check_capture()  # all three shine from above
+    assert [item.code for item in scene.irpso.findings] == ["lights_same"]
+
+
+def test_a_damaged_image_bars_recover_until_it_is_left_out(scene, tmp_path):
+    normals, mask = sphere(24)
+    write_diligent(tmp_path, shade(normals), mask=mask)
+    (tmp_path / "001.exr").write_bytes((tmp_path / "001.exr").read_bytes()[:-50])
+    bpy.ops.irpso.import_capture(filepath=str(tmp_path))
+    possible, why = recoverable(scene)
+    assert not possible and "001.exr: is cut short" in why
+    scene.irpso.skip_damaged = True  # which checks again
+    assert recoverable(scene) == (True, "") and "images: 4, 1 more left out" in scene.irpso.summary
+    assert any("left out: 001.exr: is cut short" in item.message for item in scene.irpso.findings)
+    capture = scene_capture.capture_of(scene)
+    assert [one.index for one in capture.left_out] == [1] and len(capture.observations) == 4
+    assert bpy.ops.irpso.create_scene() == {"FINISHED"}
+    assert sum(obj.type == "LIGHT" for obj in scene.objects) == 4
+
+
+def test_a_damaged_photograph_of_the_scene_is_left_out(scene, tmp_path):
+    write_views(tmp_path / "views")
+    created(scene, tmp_path / "views" / "capture.toml")
+    scene.irpso.subject = "MESH"
+    lights = sorted((obj for obj in scene.objects if obj.type == "LIGHT"), key=lambda obj: obj.name)
+    path = scene_images_file(lights[2].irpso.image)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(InputError, match=f"light '{lights[2].name}'.*cut short.*--skip-damaged"):
+        scene_capture.capture_of(scene)
+    bpy.ops.irpso.check_capture()
+    (item,) = scene.irpso.findings
+    assert item.code == "image_truncated" and "Leave Out Damaged Images" in item.message
+    scene.irpso.skip_damaged = True
+    capture = scene_capture.capture_of(scene)
+    assert [one.image for one in capture.left_out] == [lights[2].name] and len(capture.observations) == 3
+    assert any("left out" in item.message for item in scene.irpso.findings)
+
+
+def scene_images_file(image):
+    from irpso_addon.geometry import scene_images
+
+    return scene_images.file_of(image)

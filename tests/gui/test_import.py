@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests import cli_maker
 from tests.near_card import DISTANCE, write_near_card
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
@@ -185,3 +186,44 @@ def test_the_preferences_show_a_report_on_the_gpu_and_copy_it(ready):
     ready.run("redrawn(10)", area="")
     ready.screenshot("preferences")
     ready.run("largest('PREFERENCES').type = 'VIEW_3D'", area="")
+
+
+def test_a_damaged_image_bars_recover_until_it_is_left_out_by_the_box_beside_it(ready, tmp_path):
+    folder = small_card(tmp_path / "damaged", 6)
+    path = folder / "003.exr"
+    path.write_bytes(path.read_bytes()[:-40])
+    ready.run("bpy.ops.wm.read_homefile(app_template='')", area="")
+    ready.open_sidebar("IRPSO")
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(folder)!r})")
+    ready.wait("not checking()", timeout=60)
+    ready.screenshot("a damaged image", ready.region(region="UI"))
+    assert ready.run("bpy.ops.irpso.recover.poll()") is False
+    ready.run("settings().skip_damaged = True")
+    ready.wait("not checking() and bpy.ops.irpso.recover.poll()", timeout=60)
+    ready.screenshot("a damaged image left out", ready.region(region="UI"))
+    assert ready.run("'images: 5, 1 more left out' in settings().summary")
+
+
+def test_too_few_lights_and_a_check_that_fails_are_told_in_the_panel(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(app_template='')", area="")
+    ready.open_sidebar("IRPSO")
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(small_card(tmp_path / 'one', 1))!r})")
+    ready.wait("not checking()", timeout=60)
+    ready.screenshot("one light", ready.region(region="UI"))
+    assert ready.run("bpy.ops.irpso.recover.poll()") is False
+    ready.expect("Traceback|The check has ended|broken on purpose")
+    ready.run("right = capture_import._slice\ndef broken(*_):\n    raise IndexError('broken on purpose')\n"
+              "capture_import._slice = broken\nbpy.ops.irpso.check_capture()")  # fmt: skip
+    ready.wait("not checking()", timeout=60)
+    ready.screenshot("a check that failed", ready.region(region="UI"))
+    said = ready.run("importlib.import_module(capture_import.__name__.replace('capture_import', 'failures')).said()")
+    assert said == ["The check has ended: broken on purpose"]
+    ready.run("capture_import._slice = right\nbpy.ops.irpso.dismiss_failures()")
+
+
+def small_card(folder, count):
+    """Write a capture of a card under so many lights; return its folder."""
+    lights = cli_maker.dome_lights(count)
+    return cli_maker.write_card(
+        folder, cli_maker.render_oracle("lambert", cli_maker.smooth_maps((20, 24), {}), lights), lights
+    )
