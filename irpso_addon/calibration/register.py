@@ -14,19 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..capture.checks import SHIFT_PEAK, edge_sizes, whitened
+from ..capture import three_images
+from ..capture.checks import edge_sizes, whitened
 from ..capture.steps import run_steps
 
 _REACH, _SMALLEST = 32, 32  # pixels searched on each side; pixels that a side must have
 _ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the others, moved; pixels: the change that ends them
 _UPSAMPLED = (0.1, 0.01)  # pixels: the steps of the two transforms about the peak
 _STEPS = 15  # of those on each side
-_IMAGES = 3  # dimensions of what a matt surface shows under all distant lights
+_PEAK = 6.0  # deviations by which the peak of a true shift stands out
 _ENOUGH = 10  # frames for fits: with 8 they made the shifts worse (0.02 px to 0.06), with 10 better (0.01)
-_BLUR = 0.7  # pixels: noise out, edges wide enough for their derivatives
 _FITS, _SETTLED = 16, 0.005  # fits at most; pixels: the largest change after which there are no more
-_SHADOW = 0.08  # of a frame's bright tenth: below it shadow, which no sum of images explains
-_OUTLIER = 1.5  # median residuals: the Cauchy scale of the weights, for highlights and the rims of shadows
 _LONGEST_STEP = 1.0  # pixels in one fit: derivatives say nothing beyond
 # Correlation with the fit below which a frame is told of and not moved, and the part of the frames that may be so
 # before the fits mean nothing for the rest. Measured at the right place: a matt subject 0.97 and more, with cast
@@ -92,7 +90,7 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
             yield 0.1 + 0.3 * (turn + k / count) / _ROUNDS
             others = total - moved[k] if trusted[k] else total
             *found[k], peak = _peak(spectra[k] * np.conj(others), shape)
-            trusted[k] = peak >= SHIFT_PEAK
+            trusted[k] = peak >= _PEAK
         # A frame's own shift is in the mean that the others are held against; without this, two frames would swap
         # places for ever.
         good = max(int(trusted.sum()), 2)
@@ -102,7 +100,7 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
             break
     for k in np.flatnonzero(~trusted):  # a light far from the mean's may still agree with one of its neighbours
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
-        if tries and (best := max(tries, key=lambda t: t[2]))[2] >= SHIFT_PEAK:
+        if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
             pixels[k], trusted[k] = best[:2], True
     return pixels, trusted
 
@@ -138,10 +136,9 @@ def _fitted(
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
     """Return (K, 2) shifts by fits of each trusted frame with images made of the others, and (K,) correlations."""
     shape, chosen = frames.shape[1:], np.flatnonzero(trusted)
-    blur = _BLUR**2 * 2 * np.pi**2
-    low_pass = np.exp(-blur * (np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2))
-    spectra = [(np.fft.rfft2(frames[k] / _scale(frames[k])) * low_pass).astype(np.complex64) for k in chosen]
-    fade = np.outer(*(np.hanning(side + 2)[1:-1] for side in shape)).astype(np.float32)
+    low_pass, fade = three_images.low_pass(shape), three_images.fading(shape)
+    spectra = [(np.fft.rfft2(frames[k] / three_images.scale_of(frames[k])) * low_pass).astype(np.complex64)
+               for k in chosen]  # fmt: skip
     at, agreement, weights = pixels[chosen], np.ones(len(chosen)), [None] * len(chosen)
     for turn in range(_FITS):
         yield 0.4 + 0.6 * turn / _FITS
@@ -167,34 +164,17 @@ def _fit(images: np.ndarray, fade: np.ndarray, weights: list) -> tuple[np.ndarra
     products = (flat @ flat.T).astype(np.float64)
     steps, agreement = np.zeros((count, 2)), np.zeros(count)
     for k, image in enumerate(images):
-        others = np.delete(np.arange(count), k)
-        _, vectors = np.linalg.eigh(products[np.ix_(others, others)])
-        basis = vectors[:, -_IMAGES:].T.astype(np.float32) @ flat[others]
+        basis = three_images.basis(flat, products, np.delete(np.arange(count), k))
         up, right = np.gradient(image)
         rows = np.concatenate([-(right * fade).reshape(1, -1), -(up * fade).reshape(1, -1), basis])
-        lit = (image > _SHADOW).ravel()
-        weight = lit.astype(np.float32) if weights[k] is None else weights[k]
-        weighted = rows * weight
-        normal, right_side = (weighted @ rows.T).astype(np.float64), (weighted @ flat[k]).astype(np.float64)
-        factors = np.linalg.lstsq(normal, right_side, rcond=None)[0]
+        lit = three_images.lit(image)
+        factors = three_images.factors(rows, flat[k], lit.astype(np.float32) if weights[k] is None else weights[k])
         steps[k] = factors[:2]
         fit = factors.astype(np.float32) @ rows
         error = (flat[k] - fit) / (fade.ravel() + 1e-3)
-        scale = _OUTLIER * float(np.median(np.abs(error))) + 1e-9
-        weights[k] = (lit / (1 + (error / scale) ** 2)).astype(np.float32)
-        agreement[k] = _correlation(fit, flat[k], fade)
+        weights[k] = three_images.weights(error, lit)
+        agreement[k] = three_images.correlation(fit, flat[k], fade)
     return steps, agreement
-
-
-def _correlation(a: np.ndarray, b: np.ndarray, fade: np.ndarray) -> float:
-    """Return the correlation of two faded images after the part that the fading alone explains is taken out."""
-    flat = fade.ravel()
-    a, b = (v - flat * float(v @ flat / (flat @ flat)) for v in (a, b))
-    return float(a @ b / (np.sqrt(float(a @ a) * float(b @ b)) + 1e-30))
-
-
-def _scale(frame: np.ndarray) -> float:
-    return float(np.percentile(frame, 90)) or 1.0
 
 
 def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:

@@ -6,14 +6,17 @@ from collections.abc import Generator
 
 import numpy as np
 
+from . import three_images
 from .steps import run_steps
 
 _UNIT = 1e-3  # DiLiGenT's six printed digits stay within 1e-6; a table of three digits within 1e-3
 _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
-# Measured on the three bunnies and the icon with a fifth of the frames rolled by up to 4 px: true shifts of 2 px and
-# more gain 0.17 or more over staying, the largest false one 0.11; all true peaks stand 6 deviations out.
-_SHIFT_GAIN, SHIFT_PEAK = 0.15, 6.0
+# Of a correlation's peak over staying, and in deviations: below, a frame is taken to stay. How many times as far the
+# frame as it is must be from what the others explain as it is once moved back, and their correlation then. Measured on
+# 200 captures in which nothing moves (tests/unit/test_capture_inspect.py tells which): the largest false ratio is 1.31
+# where the correlation is 0.6 or more; frames that were rolled by 2 to 4 px and show texture have 1.5 and more.
+_SHIFT_GAIN, _SHIFT_PEAK, _BETTER, _AGREE = 0.05, 5.0, 1.35, 0.6
 _PASS = 0.15  # cycles a pixel: the width of the low pass that keeps noise out of the correlation
 
 
@@ -59,12 +62,14 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
 
     Phase correlation of the size of log-brightness gradients (edges stay in place when the light moves, their sign
     does not) between each frame and the mean of the others, as in Kuglin and Hines 1975. Up to 16 pixels are searched.
+    A raking light moves such edges: a shift counts where three images made of the others explain the frame better once
+    it is moved back.
     """
     return run_steps(shift_steps(frames))
 
 
 def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
-    """Yield twice for each frame, and return what ``frame_shifts`` does."""
+    """Yield for each frame, again and again, and return what ``frame_shifts`` does."""
     shifts = np.zeros((len(frames), 2), int)
     reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
     if len(frames) < 3 or reach < 1:
@@ -82,9 +87,37 @@ def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
         window = field[row - reach : row + reach + 1, column - reach : column + reach + 1]
         up, right = (int(v) - reach for v in np.unravel_index(window.argmax(), window.shape))
         peak, stay = window.max(), field[row, column]
-        if peak > 0 and peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= SHIFT_PEAK * window.std():
+        if peak > 0 and peak - stay >= _SHIFT_GAIN * peak and peak - np.median(window) >= _SHIFT_PEAK * window.std():
             shifts[k] = right, up
+    del features, total
+    if shifts.any():
+        yield from _confirm(frames, shifts)
     return shifts
+
+
+def _confirm(frames: np.ndarray, shifts: np.ndarray) -> Generator[None, None, None]:
+    """Set those of the shifts (K, 2) to 0 that explain their frames no better than staying does."""
+    shape, moved = frames.shape[1:], shifts.any(axis=1)
+    low_pass, fade = three_images.low_pass(shape), three_images.fading(shape)
+
+    def blurred(frame: np.ndarray) -> np.ndarray:
+        return np.fft.irfft2(np.fft.rfft2(frame / three_images.scale_of(frame)) * low_pass, shape).astype(np.float32)
+
+    flat = np.empty((len(frames), fade.size), np.float32)
+    for frame, out in zip(frames, flat, strict=True):
+        yield
+        out[:] = (blurred(frame) * fade).ravel()
+    products = (flat @ flat.T).astype(np.float64)
+    for k in np.flatnonzero(moved):
+        yield
+        others = np.flatnonzero(~moved)
+        if len(others) < three_images.IMAGES:
+            others = np.delete(np.arange(len(frames)), k)
+        basis, image = three_images.basis(flat, products, others), blurred(frames[k])
+        back = np.roll(image, (-shifts[k][1], -shifts[k][0]), axis=(0, 1))
+        (stays, _), (moves, agreement) = (three_images.explained(one, basis, fade) for one in (image, back))
+        if stays <= _BETTER * moves or agreement < _AGREE:
+            shifts[k] = 0
 
 
 def whitened(cross: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

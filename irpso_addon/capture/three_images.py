@@ -1,0 +1,78 @@
+"""A frame as a sum of three images made of the others: all that a matt surface can show under any distant light.
+
+Shashua 1997; what the sum does not explain, highlights and the rims of shadows, is weighed down as in Hager and
+Belhumeur 1998. It tells a frame that has moved from one whose light has.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+IMAGES = 3
+_BLUR = 0.7  # pixels: noise out, edges wide enough for their derivatives
+_SHADOW = 0.08  # of a frame's bright tenth: below it shadow, which no sum of images explains
+_OUTLIER = 1.5  # median residuals: the Cauchy scale of the weights
+_ROUNDS = 5  # of weighing
+
+
+def scale_of(frame: np.ndarray) -> float:
+    """Return how bright a frame's bright tenth begins, 1 of a black one."""
+    return float(np.percentile(frame, 90)) or 1.0
+
+
+def low_pass(shape: tuple[int, int]) -> np.ndarray:
+    """Return the factors of a slight Gaussian blur for an ``rfft2`` of frames (H, W)."""
+    blur = _BLUR**2 * 2 * np.pi**2
+    return np.exp(-blur * (np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2))
+
+
+def fading(shape: tuple[int, int]) -> np.ndarray:
+    """Return (H, W) float32 weights that fade out toward the frame."""
+    return np.outer(*(np.hanning(side + 2)[1:-1] for side in shape)).astype(np.float32)
+
+
+def lit(image: np.ndarray) -> np.ndarray:
+    """Return (H·W,) bool: the pixels of a frame, over its scale, that are in no shadow."""
+    return (image > _SHADOW).ravel()
+
+
+def basis(flat: np.ndarray, products: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return (3, N) float32 the images that span most of frames ``others`` of ``flat`` (K, N), of products (K, K)."""
+    vectors = np.linalg.eigh(products[np.ix_(others, others)])[1][:, -IMAGES:]
+    mixed = np.zeros((vectors.shape[1], len(flat)), np.float32)
+    mixed[:, others] = vectors.T
+    return mixed @ flat
+
+
+def factors(rows: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return (R,) float64 by which rows (R, N) sum up to a target (N,), by weighted least squares."""
+    weighted = rows * weight
+    normal, right_side = (weighted @ rows.T).astype(np.float64), (weighted @ target).astype(np.float64)
+    return np.linalg.lstsq(normal, right_side, rcond=None)[0]
+
+
+def weights(error: np.ndarray, is_lit: np.ndarray) -> np.ndarray:
+    """Return (N,) float32 the weights of pixels for the next fit, of the errors (N,) of this one."""
+    scale = _OUTLIER * float(np.median(np.abs(error))) + 1e-9
+    return (is_lit / (1 + (error / scale) ** 2)).astype(np.float32)
+
+
+def correlation(a: np.ndarray, b: np.ndarray, fade: np.ndarray) -> float:
+    """Return the correlation of two faded images (N,) after the part that the fading alone explains is taken out."""
+    flat = fade.ravel()
+    a, b = (v - flat * float(v @ flat / (flat @ flat)) for v in (a, b))
+    return float(a @ b / (np.sqrt(float(a @ a) * float(b @ b)) + 1e-30))
+
+
+def explained(image: np.ndarray, images: np.ndarray, fade: np.ndarray) -> tuple[float, float]:
+    """Return the mean size of what three faded images (3, N) leave of an image (H, W) where it is lit, and the
+    correlation of their best sum with it.
+    """
+    is_lit, flat, faded = lit(image), (image * fade).ravel(), fade.ravel()
+    weight, total = is_lit.astype(np.float32), flat
+    for _ in range(_ROUNDS):
+        total = factors(images, flat, weight).astype(np.float32) @ images
+        weight = weights((flat - total) / (faded + 1e-3), is_lit)
+    left = np.abs(flat - total) / (faded + 1e-3)
+    count = faded**2 * is_lit
+    return float((count * left).sum() / (count.sum() + 1e-12)), correlation(total, flat, fade)
