@@ -84,9 +84,11 @@ class Window:
         """Put the mouse at a pixel of the screen, y from the top."""
         self._events("mousemove", x, y)
 
-    def click(self, x: int, y: int, button: int = 1, times: int = 1) -> None:
-        """Click at a pixel: 1 left, 2 middle, 3 right, 4 and 5 the wheel up and down."""
-        self._events("mousemove", x, y, "sleep", 0.1, "click", "--repeat", times, "--delay", 60, button)
+    def click(self, x: int, y: int, button: int = 1, times: int = 1, held: str = "") -> None:
+        """Click at a pixel: 1 left, 2 middle, 3 right, 4 and 5 the wheel up and down. held: a key, such as ctrl."""
+        down, up = (("keydown", held), ("keyup", held)) if held else ((), ())
+        click = ("click", "--repeat", times, "--delay", 60, button)
+        self._events("mousemove", x, y, "sleep", 0.1, *down, *click, *up)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
         """Press at a pixel, move to another in steps, let go."""

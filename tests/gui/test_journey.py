@@ -1,0 +1,129 @@
+"""docs/first_recovery.md from beginning to end, by mouse and keys alone, in a Blender as it starts."""
+
+import numpy as np
+import pytest
+from tests import cli_maker
+
+from irpso_addon.capture.exr import read_exr
+
+UI = "bl_ext.user_default.irpso.irpso_addon.ui"
+SHAPE = (72, 96)  # texels
+CARD = "IRPSO leaf"
+
+SETUP = f"""
+import importlib
+session = importlib.import_module("{UI}.session")
+keep = importlib.import_module("{UI}.keep")
+
+def state():
+    running = session.current()
+    return running.state if running is not None else "none"
+
+def settings():
+    return bpy.context.scene.irpso
+"""
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """The maps of a leaf."""
+    return cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.7)})
+
+
+@pytest.fixture(scope="module")
+def capture(truth, tmp_path_factory):
+    """The folder of its photographs."""
+    lights = cli_maker.dome_lights(24)
+    folder = tmp_path_factory.mktemp("journey") / "leaf"
+    return cli_maker.write_card(folder, cli_maker.render_oracle("principled", truth, lights), lights)
+
+
+@pytest.fixture(scope="module")
+def artist(window):
+    """A window in which nothing was done, but for a file browser that opens in the same window."""
+    window.run(SETUP + "bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'")
+    return window
+
+
+def choose_in_browser(artist, folder):
+    """Wait for the file browser, lead it to a folder, and press Return."""
+    artist.wait("any(area.type == 'FILE_BROWSER' for area in main_window().screen.areas)", area="")
+    artist.run(f"largest('FILE_BROWSER').spaces.active.params.directory = {f'{folder}/'.encode()!r}", area="")
+    artist.settle()
+    artist.move(*artist.region("FILE_BROWSER").centre)
+    artist.key("Return")
+
+
+def test_a_new_file_gets_the_tab_by_n(artist):
+    artist.move(*artist.region().centre)
+    artist.key("n")
+    artist.open_sidebar("IRPSO")
+    artist.screenshot("journey 1: a fresh file")
+    assert "irpso.import_capture" in "".join(artist.buttons())
+
+
+def test_the_capture_is_imported_and_checked(artist, capture):
+    artist.click(*artist.find_button("irpso.import_capture"))
+    choose_in_browser(artist, capture)
+    artist.wait("settings().checked_path != ''", timeout=120)
+    artist.screenshot("journey 2: imported")
+    assert artist.run("[settings().subject, [item.severity for item in settings().findings]]") == ["CARD", []]
+
+
+def test_recover_shows_a_first_picture_rests_on_escape_and_goes_on(artist):
+    artist.click(*artist.find_button("irpso.recover"))
+    artist.wait("state() == 'running'", 180)
+    artist.screenshot("journey 3: the first picture")
+    artist.move(*artist.region().centre)
+    artist.key("Escape")
+    artist.wait("state() == 'paused'")
+    artist.screenshot("journey 4: paused")
+    artist.click(*artist.find_button("irpso.resume"))
+    artist.wait("state() == 'done'", 400)
+    artist.screenshot("journey 5: done")
+    assert artist.run("session.current().error") < 0.005
+
+
+def test_the_view_goes_through_all_that_can_be_shown(artist):
+    x, y = artist.find_button("irpso.view.shown")
+    seen = []
+    for _ in range(6):
+        artist.click(x, y, button=5, held="ctrl")  # the next entry of the menu under the mouse
+        seen.append(artist.run("settings().view.shown"))
+        artist.screenshot(f"journey 6: {seen[-1].lower()}")
+    assert seen == ["ERROR", "CONFIDENCE", "RENDER", "REFERENCE", "SPLIT", "BLINK"]
+
+
+def test_keep_makes_the_material_that_the_rendered_view_shows(artist):
+    artist.click(*artist.find_button("irpso.keep"))
+    artist.wait(f"{CARD!r} in bpy.data.materials")
+    artist.click(*artist.find_button("irpso.standard_view"))
+    assert artist.run("bpy.context.scene.view_settings.view_transform") == "Standard"
+    artist.run("bpy.context.scene.render.engine = 'CYCLES'")
+    artist.move(*artist.region().at(0.3, 0.3))
+    artist.key("z", "8")  # the pie menu of shading: Rendered lies upward
+    artist.wait("bpy.context.space_data.shading.type == 'RENDERED'")
+    artist.run("redrawn(100)", area="")
+    artist.screenshot("journey 7: kept, rendered by Cycles")
+    artist.key("z", "6")
+    artist.wait("bpy.context.space_data.shading.type == 'SOLID'")
+
+
+def test_the_exported_maps_are_those_of_the_leaf(artist, truth, tmp_path):
+    artist.click(*artist.find_button("irpso.export"))
+    choose_in_browser(artist, tmp_path)
+    artist.wait("any('files written' in line for line in reports())", 120, area="")
+    (written,) = tmp_path.glob("**/maps.exr")
+    found = read_exr(written)["normal"]
+    normal = np.stack([found[channel] for channel in "XYZ"], axis=-1)
+    cosine = np.clip((normal * truth["normal"]).sum(axis=-1), -1, 1)
+    assert np.degrees(np.arccos(cosine)).mean() < 0.5
+
+
+def test_close_brings_the_settings_back_and_recover_begins_anew(artist):
+    artist.click(*artist.find_button("irpso.cancel"))
+    artist.wait("state() == 'none'")
+    assert artist.run(f"[{CARD!r} in bpy.data.materials, settings().capture_path != '']") == [True, True]
+    artist.click(*artist.find_button("irpso.create_scene"))
+    artist.wait("len([obj for obj in bpy.data.objects if obj.type == 'LIGHT']) >= 24")
+    artist.screenshot("journey 8: the capture's cameras and lights")
