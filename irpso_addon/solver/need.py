@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from ..reflectance.model import ReflectanceModel
-from .polish_kernels import renders
+from .polish_kernels import SPREAD_REACH, renders
 from .prior_kernels import evaluations_of, reach_of
 from .resolve import (
     Resolved,
@@ -146,7 +146,7 @@ def _polish_need(resolved: ResolvedPolish, model: ReflectanceModel) -> PhaseNeed
     step, spread = renders(model, resolved)
     evaluations = resolved.iterations * step + settings.rounds * spread
     textures = 3 * held + 2 * FLOAT4  # one that shows, one to begin with
-    return PhaseNeed(1, textures, 2 * held, int(settings.rounds > 0), settings.rounds, evaluations)
+    return PhaseNeed(1, textures, 2 * held, SPREAD_REACH * int(settings.rounds > 0), settings.rounds, evaluations)
 
 
 def _prior_need(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseNeed:

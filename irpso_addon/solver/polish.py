@@ -13,7 +13,7 @@ from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Pass
 from ..reflectance.model import ReflectanceModel
 from .phase import Phase
-from .polish_kernels import build_polish_passes
+from .polish_kernels import SPREAD_REACH, build_polish_passes
 from .reader import Reader
 from .resolve import ResolvedPolish
 from .schedule import Polish, Schedule
@@ -106,9 +106,9 @@ class RunningPolish(Phase):
 
     @property
     def reach(self) -> int:
-        """1 where the next iteration begins with what the neighbours have found."""
+        """SPREAD_REACH where the next iteration begins with what the neighbours have found."""
         track, made = self._track()
-        return 1 if track.start == SPREAD and made == 0 and not self.done else 0
+        return SPREAD_REACH if track.start == SPREAD and made == 0 and not self.done else 0
 
     @property
     def placed(self) -> bool:
@@ -126,7 +126,10 @@ class RunningPolish(Phase):
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
-            yield from self._once(bands, self.passes.keep, target, self._kept_from())
+            if track.start == SPREAD and self.passes.vote is not None:
+                yield from self._banded("vote", self.passes.vote, target, self._kept_from(), bands, seconds)
+            else:
+                yield from self._once(bands, self.passes.keep, target, self._kept_from())
             self.best = self.work = target
         self.iteration += 1
 

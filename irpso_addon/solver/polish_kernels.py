@@ -23,6 +23,7 @@ from .schedule import Fitness, Polish
 from .unknowns import Unknowns, build_slopes, build_starts
 
 CANDIDATES = 3  # dampings that are tried together
+SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/swarm/polish_spread.glsl, votes.glsl)
 _OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
 _FITNESS = {"u_observations": "INT", "u_delta": "FLOAT"}
 
@@ -31,20 +32,23 @@ _FITNESS = {"u_observations": "INT", "u_delta": "FLOAT"}
 class PolishPasses:
     """The compiled passes of a polish. evaluations: renders of all observations of a step; offers: of a spread.
 
-    ``keep`` is always a fragment pass: what it wrote may be read back.
+    vote: in place of ``keep`` after a spread, None where neighbours have no votes. ``keep`` is always a fragment pass:
+    what it wrote may be read back.
     """
 
     begin: Pass
     step: Pass
     spread: Pass
     keep: Pass
+    vote: Pass | None
     evaluations: int
     offers: int
 
     def close(self) -> None:
         """Free the shaders."""
-        for work in (self.begin, self.step, self.spread, self.keep):
-            work.close()
+        for work in (self.begin, self.step, self.spread, self.keep, self.vote):
+            if work is not None:
+                work.close()
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int]:
@@ -61,6 +65,7 @@ def step_defines(settings: Polish) -> dict[str, str | int]:
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
         "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
+        "VOTES": f"{settings.votes:.9f}",
     }  # fmt: skip
 
 
@@ -84,6 +89,8 @@ def build_polish_passes(
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}
     work = {f"u_work_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
 
+    voted = settings.votes > 0 and unknowns.defines["SEARCHED"] > 0
+
     def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
         return Pass(Kernel(f"swarm/{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
 
@@ -92,6 +99,9 @@ def build_polish_passes(
         step=make("polish", OBSERVATIONS, _FITNESS),
         spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, _FITNESS),
         keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
+        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **OBSERVATIONS, **PACKING}, _FITNESS)
+        if voted
+        else None,
         evaluations=evaluations,
         offers=offers,
     )

@@ -89,9 +89,11 @@ class Polish:
     iterations: steps from the best that was found, 0 for no polish at all. starts: whether to begin from the model's
     starts too; start_iterations: steps from each of them, and from the stages' estimate beside them. rounds: how often
     every texel then tries what its neighbours have found; round_iterations: steps after each. daring: a neighbour's
-    material is polished where its fitness is under so many times the texel's own. damping: the first λ, of the
-    diagonal of JᵀJ. A texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing
-    by more than the fraction smallest_step of its range. central: differences to both sides instead of one.
+    material is polished where its fitness is under so many times the texel's own. votes: what the searched numbers of
+    the texels around count (shaders/swarm/votes.glsl): a material that many have is polished too, and kept where noise
+    explains what it fits worse; 0 where the samples alone decide. damping: the first λ, of the diagonal of JᵀJ. A
+    texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing by more than the
+    fraction smallest_step of its range. central: differences to both sides instead of one.
     """
 
     iterations: int = 0
@@ -100,6 +102,7 @@ class Polish:
     rounds: int = 1
     round_iterations: int = 8
     daring: float = 1.0
+    votes: float = 0.0
     damping: float = 0.01
     gain: float = 1e-5
     smallest_step: float = 1e-5

@@ -34,7 +34,7 @@ GROUPS = {  # panel → the settings in it, in order
     "Fitness": ("loss", "delta", "percentile", "shadow"),
     "Polish": (
         "polish_iterations", "polish_starts", "polish_start_iterations", "polish_rounds", "polish_round_iterations",
-        "polish_daring", "polish_damping", "polish_gain", "polish_smallest_step", "polish_central",
+        "polish_daring", "polish_votes", "polish_damping", "polish_gain", "polish_smallest_step", "polish_central",
     ),
     "Prior": (
         "prior_rounds", "prior_scales", "prior_iterations", "prior_likeness", "prior_likeness_color", "prior_spread",
@@ -149,6 +149,12 @@ WORDS = {
     "polish_round_iterations": Words("Round Steps", "Steps after each round", 30),
     "polish_daring": Words(
         "Daring", "A neighbor's material is tried where its fitness is under so many times the texel's own", 10
+    ),
+    "polish_votes": Words(
+        "Votes",
+        "What like neighbors count against a texel's own samples where these hardly decide; more leaves fewer lone"
+        " texels, 0 none of this",
+        4,
     ),
     "polish_damping": Words("Damping", "The first damping, as a part of the diagonal", 1, precision=4),
     "polish_gain": Words(

@@ -7,32 +7,7 @@
 #include "swarm/lobes.glsl"
 #include "swarm/polish_state.glsl"
 #include "swarm/prior_unit.glsl"
-
-Material work_at(ivec2 texel)
-{
-    float c[12];
-    for (int i = 0; i < 12; i++) {
-        c[i] = 0.0;
-    }
-    vec4 part = texelFetch(u_work_0, texel, 0);
-    for (int i = 0; i < 4; i++) {
-        c[i] = part[i];
-    }
-#if ESTIMATES > 1
-    part = texelFetch(u_work_1, texel, 0);
-    for (int i = 0; i < 4; i++) {
-        c[4 + i] = part[i];
-    }
-#endif
-#if ESTIMATES > 2
-    part = texelFetch(u_work_2, texel, 0);
-    for (int i = 0; i < 4; i++) {
-        c[8 + i] = part[i];
-    }
-#endif
-    order_lobes(c);
-    return material_from(c);
-}
+#include "swarm/work.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
@@ -41,7 +16,10 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED && objective < UNFIT) {
         vec4 noise = texelFetch(u_noise, texel, 0);
         float unit = loss_unit(texel);
-        Material work = work_at(texel);
+        float c[12];
+        work_at(texel, c);
+        order_lobes(c);
+        Material work = material_from(c);
         float loss = fitness_of(texel, frame_at(texel), work) * noise.y;
         bool better = objective * noise.y < noise.x * unit + texelFetch(u_penalty, texel, 0).x;
         if (better && loss <= (noise.x + TOLERANCE * TOLERANCE * deviance_unit(noise.w)) * unit) {

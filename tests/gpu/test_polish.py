@@ -12,6 +12,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.polish import RunningPolish
+from irpso_addon.solver.polish_kernels import SPREAD_REACH
 from irpso_addon.solver.resolve import ResolvedPolish
 from irpso_addon.solver.schedule import Polish, load_schedule
 from irpso_addon.solver.state import DomainTextures, Estimates
@@ -282,6 +283,61 @@ def test_a_texel_takes_what_a_neighbour_has_found(polish, card, entry):
     np.testing.assert_allclose(helped["base_color"][1, 1], truth["base_color"][1, 1], atol=1e-4)
 
 
+def uniform(shape, **changed):
+    """A principled material at every texel; float32, as all that is uploaded."""
+    values = {
+        "base_color": (0.4, 0.3, 0.2),
+        "normal": unit(np.array([0.1, -0.1, 1])),
+        "roughness": 0.3,
+        "specular": 0.5,
+    }
+    return {
+        name: np.broadcast_to(np.float32(v).reshape(-1), (*shape, np.size(v))).copy()
+        for name, v in (values | changed).items()
+    }
+
+
+def voted(polish, truth, start, votes, entry="fragment", unseen=None):
+    """Polish a start with votes of the neighbours, under 40 lights with noise.
+
+    unseen: (row, column) of a texel that no light near its highlight reaches.
+    """
+    model, shape = load_model("principled"), truth["roughness"].shape[:2]
+    domain = observed(model, truth, shape, noise=0.003)
+    if unseen:
+        half = unit(domain.lights[:, :3] + (0, 0, 1))
+        domain.stack[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
+    schedule = schedule_of(iterations=4, rounds=3, round_iterations=4, votes=votes)
+    return polish(model, domain, start, schedule, entry=entry).run()
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(polish, entry):
+    truth = uniform((7, 7))
+    start = {name: v.copy() for name, v in truth.items()}
+    start["roughness"][3, 3], start["specular"][3, 3] = 0.9, 0.0
+    alone, crowd = (voted(polish, truth, start, votes, entry, (3, 3)) for votes in (0.0, 1.0))
+    for name, value in (("roughness", 0.3), ("specular", 0.5)):
+        assert abs(alone[name][3, 3, 0] - value) > 0.2 > 2 * abs(crowd[name][3, 3, 0] - value)
+
+
+def test_a_texel_of_its_own_material_is_not_outvoted(polish):
+    truth = uniform((7, 7))
+    truth["roughness"][3, 3], truth["specular"][3, 3] = 0.7, 1.0
+    found = voted(polish, truth, truth, 1.0)
+    assert found["roughness"][3, 3, 0] == pytest.approx(0.7, abs=0.05)
+    assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.05
+
+
+def test_a_line_and_a_checker_one_texel_wide_survive_the_votes(polish):
+    rows, columns = np.indices((8, 8))
+    for other in (rows == 3, (rows + columns) % 2 == 0):
+        truth = uniform((8, 8))
+        truth["roughness"][other] = 0.6
+        found = voted(polish, truth, truth, 1.0)
+        assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.06
+
+
 # ---- what never changes ------------------------------------------------------------------------------------------
 
 
@@ -297,7 +353,8 @@ def test_fragment_and_compute_make_the_same_step(polish):
         np.testing.assert_allclose(one[name], other[name], rtol=1e-4, atol=1e-5)
 
 
-WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2, "daring": 1.5}
+WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2, "daring": 1.5,
+         "votes": 1.0}  # fmt: skip
 
 
 def lobes():
@@ -341,7 +398,7 @@ def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, 
     )
     whole = recover(domain, model, schedule, entry=entry)
     whole.step()
-    assert run_tiled(domain, model, schedule, recover, 1, entry) == bits_of(whole.maps())
+    assert run_tiled(domain, model, schedule, recover, SPREAD_REACH, entry) == bits_of(whole.maps())
 
 
 def test_a_known_parameter_and_one_that_no_stage_searches_stay(recover):

@@ -218,6 +218,7 @@ start_iterations = 5
 rounds = 2
 round_iterations = 4
 daring = 1.0
+votes = 1.0
 damping = 0.01
 gain = 1e-5
 smallest_step = 1e-5
