@@ -17,7 +17,7 @@ from ..capture.read import read_capture
 from ..capture.types import Capture
 from ..cluster.ranks import joined
 from ..errors import InputError
-from ..geometry.build import domain_from_card, domain_from_mesh
+from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, subset
 from ..geometry.extras import Extras, extra_maps, normals_of_text
 from ..geometry.frames import from_blender, turned_normals
@@ -49,14 +49,16 @@ from ..solver.planning import (
     make_plan,
     planned_recovery,
     scratch_folder,
+    untiled,
 )
+from ..solver.prepare import Prepared, prepare
 from ..solver.progress import Progress
 from ..solver.schedule import Schedule
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture
 from .options import check_size, index_list, known_from_options, positive, schedule_from_options, size_option
-from .progress import silent, unseen_reports
+from .progress import ProgressBar, counted, silent, unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
 
 BLEND = "material.blend"
@@ -124,14 +126,25 @@ def run(options: Namespace, opened: bool = False) -> dict:
         job.seconds["lights"] = time.perf_counter() - started
     plan = _plan(options, job, job.mesh, domain.solvable, plan.stack_on)
     started = time.perf_counter()
+    fitted = subset(domain, kept)
     with planned_recovery(
-        plan, subset(domain, kept), job.model, job.schedule, options.seed, job.known, options.entry,
-        scratch_folder(Path(options.output)),
+        plan, fitted, job.model, job.schedule, options.seed, job.known, options.entry,
+        scratch_folder(Path(options.output)), _prepared(options, job, fitted, plan),
     ) as recovery:  # fmt: skip
         job.seconds["prepare"] = time.perf_counter() - started
         solved = solve(options, job, recovery)
         solved.settings |= {"tiles": len(plan.tiles)}
     return finish(options, job, domain, kept, lights, solved)
+
+
+def _prepared(options: Namespace, job: Job, domain: Domain, plan: Plan) -> Prepared | None:
+    """Return what is found before the search, showing how far that is; None where each level finds its own."""
+    if job.schedule.levels > 1:
+        return None
+    bar = ProgressBar("prepare", silent(options), tenths=False)
+    prepared = prepare(domain, job.model, job.schedule, untiled(plan), bar.show)
+    bar.close()
+    return prepared
 
 
 def solve(options: Namespace, job: Job, recovery: AnyRecovery) -> Solved:
@@ -308,11 +321,12 @@ def _domain(options: Namespace, job: Job, mesh: MeshData | None, plan: Plan) -> 
     scratch = scratch_folder(job.folder) if plan.stack_on == "scratch" else None
     if scratch is not None:
         job.capture, job.held_out = held_out_last(job.capture, job.held_out)
+    if mesh is None:
+        steps = card_steps(job.capture, scratch=scratch)
+    else:
+        steps = mesh_steps(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
     with naming_remedy(options.skip_damaged):
-        if mesh is None:
-            domain = domain_from_card(job.capture, scratch=scratch)
-        else:
-            domain = domain_from_mesh(job.capture, mesh, *job.resolution, scratch=scratch, shadows=options.shadows)
+        domain = counted(steps, "read", loading_steps(job.capture, mesh is not None), silent(options))
     settle(options, job, domain)
     return domain
 

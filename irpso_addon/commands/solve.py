@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..files import remove_partials
 from ..solver.history import History
 from ..solver.planning import AnyRecovery
+from ..solver.progress import TimeLeft
 from ..solver.tiled import TiledRecovery
 from .interrupt import held_back
 from .progress import ProgressBar
@@ -49,21 +50,24 @@ def drive(recovery: AnyRecovery, history: History, saving: Saving, quiet: bool) 
         notes = recovery.load(saving.path)
         saver.before = float(notes.pop(_SECONDS, 0.0))
         history.take(notes)
-    bar = ProgressBar("recover", quiet)
+    bar, time_left = ProgressBar("recover", quiet), TimeLeft()
     iterations = 1
     with held_back() as interrupted:
         progress = recovery.progress
         before = progress.evaluations
-        bar.show(progress.fraction, f"{progress.title}  placing the swarms")
+        bar.show(progress.fraction, f"{progress.title}  placing the swarms", time_left.after(bar.seconds, progress))
         while not (progress.done or interrupted()):
             started = bar.seconds
             if saver.turns:  # a tile makes all that it can before the next one is put on the device
                 progress = recovery.step(history.until_next, _SLICE_SECONDS)
             else:
-                progress = recovery.step(min(iterations, history.until_next))
+                # One iteration of a large domain may take minutes; waiting for the bands of short ones would cost.
+                budget = _SLICE_SECONDS if iterations == 1 else None
+                progress = recovery.step(min(iterations, history.until_next), budget)
             history.look()
             rate = (progress.evaluations - before) / max(bar.seconds, 1e-9) / 1e6
-            bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s")
+            left = time_left.after(bar.seconds, progress)
+            bar.show(progress.fraction, f"{progress.title}  {rate:.2f} M evaluations/s", left)
             wanted = iterations * _SLICE_SECONDS / max(bar.seconds - started, 1e-9)
             iterations = max(1, min(2 * iterations, int(wanted), _SLICE))
             if not progress.done:

@@ -72,6 +72,11 @@ def card_steps(
     return replace(_domain(capture.observations, bake, stack, views, inverse, card=True), origin=(x0, y0))
 
 
+def loading_steps(capture: Capture, on_mesh: bool) -> int:
+    """Return how many steps ``card_steps`` make, or ``mesh_steps`` at the most: there each camera is one, too."""
+    return len(capture.observations) + (len(capture.cameras) if on_mesh else 0)
+
+
 def card_bake(capture: Capture) -> GeometryBake:
     """Return the geometry of the domain of a flat subject, without reading an image. Raises InputError."""
     mask = check_card(capture)

@@ -17,21 +17,30 @@ class Bands:
     """Rows per band of every pass, from its time measured with a fence. Never changes what a pass computes.
 
     paced: whether every band is waited for, so that whoever looks at the clock between them sees what they cost.
+    part: how much of the pass that was ``counted`` last is drawn, 0 to 1.
     """
 
     def __init__(self, paced: bool = False) -> None:
         self.paced = paced
+        self.part = 0.0
         self._seconds_per_row: dict[str, float] = {}
         self._rows: dict[str, int] = {}
         self._timed: dict[str, int] = {}
         self._runs: dict[str, int] = {}
 
     def run(
-        self, name: str, height: int, seconds: float, draw: Callable[[tuple[int, int]], None], fence: Callable[[], None]
+        self,
+        name: str,
+        height: int,
+        seconds: float,
+        draw: Callable[[tuple[int, int]], None],
+        fence: Callable[[], None],
+        counted: bool = False,
     ) -> Iterator[None]:
         """Draw all rows in bands of about ``seconds`` each; yields after every band.
 
-        The first band of all is the smallest, in which drivers compile; its time tells nothing.
+        The first band of all is the smallest, in which drivers compile; its time tells nothing. counted: whether
+        ``part`` follows this pass.
         """
         runs = self._runs[name] = self._runs.get(name, 0) + 1
         row = 0
@@ -53,6 +62,8 @@ class Bands:
                 fence()
                 self._learn(name, rows, (time.perf_counter() - start) / (stop - row))
             row = stop
+            if counted:
+                self.part = row / height
             yield
 
     def once(self, draw: Callable[[], None], fence: Callable[[], None]) -> Iterator[None]:

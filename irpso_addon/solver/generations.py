@@ -102,6 +102,7 @@ class RunningGenerations(Phase):
                 seconds,
                 lambda rows, work=work, targets=targets, given=given: work.run(targets, given, constants, rows),
                 lambda work=work, targets=targets: work.fence(targets),
+                counted=work is find,
             )
         old.swap()
         self.iteration += 1

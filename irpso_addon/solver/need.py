@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..reflectance.model import ReflectanceModel
 from .polish_kernels import SPREAD_REACH, renders
-from .prior_kernels import evaluations_of, reach_of
+from .prior_kernels import FIRST_ROUND, evaluations_of, reach_of, taps_of
 from .resolve import (
     Resolved,
     ResolvedPolish,
@@ -22,6 +22,10 @@ from .stage import particle_count, reach_at
 from .state import plan_atlas
 
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
+# What iterations cost beside each other, measured on llvmpipe with 24 lights; a sample's render is 1.
+STEP = 1.7  # of a render for Levenberg–Marquardt, which adds up normal equations
+MOVING, CALM = 0.75, 0.2  # of a polish step: what is left of its cost after another one, and when nearly all are done
+LOOKS = 10.0  # all that a prior makes of one neighbour
 _SIDE = 16384  # of a texture: how an atlas is laid out depends on it only where it does not fit at all
 
 
@@ -113,6 +117,43 @@ def phase_need(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
     if isinstance(resolved, ResolvedPrior):
         return _prior_need(resolved, model)
     return _polish_need(resolved, model)
+
+
+def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
+    """Return the work of each iteration of a stage at a texel, those that place swarms first; in renders of a sample.
+
+    What a recovery's progress counts: as long as it takes, about, and known before it begins.
+    """
+    if isinstance(resolved, ResolvedSurvey):
+        own = survey_model()
+        return (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
+                *_polish_work(resolved.polish, own, observations, 1.0))  # fmt: skip
+    if isinstance(resolved, ResolvedStage):
+        return _swarm_work(resolved, schedule, observations)
+    if isinstance(resolved, ResolvedPolish):
+        return _polish_work(resolved, model, observations, STEP)
+    looks, first_step = LOOKS * taps_of(resolved.prior), FIRST_ROUND + resolved.prior.rounds
+    made = [evaluations_of(resolved, model, i) * observations for i in range(resolved.iterations)]
+    found, fitted = made[:FIRST_ROUND], made[first_step:]
+    return (*map(float, found), *[looks] * resolved.prior.rounds, *(STEP * renders for renders in fitted))
+
+
+def _swarm_work(stage: ResolvedStage, schedule: Schedule, observations: int) -> tuple[float, ...]:
+    particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
+    if schedule.swarm.update == "all":
+        return (float(particles * (2 if stage.solved else 1) * observations),) * (1 + stage.iterations)
+    return (float(observations),) * (particles + stage.iterations)
+
+
+def _polish_work(
+    resolved: ResolvedPolish, model: ReflectanceModel, observations: int, cost: float
+) -> tuple[float, ...]:
+    """Every texel moves while it is polished from starts; from the best so far, and after offers, ever fewer do."""
+    settings, (step, spread) = resolved.polish, (cost * n * observations for n in renders(model, resolved))
+    starts = resolved.iterations - settings.iterations - settings.rounds * settings.round_iterations
+    from_best = [step * max(CALM, MOVING**i) for i in range(settings.iterations)]
+    after_offers = [spread + step * CALM, *[step * CALM] * (settings.round_iterations - 1)]
+    return (*[step] * starts, *from_best, *after_offers * settings.rounds)
 
 
 def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:

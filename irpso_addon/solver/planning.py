@@ -121,13 +121,15 @@ def planned_recovery(
 ) -> AnyRecovery:
     """Return the recovery that the plan and the schedule ask for.
 
-    scratch: the folder for scratch files. prepared: as for a Recovery, where the domain is solved as one.
+    scratch: the folder for scratch files. prepared: of ``prepare``, packed where the domain is solved as one; a domain
+    of several levels is prepared level by level.
     """
     settings = (domain, model, schedule, seed, known, entry)
     if untiled(plan):
         return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
     folder = scratch if plan.state_on == "scratch" else None
-    return TiledRecovery(*settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
+    options = {"halo": plan.halo, "on_device": plan.on_device, "scratch": folder, "prepared": prepared}
+    return TiledRecovery(*settings, boxes=plan.boxes, **options)
 
 
 def untiled(plan: Plan) -> bool:

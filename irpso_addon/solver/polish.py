@@ -273,5 +273,5 @@ class RunningPolish(Phase):
         given, constants = {**inputs, **self._domain.textures}, self._constants()
         return bands.run(
             name, targets[0].height, seconds, lambda rows: work.run(targets, given, constants, rows),
-            lambda: work.fence(targets),
+            lambda: work.fence(targets), counted=work is self.passes.step,
         )  # fmt: skip

@@ -25,6 +25,7 @@ _EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with room
 _THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
+Report = Callable[[float], object]  # is told how much of something is done, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class Prepared:
             self.brightness,
         )
 
-    def packed(self, domain: Domain, schedule: Schedule) -> Prepared:
-        """Return it with what goes to the GPU."""
+    def packed(self, domain: Domain, schedule: Schedule, report: Report = lambda part: None) -> Prepared:
+        """Return it with what goes to the GPU. report: as for ``prepare``."""
         if self.stack is not None:
             return self
         packing = Packing(domain.solvable, domain.seams)
@@ -64,30 +65,41 @@ class Prepared:
             part[:] = _samples(domain, texels, start)
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
 
-        _each_chunk(domain, work)
+        _each_chunk(domain, work, report)
         stack = stack.reshape(-1, packing.height, packing.width, 4)
         arrays = domain_arrays(domain, packing, packing.pack(self.scale))
         return Prepared(self.scale, self.guess, self.brightness, packing, stack, arrays)
 
 
-def prepare(domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True) -> Prepared:
+def prepare(
+    domain: Domain,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    pack: bool = True,
+    report: Report = lambda part: None,
+) -> Prepared:
     """Return each texel's scale, its first guess (defaults, or a Lambertian fit where seeds ask for it), and the stack.
 
-    Nothing but numpy: it may run in a thread beside a window. pack: whether to find what goes to the GPU, too.
+    Nothing but numpy: it may run in a thread beside a window. pack: whether to find what goes to the GPU, too. report:
+    is called now and then with how much of it is done, 0 to 1.
     """
+    seeded = schedule.swarm.seed == "lambert"
+    count = 1 + seeded + pack
+    sweeps = (lambda part, k=k: report((k + part) / count) for k in range(count))
     guess = {
         p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*domain.shape, p.components))
         for p in model.parameters
     }
-    if schedule.swarm.seed == "lambert":
-        normal, albedo = lambert_seed(domain)
+    if seeded:
+        normal, albedo = lambert_seed(domain, next(sweeps))
         for p in model.parameters:
             if p.is_normal:
                 guess[p.name] = normal
             elif p.is_albedo:
                 guess[p.name] = np.clip(albedo, *p.range)
-    prepared = Prepared(texel_scale(domain, schedule.fitness.percentile), guess, brightness(domain))
-    return prepared.packed(domain, schedule) if pack else prepared
+    scale = texel_scale(domain, schedule.fitness.percentile, next(sweeps))
+    prepared = Prepared(scale, guess, brightness(domain))
+    return prepared.packed(domain, schedule, next(sweeps)) if pack else prepared
 
 
 def brightness(domain: Domain) -> float:
@@ -121,7 +133,7 @@ def brightness_of(domain: Domain, sums: np.ndarray, count: int) -> float:
     return float(Fraction(total, max(1, count)) * Fraction(2) ** (_LEAST_EXPONENT - 24))
 
 
-def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
+def texel_scale(domain: Domain, percentile: float, report: Report = lambda part: None) -> np.ndarray:
     """Return (H, W) float32: the percentile of each texel's samples over their irradiance/π; 1 if there are none."""
     scale = np.ones(domain.shape, np.float32)
 
@@ -132,7 +144,7 @@ def texel_scale(domain: Domain, percentile: float) -> np.ndarray:
             (found,) = _percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
             scale[texels] = np.where(found > 0, found, 1.0)
 
-    _each_chunk(domain, work)
+    _each_chunk(domain, work, report)
     return scale
 
 
@@ -157,7 +169,7 @@ def drop_shadow(
     stack[..., 3] *= brightness >= fitness.shadow * scale
 
 
-def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
+def lambert_seed(domain: Domain, report: Report = lambda part: None) -> tuple[np.ndarray, np.ndarray]:
     """Return normals (H, W, 3), in the frames that are searched, and albedos (H, W, 3) of a trimmed Lambertian fit.
 
     Photometric stereo (Woodham 1980) by least squares over those of a texel's lit samples that lie between the 20th
@@ -170,7 +182,7 @@ def lambert_seed(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
     def work(start: int, texels: Texels) -> None:
         normal[texels], albedo[texels] = _lambert_fit(domain, texels, start)
 
-    _each_chunk(domain, work)
+    _each_chunk(domain, work, report)
     return normal, albedo
 
 
@@ -323,11 +335,13 @@ def _samples(domain: Domain, texels: Texels, start: int) -> np.ndarray:
     return stack[:, texels[0], texels[1]]
 
 
-def _each_chunk(domain: Domain, work: Callable[[int, Texels], None]) -> None:
+def _each_chunk(domain: Domain, work: Callable[[int, Texels], None], report: Report) -> None:
     """Do work(start, texels) for all chunks, some at a time."""
     with ThreadPoolExecutor(_THREADS) as pool:
-        for done in [pool.submit(work, *chunk) for chunk in _chunks(domain)]:
+        waiting = [pool.submit(work, *chunk) for chunk in _chunks(domain)]
+        for number, done in enumerate(waiting, 1):
             done.result()
+            report(number / len(waiting))
 
 
 def _chunks(domain: Domain) -> Iterator[tuple[int, Texels]]:

@@ -223,8 +223,9 @@ class RunningPrior(Phase):
         seconds: float,
         given: dict[str, Any] | None = None,
     ) -> Iterator[None]:
-        inputs, constants = {**self._inputs(), **(given or {})}, self._constants()
+        inputs, constants, passes = {**self._inputs(), **(given or {})}, self._constants(), self.passes
+        counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
         return bands.run(
             name, targets[0].height, seconds, lambda rows: work.run(targets, inputs, constants, rows),
-            lambda: work.fence(targets),
+            lambda: work.fence(targets), counted=counted,
         )  # fmt: skip

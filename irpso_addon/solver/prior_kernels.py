@@ -59,6 +59,11 @@ def reach_of(prior: Prior) -> int:
     return 2**prior.scales
 
 
+def taps_of(prior: Prior) -> int:
+    """Return how many texels around a prior looks at (TAPS of shaders/swarm/prior_window.glsl)."""
+    return 24 + 16 * (prior.scales - 1)
+
+
 def build_prior_passes(
     model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: dict[str, int], entry: Entry
 ) -> PriorPasses:

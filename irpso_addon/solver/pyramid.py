@@ -23,6 +23,7 @@ from . import checkpoint, prepare
 from .changes import given
 from .checkpoint import Checkpoint
 from .known import full_map
+from .need import work_of
 from .progress import Progress
 from .recovery import Recovery
 from .resolve import resolve
@@ -92,7 +93,8 @@ class Pyramid:
             title=live.title + size,
             iteration_in_all=sum(self._iterations[:level]) + live.iteration_in_all,
             iterations_in_all=sum(self._iterations),
-            fraction=done / max(1, sum(self._costs)),
+            fraction=done / sum(self._costs),
+            stage_end=(done + (live.stage_end - live.fraction) * self._costs[level]) / sum(self._costs),
             evaluations=self._before + live.evaluations,
             done=live.done and level == self.schedule.levels - 1,
         )
@@ -158,11 +160,12 @@ class Pyramid:
 
     def _count(self) -> None:
         known, observations = set(self._known[-1]), self.domain.observations
-        self._iterations = [
-            sum(stage.iterations for stage in resolve(s, self.model, known, observations)) for s in self._schedules
-        ]
-        solved = [int(np.count_nonzero(d.solvable)) for d in self._domains]
-        self._costs = [count * texels for count, texels in zip(self._iterations, solved, strict=True)]
+        self._iterations, self._costs = [], []
+        for schedule, domain in zip(self._schedules, self._domains, strict=True):
+            stages = resolve(schedule, self.model, known, observations)
+            work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
+            self._iterations.append(sum(stage.iterations for stage in stages))
+            self._costs.append(work * int(np.count_nonzero(domain.solvable)))
 
     def _begin(self, guess: Maps | None, state: Checkpoint | None) -> Recovery:
         """Return the recovery of the level that is next. guess: at its size, None where there is no coarser one."""

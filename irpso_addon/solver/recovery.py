@@ -24,7 +24,7 @@ from .checkpoint import Checkpoint, named
 from .findings import Findings
 from .generations import RunningGenerations
 from .known import full_map
-from .need import particle_tiles, phase_need
+from .need import particle_tiles, work_of
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
@@ -41,6 +41,7 @@ _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
 _FLAT = frozenset({"surveyed"})  # arrays of a state that have no channels
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
+_BANDS = 8  # that a long time budget is cut into
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
 
 
@@ -99,7 +100,11 @@ class Recovery:
     ) -> None:
         """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
         self._stages, self._known = stages, known
-        self._weights = [phase_need(stage, self.model, self.schedule).evaluations for stage in stages]
+        observations = self.domain.observations
+        works = [work_of(stage, self.model, self.schedule, observations) for stage in stages]
+        total = sum(map(sum, works))
+        self._work_done = [np.cumsum([0.0, *work]) / total for work in works]
+        self._ends = np.cumsum([0.0, *(done[-1] for done in self._work_done)])
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())
@@ -144,14 +149,19 @@ class Recovery:
         running = stages[min(self._index, len(stages) - 1)]
         iteration = self._phase.iteration if self._phase else running.iterations
         made = before + max(iteration, 0) if self._phase else total
-        weights = self._weights
-        done = sum(weights[: self._index])
-        if self._phase is not None:
-            done += weights[self._index] * max(iteration, 0) / max(1, running.iterations)
         return Progress(
             min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made, total,
-            done / sum(weights), self._evaluations, self._phase is None,
+            *self._fractions(iteration), self._evaluations, self._phase is None,
         )  # fmt: skip
+
+    def _fractions(self, iteration: int) -> tuple[float, float]:
+        """Return how much of all work is done, bands of the iteration under way counted, and will be with the stage."""
+        if self._phase is None:
+            return 1.0, 1.0
+        done = self._work_done[self._index]
+        made = min(len(done) - 1 - self._stages[self._index].iterations + iteration, len(done) - 1)
+        step = self._bands.part * (done[min(made + 1, len(done) - 1)] - done[made])
+        return float(self._ends[self._index] + done[made] + step), float(self._ends[self._index + 1])
 
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, with the mean absolute error of its render.
@@ -260,6 +270,7 @@ class Recovery:
         """Go on from what ``state`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work = self._finding = self._found = self._trusted = self._shown = None
+        self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
         self._surveyed = saved.arrays.get("surveyed")
         if self._phase is not None:
@@ -362,6 +373,7 @@ class Recovery:
         phase = self._phase
         cost = self._solved * phase.evaluations
         yield from phase.advance(self._bands, seconds)
+        self._bands.part = 0.0
         self._evaluations += cost
         self._counts = phase.iteration > 0
         if phase.done or self._reached_threshold():
@@ -426,4 +438,6 @@ class Recovery:
 
 
 def _band_seconds(time_budget_s: float | None) -> float:
-    return BACKGROUND_BAND_SECONDS if time_budget_s is None else min(BAND_SECONDS, _SHARE * time_budget_s)
+    if time_budget_s is None:
+        return BACKGROUND_BAND_SECONDS
+    return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)

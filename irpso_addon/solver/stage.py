@@ -89,6 +89,7 @@ class RunningStage(Phase):
                 seconds,
                 lambda rows, work=work, targets=targets, inputs=inputs: work.run(targets, inputs, constants, rows),
                 lambda work=work, targets=targets: work.fence(targets),
+                counted=name in ("place", "move"),
             )
         self.iteration += 1
 

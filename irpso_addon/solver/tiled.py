@@ -105,6 +105,7 @@ class TiledRecovery:
         halo: int,
         on_device: int | None = None,
         scratch: Path | None = None,
+        prepared: prepare.Prepared | None = None,
     ):
         refuse_levels(schedule)
         context.ensure()
@@ -113,7 +114,7 @@ class TiledRecovery:
         self._halo, self._scratch = halo, scratch
         self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
         _check_boxes(boxes, domain)
-        prepared = prepare.prepare(domain, model, schedule, pack=False)
+        prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
         self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
         self._meetings = meetings_of([place_of(part.box, part.domain) for part in self._tiles])
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
@@ -163,7 +164,8 @@ class TiledRecovery:
         slowest = min(told, key=lambda p: (p.done, p.stage, p.iteration))
         ahead = sum(part.solved * (p.fraction - slowest.fraction) for part, p in zip(self._tiles, told, strict=True))
         fraction = slowest.fraction + ahead / max(1, sum(part.solved for part in self._tiles))
-        return replace(slowest, fraction=fraction, evaluations=sum(p.evaluations for p in told))
+        end = max(fraction, slowest.stage_end)
+        return replace(slowest, fraction=fraction, stage_end=end, evaluations=sum(p.evaluations for p in told))
 
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, as Recovery.maps; tiles that take turns each have one for it."""
@@ -273,11 +275,11 @@ class TiledRecovery:
             part, recovery = self._tiles[number], self._recovery(number)
             self._hear(number)
             if most == 0:
-                yield from recovery.making(0, budget)
+                yield from self._noting(part, recovery.making(0, budget))
             made = 0
             while (count is None or made < count) and not recovery.progress.done:
                 recovery.reached = False
-                yield from recovery.making(1, budget)
+                yield from self._noting(part, recovery.making(1, budget))
                 made, part.progress, part.reached = made + 1, recovery.progress, recovery.reached
                 yield
                 if turn == 0 and (recovery.reach or recovery.reached):
@@ -289,6 +291,13 @@ class TiledRecovery:
         self._all_told()
         if all(part.reached for part in self._tiles):
             yield from self._finish_stage()
+
+    @staticmethod
+    def _noting(part: _Tile, work: Iterator[None]) -> Iterator[None]:
+        """Do a tile's work and note its progress in between."""
+        for _ in work:
+            part.progress = part.recovery.progress
+            yield
 
     def _finish_stage(self) -> Iterator[None]:
         """Let all tiles go on to the next stage: the whole domain has reached the threshold."""

@@ -15,6 +15,7 @@ from bpy.app.handlers import persistent
 
 from ..capture.steps import told_as
 from ..errors import InputError
+from ..geometry.build import loading_steps
 from ..geometry.domain import Domain
 from ..gpu import context
 from ..gpu.home import Home
@@ -27,7 +28,7 @@ from ..solver.lights import Lights
 from ..solver.memory import free_memory
 from ..solver.planning import AnyRecovery, untiled
 from ..solver.prepare import Prepared, prepare
-from ..solver.progress import Progress
+from ..solver.progress import Progress, TimeLeft
 from ..solver.schedule import Schedule
 from ..solver.tiled_view import TiledDisplay, display_of
 from . import failures, unkept
@@ -99,7 +100,8 @@ class Session:
         self._uuid = uuid4().hex
         self._paused_in = self.state
         self._read = 0
-        self._lit = 0.0  # how far the lights are found
+        self._part = 0.0  # how far the lights are found, or the first guess
+        self._time_left, self._left = TimeLeft(), None
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
         self._opening: Generator[None, None, None] | None = self._open()
@@ -121,14 +123,12 @@ class Session:
 
     @property
     def fraction(self) -> float:
-        """How far the phase that is under way is: of the images that are read, then of the lights, of the work."""
+        """How far what is under way is: the images, the lights, the first guess, or the recovery."""
         if self.recovery is not None:
             return self.recovery.progress.fraction
         if self.state != "loading":
-            return self._lit
-        capture = self.job.capture  # whose cameras take a step each on a mesh, as its images do
-        steps = len(capture.observations) + (0 if self.mesh is None else len(capture.cameras))
-        return min(1.0, self._read / steps)
+            return self._part
+        return min(1.0, self._read / loading_steps(self.job.capture, self.mesh is not None))
 
     @property
     def rate(self) -> float:
@@ -138,10 +138,7 @@ class Session:
     @property
     def seconds_left(self) -> float | None:
         """An estimate, None while there is too little to tell from."""
-        part = self.fraction
-        if self.recovery is None or part < 0.02:
-            return None
-        return self.seconds * (1 - part) / part
+        return self._left
 
     @property
     def stamp(self) -> str:
@@ -191,6 +188,7 @@ class Session:
         self.longest_stall_s = max(self.longest_stall_s, took)
         if self.recovery is not None:
             self.seconds += took
+            self._left = self._time_left.after(self.seconds, self.recovery.progress)
         _tell()
 
     def run(self) -> None:
@@ -305,8 +303,8 @@ class Session:
             self.domain = self.lights.applied(self.domain)
         self.title = "Fitting a first guess"
         plan, prepared = self.job.plan(self.domain.solvable), None
-        if untiled(plan) and self.job.schedule.levels == 1:
-            prepared = yield from self._prepared()
+        if self.job.schedule.levels == 1:
+            prepared = yield from self._prepared(untiled(plan))
         yield
         self.recovery = self.job.recovery(self.domain, plan, prepared)
         if self.job.resumed is not None:
@@ -328,8 +326,8 @@ class Session:
     def _count_image(self, _: None) -> None:
         self._read += 1
 
-    def _note_lit(self, part: float) -> None:
-        self._lit = part
+    def _note_part(self, part: float) -> None:
+        self._part = part
 
     def _lighting(self) -> Generator[None, None, Lights]:
         """Return the lights that are found, or were found for the same settings before."""
@@ -339,23 +337,24 @@ class Session:
         if kept is not None and kept.lights is not None and kept.wish == wish:
             return kept.lights
         sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.arange(self.domain.observations)))
-        found = yield from told_as(job.lighting(self.domain, sample), self._note_lit)
-        self._lit = 0.0
+        found = yield from told_as(job.lighting(self.domain, sample), self._note_part)
+        self._part = 0.0
         if kept is not None:
             kept.wish, kept.lights = wish, found
         return found
 
-    def _prepared(self) -> Generator[None, None, Prepared]:
-        """Return what the numpy part finds, or found for the same settings before."""
+    def _prepared(self, pack: bool) -> Generator[None, None, Prepared]:
+        """Return what the numpy part finds, or found for the same settings before. pack: as for ``prepare``."""
         schedule = self.job.schedule
-        basis = (self.job.model, schedule.swarm.seed, schedule.fitness)
+        basis = (self.job.model, schedule.swarm.seed, schedule.fitness, pack)
         known = _loaded is not None and _loaded.domain is self.domain
         if known and _loaded.prepared is not None and _loaded.basis == basis:
             return _loaded.prepared
         if known:
             _loaded.prepared = None
-        prepared = yield from self._threaded(lambda: prepare(self.domain, self.job.model, self.job.schedule))
-        if known and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
+        work = (self.domain, self.job.model, schedule, pack, self._note_part)
+        prepared = yield from self._threaded(lambda: prepare(*work))
+        if known and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
             _loaded.basis, _loaded.prepared = basis, prepared
         return prepared
 
@@ -392,6 +391,7 @@ class Session:
         self.display.close()
         self.recovery.close()
         self._home = None if bpy.app.background else Home()
+        self._time_left = TimeLeft()  # its work is another
         self.recovery, self.display = changed, display_of(changed, self.job.known)
 
     def _look(self) -> None:

@@ -99,7 +99,7 @@ def test_a_step_makes_the_iterations_it_is_asked_for_across_levels(turned):
         assert run.step(iterations=6).title == "base_color + normal"
         sizes = [d.solvable.sum() for d in (coarser(coarser(turned[0])), coarser(turned[0]), turned[0])]
         assert run.progress.fraction == pytest.approx(
-            (12 * sizes[0] + 6 * sizes[1] + 2 * sizes[2]) / (12 * sizes[0] + 6 * sizes[1] + 6 * sizes[2])
+            (28 * sizes[0] + 22 * sizes[1] + 18 * sizes[2]) / (28 * sizes[0] + 22 * sizes[1] + 22 * sizes[2])
         )
         particles = 16
         assert run.step().evaluations == sum((particles + n) * size for n, size in zip((12, 6, 6), sizes, strict=True))

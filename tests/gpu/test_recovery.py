@@ -85,7 +85,8 @@ def test_a_step_makes_the_iterations_it_is_asked_for(whole, recover):
     assert recovery.step(iterations=7).iteration == 8
     progress = recovery.step(iterations=6)
     assert (progress.stage, progress.iteration) == (1, 2)
-    assert progress.fraction == pytest.approx(14 / 24)
+    assert progress.fraction == pytest.approx((6 + 12 + 6 + 2) / (2 * (6 + 12)))  # six particles are placed first
+    assert progress.stage_end == pytest.approx(1)
     assert recovery.step().evaluations == evaluations == 2 * (6 + 12) * domain.solvable.sum()
     assert recovery.step(iterations=5).done
 

@@ -118,13 +118,15 @@ def test_slices_of_time_and_looks_between_change_nothing(resident):
     domain = with_hole(card=False)
     wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
     with tiled(domain, SCHEDULES["wide window"], FEW, resident=resident, model=LAMBERT) as recovery:
-        fractions, slices = [0.0], 0
-        while not recovery.step(time_budget_s=1e-6).done:
+        fractions, slices, placing = [0.0], 0, []
+        while not (now := recovery.step(time_budget_s=1e-6)).done:
             slices += 1
-            fractions.append(recovery.progress.fraction)
+            fractions.append(now.fraction)
+            placing += [now.fraction] * (now.iteration < 0)
             if slices % 10 == 0:
                 recovery.maps(confidence=False)
         assert slices > 12 and fractions == sorted(fractions)
+        assert len(set(placing)) > len(FEW)  # it rises before the first iteration, and inside a tile
         assert recovery.progress == progress
         assert everything(recovery.maps()) == wanted
 

@@ -1,0 +1,63 @@
+"""How far a recovery is told to be, and how long it has left: the work that is counted, and a clock that is made up."""
+
+import pytest
+
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.need import work_of
+from irpso_addon.solver.progress import Progress, TimeLeft
+from irpso_addon.solver.resolve import ResolvedStage, ResolvedSurvey, resolve
+from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.stage import particle_count
+
+
+def works(preset, observations=24, model="principled"):
+    schedule, model = load_schedule(preset), load_model(model)
+    stages = resolve(schedule, model, set(), observations)
+    return stages, [work_of(stage, model, schedule, observations) for stage in stages]
+
+
+def at(fraction, stage=0, end=1.0):
+    return Progress(stage, 2, "", 0, 1, 0, 1, fraction, end, 0, fraction >= 1)
+
+
+@pytest.mark.parametrize("preset", ["standard", "swarm", "paper", "constriction"])
+def test_every_iteration_is_counted_and_so_is_every_placing(preset):
+    for stage, work in zip(*works(preset), strict=True):
+        placings = len(work) - stage.iterations
+        assert min(work) > 0 and (placings > 0) == isinstance(stage, ResolvedStage | ResolvedSurvey)
+
+
+def test_placing_counts_as_many_renders_as_there_are_particles():
+    (stage,), (work,) = works("swarm", observations=10)
+    schedule = load_schedule("swarm")
+    particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
+    assert particles > 1 and work == (10.0,) * (particles + stage.iterations)
+    survey, swarm = works("standard")[1][:2]
+    assert swarm[0] == swarm[1] and survey[0] == survey[1]  # all are placed at once, and all are moved
+
+
+def test_the_time_left_is_the_rest_of_the_work_at_the_pace_so_far():
+    left = TimeLeft()
+    assert left.after(5.0, at(0.0)) is None  # what it took before it began does not count
+    for fraction in (0.1, 0.25, 0.5, 0.9):
+        assert left.after(5.0 + 200 * fraction, at(fraction)) == pytest.approx(200 * (1 - fraction))
+    assert left.after(205.0, at(1.0)) == 0
+
+
+def test_a_stage_that_is_slower_than_the_others_goes_on_at_its_own_pace():
+    left = TimeLeft()
+    left.after(0.0, at(0.0, 0, 0.5))
+    left.after(50.0, at(0.5, 1, 1.0))  # 100 s for all the work so far, three times as much from here on
+    assert left.after(50.0 + 300 * 0.1, at(0.6, 1, 1.0)) == pytest.approx(300 * 0.4)
+
+
+def test_a_run_that_goes_on_is_timed_from_where_it_was_taken_up():
+    left = TimeLeft()
+    left.after(0.0, at(0.6))
+    assert left.after(10.0, at(0.8)) == pytest.approx(10.0)
+
+
+def test_nothing_is_told_of_a_run_that_has_hardly_begun():
+    left = TimeLeft()
+    left.after(0.0, at(0.0))
+    assert left.after(1.0, at(0.001)) is None
