@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from .camera import Camera
+from .encoding import Encoding, LitImage, encoding_of
 from .images import ImageRef, ImageStore
 from .picture import Decoder
 from .problems import CaptureError, raise_all
@@ -94,13 +95,20 @@ def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None,
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
     raise_all(faults)
+    tested = [
+        LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
+        for shot, light in zip(draft.shots, lights, strict=True)
+        if light.distant and shot.image.colour_space == "auto"
+    ]
+    encoding = encoding_of(tested, masks, store)
     observations = tuple(
-        Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera]), light, shot.camera)
+        Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera], encoding), light, shot.camera)
         for shot, light in zip(draft.shots, lights, strict=True)
     )
     return Capture(
-        draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance, draft.left_out
-    )
+        draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance, draft.left_out,
+        encoding,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,17 +118,25 @@ class _Reader:
     image: ImageRef
     store: ImageStore
     camera: Camera
+    encoding: Encoding | None = None
 
     def __call__(self) -> np.ndarray:
         return self.samples().rgba
 
     def samples(self):
         """Return the Samples of the image, checked against the camera's size."""
-        found = self.store.samples(self.image)
+        found = self.store.samples(self._decoded())
         height, width = found.rgba.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
             raise size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
         return found
+
+    def _decoded(self) -> ImageRef:
+        """Return the image with the colour space that was found, where its file does not state one."""
+        guessed = self.image.colour_space == "auto" and self.store.encoding(self.image)[1] == "guess"
+        if not guessed or self.encoding is None or self.encoding.known_by != "guess":
+            return self.image
+        return replace(self.image, colour_space=self.encoding.colour_space)
 
 
 def written_lights(draft: Draft) -> list[Light]:

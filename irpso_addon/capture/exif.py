@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+_ICC_PROFILE, _COLOUR_SPACE, _SRGB = 34675, 40961, 1
 _ORIENTATION, _BITS, _WIDTH, _HEIGHT, _SAMPLE_FORMAT = 274, 258, 256, 257, 339
 _EXIF_DIRECTORY, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 33434, 33437, 34855
 _SIZES = {1: 1, 3: 2, 4: 4, 5: 8}  # BYTE, SHORT, LONG, RATIONAL
@@ -34,15 +36,8 @@ def tiff_tags(data: bytes, directory: int | None = None) -> dict[int, tuple[floa
     Whole numbers are int, rationals float; a rational over 0 is left out.
     """
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
-    if order is None or len(data) < 8:
-        return {}
-    start = struct.unpack_from(order + "I", data, 4)[0] if directory is None else directory
-    if start + 2 > len(data):
-        return {}
-    (count,) = struct.unpack_from(order + "H", data, start)
     tags = {}
-    for entry in range(start + 2, min(start + 2 + 12 * count, len(data) - 11), 12):
-        tag, kind, number = struct.unpack_from(order + "HHI", data, entry)
+    for tag, kind, number, entry in _entries(data, directory):
         size = _SIZES.get(kind, 0) * number
         if not 0 < size <= 64:
             continue
@@ -55,6 +50,32 @@ def tiff_tags(data: bytes, directory: int | None = None) -> dict[int, tuple[floa
         elif all(values[1::2]):
             tags[tag] = tuple(a / b for a, b in zip(values[::2], values[1::2], strict=True))
     return tags
+
+
+def _entries(data: bytes, directory: int | None = None) -> Iterator[tuple[int, int, int, int]]:
+    """Yield (tag, type, count, offset of the entry) of a TIFF structure's directory, nothing where it is damaged."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    if order is None or len(data) < 8:
+        return
+    start = struct.unpack_from(order + "I", data, 4)[0] if directory is None else directory
+    if start + 2 > len(data):
+        return
+    (count,) = struct.unpack_from(order + "H", data, start)
+    for entry in range(start + 2, min(start + 2 + 12 * count, len(data) - 11), 12):
+        yield (*struct.unpack_from(order + "HHI", data, entry), entry)
+
+
+def tiff_has_profile(data: bytes) -> bool:
+    """Return whether a TIFF file brings a colour profile (ICC)."""
+    return any(tag == _ICC_PROFILE for tag, *_ in _entries(data))
+
+
+def jpeg_is_srgb(data: bytes) -> bool:
+    """Return whether a JPEG file states its colour space: by a profile (ICC), or sRGB in its EXIF block."""
+    block = _jpeg_block(data)
+    directory = tiff_tags(block).get(_EXIF_DIRECTORY)
+    stated = directory is not None and tiff_tags(block, directory[0]).get(_COLOUR_SPACE) == (_SRGB,)
+    return stated or bool(_jpeg_block(data, 0xE2, b"ICC_PROFILE\0"))
 
 
 def tiff_layout(data: bytes) -> tuple[int, int, int, bool] | None:
@@ -92,12 +113,13 @@ def exposure_of(data: bytes) -> Exposure | None:
     return Exposure(float(seconds), float(f_number) or None, float(iso) or None) if seconds > 0 else None
 
 
-def _jpeg_block(data: bytes) -> bytes:
+def _jpeg_block(data: bytes, marker: int = 0xE1, name: bytes = b"Exif\0\0") -> bytes:
+    """Return what follows the name in the first block of a kind, by default the EXIF block; b"" where there is none."""
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] not in (0xDA, 0xD9):
         (length,) = struct.unpack_from(">H", data, at + 2)
-        if data[at + 1] == 0xE1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            return data[at + 10 : at + 2 + length]
+        if data[at + 1] == marker and data.startswith(name, at + 4):
+            return data[at + 4 + len(name) : at + 2 + length]
         at += 2 + length
     return b""
 

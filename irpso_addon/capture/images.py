@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from .headers import read_header
 from .picture import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .problems import CaptureError
 from .raw import decode_raw, is_raw, raw_size
+
+# By what the encoding of an image is known: its file states it, its format or its 16 bits do, or nothing does.
+KnownBy = Literal["file", "format", "depth", "guess"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,23 @@ class ImageStore:
     decoder: Decoder | None = None
     _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
     _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
+    _encodings: dict[Path, tuple[str, KnownBy]] = field(default_factory=dict)
+
+    def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
+        """Return what colour_space "auto" takes an image for, "srgb" or "linear", and by what that is known.
+
+        8-bit files are sRGB unless they state to be linear; all others are linear. Raises CaptureError.
+        """
+        if is_exr(image.path) or is_raw(image.path):
+            return "linear", "format"
+        if image.path not in self._encodings:
+            header = read_header(image.path)
+            if header.bits == 8:
+                found = (header.states, "file") if header.states else ("srgb", "guess")
+            else:
+                found = "linear", "depth" if header.bits == 16 else "format"
+            self._encodings[image.path] = found
+        return self._encodings[image.path]
 
     def size(self, image: ImageRef) -> tuple[int, int]:
         """Return (width, height) from the file's header. Raises CaptureError where it cannot be read as asked."""
@@ -64,7 +85,8 @@ class ImageStore:
     def samples(self, image: ImageRef) -> Samples:
         """Return an image's linear radiance and weight."""
         if not is_exr(image.path):
-            return samples_of_picture(self.picture(image), image.colour_space)
+            space = self.encoding(image)[0] if image.colour_space == "auto" else image.colour_space
+            return samples_of_picture(self.picture(image), space)
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha)

@@ -14,6 +14,7 @@ import numpy as np
 from . import checks, enough, places
 from .damage import sound_steps
 from .draft import Draft, build_steps, written_lights
+from .encoding import Encoding
 from .images import ImageStore
 from .picture import Decoder, Samples
 from .problems import CaptureError
@@ -140,6 +141,11 @@ def inspect_steps(
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
     facts += _facts(draft, capture)
+    if capture.encoding is not None:
+        yield from _told("Testing the encoding", 0, capture.encoding.testing())
+        facts.append(("encoding", _encoding(capture.encoding)))
+        if message := capture.encoding.message():
+            findings.append(Finding("warning", "encoding", message))
     groups = {camera: _frames_of(capture, camera) for camera in range(len(capture.cameras))}
     for index, observation in enumerate(capture.observations):
         yield f"Checking images: {index + 1} of {len(capture.observations)}"
@@ -190,6 +196,14 @@ def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
         width, height = places.card_size(capture.cameras[0], capture.card_distance)
         facts.append(("card", f"{capture.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
     return facts
+
+
+def _encoding(encoding: Encoding) -> str:
+    """Return what the images are read as, and why."""
+    why = {"file": "stated", "format": "by format", "depth": "by 16 bits", "guess": "not stated"}[encoding.known_by]
+    falls = [fall and f"{fall.exponent:.2f}" for fall in (encoding.test.linear, encoding.test.srgb)]
+    found = f"; fall-off {falls[0]} if linear, {falls[1]} if sRGB" if all(falls) else ""
+    return f"read as {'linear' if encoding.colour_space == 'linear' else 'sRGB'} ({why}){found}"
 
 
 def _light_findings(draft: Draft) -> Iterator[Finding]:

@@ -23,7 +23,8 @@ def read_capture(
     Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
     Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
     decoder: reads the formats that are no EXR (``irpso_addon.maps.blender_images.decode`` is one); without it such
-    images are refused. colour_space: "srgb", "linear", or "auto" (8-bit files sRGB, all others linear).
+    images are refused. colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly
+    show to be linear (``encoding.py``), all others linear.
     skip_damaged: whether images that cannot be decoded are left out, and named in the capture; each is then decoded
     once now. Raises InputError naming the file and the remedy.
     """

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
+from .encoding import Encoding
 from .problems import CaptureError
 
 
@@ -82,6 +83,7 @@ class Capture:
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
     None where it is not known. Raises InputError where it is no length.
     left_out: what its files list and it does not hold.
+    encoding: how their files are encoded, where they were read with colour_space "auto".
     """
 
     name: str
@@ -91,6 +93,7 @@ class Capture:
     source: Path | None = None
     card_distance: float | None = None
     left_out: tuple[LeftOut, ...] = ()
+    encoding: Encoding | None = None
 
     def __post_init__(self) -> None:
         if self.card_distance is not None and not 0 < self.card_distance < math.inf:

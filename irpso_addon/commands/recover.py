@@ -173,6 +173,10 @@ def finish(
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
     left_out = job.capture.left_out
     warnings += [f"left out: {one.why}" for one in left_out]
+    encoding = job.capture.encoding
+    if encoding is not None and encoding.known_by != "format":
+        report["colour_space"] = encoding.colour_space
+        warnings += [text] if (text := encoding.message()) else []
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
     if left_out:
         report["left_out"] = [asdict(one) for one in left_out]

@@ -49,6 +49,7 @@ def card_steps(
     capture: Capture, scratch: Path | None = None, window: Window | None = None
 ) -> Generator[None, None, Domain]:
     """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
+    yield from _settling(capture)
     camera = capture.cameras[0]
     bake = card_bake(capture)
     x0, y0, width, height = window or (0, 0, *bake.coverage.shape[::-1])
@@ -81,6 +82,12 @@ def card_bake(capture: Capture) -> GeometryBake:
     """Return the geometry of the domain of a flat subject, without reading an image. Raises InputError."""
     mask = check_card(capture)
     return _card_bake(_local(capture.cameras[0]), mask, card_depth(capture))
+
+
+def _settling(capture: Capture) -> Generator[None, None, None]:
+    """Yield before each image that tells how the files are encoded."""
+    if capture.encoding is not None:
+        yield from capture.encoding.settling()
 
 
 def _local(camera: Camera) -> Camera:
@@ -149,6 +156,7 @@ def mesh_steps(
 ) -> Generator[None, None, Domain]:
     """Yield before each camera and each image, and return what ``domain_from_mesh`` does."""
     _check_masks(capture)
+    yield from _settling(capture)
     bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
     texel = texel_size(mesh, bake)
     if window is not None:

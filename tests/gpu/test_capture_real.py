@@ -206,3 +206,10 @@ def test_inspect_finds_the_bunnies_sound_and_their_mirror_images_not(shared_data
 
 def test_inspect_finds_only_the_clipped_gold_of_the_icon(shared_data):
     assert inspect_capture(shared_data / "rti_icon", decode).codes == {"clipped"}
+
+
+def test_a_real_capture_of_8_bits_that_states_no_encoding_stays_srgb(shared_data):
+    if not (folder := shared_data / "rti_icon").is_dir():
+        pytest.skip(f"{folder} is not there")
+    encoding = read_capture(folder, decode).encoding
+    assert (encoding.known_by, encoding.colour_space, encoding.message()) == ("guess", "srgb", "")
