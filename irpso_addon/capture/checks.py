@@ -9,6 +9,7 @@ import numpy as np
 from . import three_images
 from .steps import run_steps
 
+NARROW = 0.3  # flatness of directions within about 33° of their middle; 0.19 of those within 22°, 0.4 within 45°
 _UNIT = 1e-3  # DiLiGenT's six printed digits stay within 1e-6; a table of three digits within 1e-3
 _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Pass
 from ..reflectance.model import ReflectanceModel
 from .phase import Phase
-from .polish_kernels import SPREAD_REACH, build_polish_passes
+from .polish_kernels import NO_PENALTY, SPREAD_REACH, build_polish_passes
 from .reader import Reader
 from .resolve import ResolvedPolish
 from .schedule import Polish, Schedule
@@ -80,13 +81,14 @@ class RunningPolish(Phase):
         estimates: Estimates,
         entry: Entry,
         judge: Judge | None = None,
+        penalty: Path = NO_PENALTY,
     ):
         self._judge = judge
         self.title, self.iterations = resolved.title, resolved.iterations
         self.iteration = 0
         self._schedule, self._domain, self._estimates = schedule, domain, estimates
         self._components = model.components
-        self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry)
+        self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
         self._tracks = tracks_of(resolved.polish, len(resolved.starts))
         self._reader = Reader(entry)
         self.textures = PolishTextures(*estimates.size, estimates.count)

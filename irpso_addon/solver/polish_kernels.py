@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..paths import SHADERS
@@ -22,6 +23,7 @@ from .resolve import ResolvedPolish
 from .schedule import Fitness, Polish
 from .unknowns import Unknowns, build_slopes, build_starts
 
+NO_PENALTY = SHADERS / "swarm" / "no_penalty.glsl"
 CANDIDATES = 3  # dampings that are tried together
 SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/swarm/polish_spread.glsl, votes.glsl)
 _OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
@@ -70,9 +72,14 @@ def step_defines(settings: Polish) -> dict[str, str | int]:
 
 
 def build_polish_passes(
-    model: ReflectanceModel, resolved: ResolvedPolish, fitness: Fitness, domain_defines: dict[str, int], entry: Entry
+    model: ReflectanceModel,
+    resolved: ResolvedPolish,
+    fitness: Fitness,
+    domain_defines: dict[str, int],
+    entry: Entry,
+    penalty: Path = NO_PENALTY,
 ) -> PolishPasses:
-    """Compile the passes of a polish."""
+    """Compile the passes of a polish. penalty: the shader of what is added to the loss."""
     settings = resolved.polish
     unknowns, slopes = resolved_slopes(model, resolved)
     evaluations, offers = renders(model, resolved)
@@ -83,7 +90,7 @@ def build_polish_passes(
     given = {
         **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
-        "penalty.glsl": SHADERS / "swarm" / "no_penalty.glsl",
+        "penalty.glsl": penalty,
     }  # fmt: skip
     outputs = (*estimate_outputs(model), Output("o_status"))
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}

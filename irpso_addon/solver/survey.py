@@ -7,20 +7,28 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.checks import NARROW, flatness
 from ..capture.steps import run_steps
 from ..gpu import textures
 from ..gpu.bands import Bands
 from ..gpu.passes import Entry, Kernel, Output, Pass
+from ..paths import SHADERS
 from ..reflectance.model import ReflectanceModel
 from . import kernels
 from .generations import RunningGenerations
 from .phase import BACKGROUND_BAND_SECONDS, Phase
 from .polish import RunningPolish
+from .polish_kernels import NO_PENALTY
 from .resolve import ResolvedSurvey, survey_model
 from .schedule import Schedule
 from .state import DomainTextures, Estimates
 
 _TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
+_PENALTY = SHADERS / "survey" / "falloff_penalty.glsl"
+# Of the prior on the exponent, whose mean is 1, under narrow lights. On balls under 12 lights within 22° it takes the
+# mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2); wide lights tell the exponent,
+# and the prior would cost 0.08° on bunny_lambert.
+_FALLOFF_DEVIATION = 0.15
 _JUDGED = {"u_observations": "INT", "u_delta": "FLOAT"}
 
 
@@ -45,6 +53,9 @@ class RunningSurvey(Phase):
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
         self._domain, self._estimates = grey(domain, schedule), estimates
         self._model = survey_model()
+        self._domain.defines |= {
+            "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
+        }  # fmt: skip
         self._own = _begun(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
@@ -160,8 +171,9 @@ class RunningSurvey(Phase):
     def _begin_polish(self) -> None:
         self._inner.close()
         self._inner = RunningPolish(
-            self._resolved.polish, self._model, self._schedule, self._domain, self._own, self._entry
-        )
+            self._resolved.polish, self._model, self._schedule, self._domain, self._own, self._entry,
+            penalty=_PENALTY if _narrow(self._domain.domain.lights) else NO_PENALTY,
+        )  # fmt: skip
         self._polishing = True
 
 
@@ -224,6 +236,11 @@ def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates,
         p.name: np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components)) for p in own.parameters
     }
     return Estimates(own, default | known)
+
+
+def _narrow(lights: np.ndarray) -> bool:
+    """Return whether lights (K, 4) are distant and close together: the same for all parts of a domain."""
+    return not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
 
 
 def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:

@@ -12,7 +12,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import kernels
+from irpso_addon.solver import kernels, survey
 from irpso_addon.solver.packing import Packing
 from irpso_addon.solver.prepare import texel_scale
 from irpso_addon.solver.recovery import Recovery
@@ -20,6 +20,7 @@ from irpso_addon.solver.schedule import load_schedule
 from irpso_addon.solver.state import DomainTextures
 from irpso_addon.solver.survey import Judge, grey
 from tests import confidence_oracle
+from tests.cli_maker import dome_lights
 from tests.swarm_subjects import bits_of, make_domain, recoveries, unit
 
 STANDARD = load_schedule("standard").replaced(prior_rounds=0)
@@ -148,6 +149,21 @@ def test_normals_of_a_base_that_is_not_lambertian_are_the_surveys(recover, uneve
         recovery.step()
         errors.append(degrees(recovery.maps(confidence=False), truth["normal"]).mean())
     assert errors[0] < 0.3 and errors[1] > 1, errors
+
+
+def test_narrow_lights_do_not_tell_a_fall_off_from_a_tilt_so_a_prior_does(recover, monkeypatch):
+    lights = dome_lights(12, widest=22)
+    errors = []
+    for deviation in (survey._FALLOFF_DEVIATION, 100.0):
+        monkeypatch.setattr(survey, "_FALLOFF_DEVIATION", deviation)
+        domain, truth = card("lambert", shape=(12, 13), observations=12, noise=0.003)
+        domain = replace(domain, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))))
+        stack = np.ones_like(domain.stack)
+        stack[..., :3] = confidence_oracle.radiance(domain, "lambert", truth)
+        stack[..., :3] += 0.003 * np.random.default_rng(2).normal(size=stack[..., :3].shape)
+        found = surveyed(recover(replace(domain, stack=stack), PRINCIPLED, STANDARD))
+        errors.append(degrees(found, truth["normal"]).mean())
+    assert errors[0] < 0.7 * errors[1], errors
 
 
 def test_of_a_surface_that_the_model_tells_the_survey_spoils_nothing(recover):

@@ -1,0 +1,39 @@
+// What the prefit's polish adds to the loss: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few or narrow
+// lights do not tell a fall-off from a tilt; their texels then keep near to Lambert's law.
+// Half a square in each of the three equal channels, in the units of Cauchy's loss; other losses know no such unit.
+
+#include "unknowns.glsl"
+
+#if FITNESS == FITNESS_ROBUST
+#define FALLOFF_UNIT 1.5
+#else
+#define FALLOFF_UNIT 0.0
+#endif
+
+float falloff_precision()
+{
+    return FALLOFF_UNIT / (FALLOFF_DEVIATION * FALLOFF_DEVIATION);
+}
+
+float penalty_of(ivec2 texel, inout float c[12])
+{
+    float d = c[FALLOFF_COMPONENT] - 1.0;
+    return falloff_precision() * d * d;
+}
+
+// JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², J per range.
+void add_penalty(ivec2 texel, inout float c[12], inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])
+{
+    float scale = loss_scale(texel);
+    float precision_of = falloff_precision() / (scale * scale);
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+        if (at == FALLOFF_COMPONENT) {
+            a[u * UNKNOWNS + u] += precision_of * width * width;
+            slope[u] += precision_of * width * (c[at] - 1.0);
+        }
+    }
+}
