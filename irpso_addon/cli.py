@@ -119,7 +119,10 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     _add_distance(add)
     add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     add.add_argument(
-        "--intensities", choices=("given", "estimate"), default="given", help="of lights: as given, or up to one scale"
+        "--intensities",
+        choices=("auto", "given", "estimate"),
+        default="auto",
+        help="of lights: as given, estimated up to one scale, or where the images contradict equal ones",
     )
     add.add_argument(
         "--refine-directions", type=float, default=0.0, metavar="DEGREES", help="by how much the lights' may be off"

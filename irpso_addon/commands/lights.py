@@ -20,18 +20,15 @@ _GIVEN_AS_ONE = (1.0, 1.0, 1.0)  # what a capture has that tells no intensities
 
 def check_lights(options: Namespace) -> None:
     """Raise InputError for options that cannot be followed."""
-    if _asked(options):
-        lights.check(options.intensities == "estimate", options.refine_directions)
+    lights.check(True, options.refine_directions)
 
 
 def found_lights(
     domain: Domain, kept: list[int], model: ReflectanceModel, known: Mapping[str, np.ndarray], options: Namespace
 ) -> lights.Lights | None:
     """Return the lights by the observations ``kept``, None where they are taken as given."""
-    if not _asked(options):
-        return None
-    steps = lights.light_steps(
-        domain, model, None, options.seed, known, intensities=options.intensities == "estimate",
+    steps = lights.chosen_steps(
+        domain, model, options.seed, known, intensities=options.intensities,
         refine_degrees=options.refine_directions, fitted=kept, entry=options.entry,
     )  # fmt: skip
     bar = ProgressBar("lights", silent(options))
@@ -51,13 +48,9 @@ def light_warnings(
     options: Namespace,
 ) -> list[str]:
     """Return what makes the lights doubtful: those that were found, or intensities that the capture does not tell."""
-    if found is not None and options.intensities == "estimate":
-        return found.warnings()
+    if found is not None and (found.factors != 1).any():
+        return found.warnings(options.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _GIVEN_AS_ONE for observation in capture.observations):
         return []
     text = lights.contradiction(subset(domain, kept), maps.model, maps.values, frozenset(known), options.seed)
     return [text] if text else []
-
-
-def _asked(options: Namespace) -> bool:
-    return options.intensities == "estimate" or options.refine_directions != 0

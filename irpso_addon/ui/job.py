@@ -25,7 +25,7 @@ from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.light_sample import LightSample
-from ..solver.lights import Lights, light_steps
+from ..solver.lights import Intensities, Lights, can_tell, chosen_steps
 from ..solver.plan import Plan
 from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
 from ..solver.prepare import Prepared
@@ -45,7 +45,7 @@ _MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
 class LightWish:
     """What is to be found of the lights. degrees: how far off their directions are believed to be, 0 to leave them."""
 
-    intensities: bool = False
+    intensities: Intensities = "auto"
     degrees: float = 0.0
 
 
@@ -95,16 +95,27 @@ class Job:
                 return (yield from card_steps(self.capture, scratch=scratch))
             return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
 
+    def notes(self) -> list[str]:
+        """Return what is to be said of how the images were read, once they have been."""
+        encoding = self.capture.encoding
+        text = encoding.message() if encoding is not None and encoding.known_by == "guess" else ""
+        return [text] if text else []
+
     def know(self, domain: Domain) -> None:
         """Find ``known``, which is in the frames of a domain's texels."""
         self.known = dict(self.given)
         if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
             self.known = turned_normals(self.model, self.known, self.mesh, domain.bake, from_blender)
 
-    def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights]:
+    def asks_for_lights(self, domain: Domain) -> bool:
+        """Return whether the lights of a domain are to be looked for."""
+        wish = self.lights
+        return wish.intensities == "estimate" or wish.degrees != 0 or (wish.intensities == "auto" and can_tell(domain))
+
+    def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights | None]:
         """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
-        return light_steps(
-            domain, self.model, None, self.seed, self.known, intensities=self.lights.intensities,
+        return chosen_steps(
+            domain, self.model, self.seed, self.known, intensities=self.lights.intensities,
             refine_degrees=self.lights.degrees, entry=self.entry, sample=sample,
         )  # fmt: skip
 
@@ -190,7 +201,7 @@ def make_job(context) -> Job:
         schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder((wanted.folder() or Path.home()) / "x"),
         free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
-        LightWish(settings.light_strengths == "ESTIMATE", round(math.degrees(settings.refine_directions), 4)),
+        LightWish(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
         asked=asked_of(settings, obj, slots),
     )  # fmt: skip
 

@@ -63,7 +63,9 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
     )  # fmt: skip
     lights = running.lights
-    warnings = limit_warnings(maps, job.given) + (lights.warnings() if lights is not None else [])
+    warnings = [*limit_warnings(maps, job.given), *job.notes()]
+    if lights is not None:
+        warnings += lights.warnings(job.lights.intensities != "auto")
     return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 
 

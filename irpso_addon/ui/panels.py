@@ -332,8 +332,10 @@ def draw_result(layout, context, running: session.Session) -> None:
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
-        for text in running.lights.warnings():
+        for text in running.lights.warnings(running.job.lights.intensities != "auto"):
             drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
+    for text in running.job.notes():
+        drawing.wrapped(layout, context, text, "ERROR")
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")
     row = layout.row()

@@ -32,7 +32,7 @@ from ..solver.progress import Progress, TimeLeft
 from ..solver.schedule import Schedule
 from ..solver.tiled_view import TiledDisplay, display_of
 from . import failures, unkept
-from .job import Job, LightWish
+from .job import Job
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
@@ -298,9 +298,9 @@ class Session:
                 _loaded = _Loaded(key, self.domain)
         self.state = "preparing"
         self.job.know(self.domain)
-        if self.job.lights != LightWish():
+        if self.job.asks_for_lights(self.domain):
             self.lights = yield from self._lighting()
-            self.domain = self.lights.applied(self.domain)
+            self.domain = self.domain if self.lights is None else self.lights.applied(self.domain)
         self.title = "Fitting a first guess"
         plan, prepared = self.job.plan(self.domain.solvable), None
         if self.job.schedule.levels == 1:
@@ -329,12 +329,12 @@ class Session:
     def _note_part(self, part: float) -> None:
         self._part = part
 
-    def _lighting(self) -> Generator[None, None, Lights]:
-        """Return the lights that are found, or were found for the same settings before."""
+    def _lighting(self) -> Generator[None, None, Lights | None]:
+        """Return the lights that are found, or were for the same settings before; None where they stay as given."""
         job, self.title = self.job, "Finding the lights"
         wish = (job.lights, job.model, job.seed, job.entry)
         kept = _loaded if _loaded is not None and _loaded.domain is self.domain and not job.given else None
-        if kept is not None and kept.lights is not None and kept.wish == wish:
+        if kept is not None and kept.wish == wish:
             return kept.lights
         sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.arange(self.domain.observations)))
         found = yield from told_as(job.lighting(self.domain, sample), self._note_part)

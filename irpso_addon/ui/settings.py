@@ -25,7 +25,7 @@ from .schedule_settings import ScheduleSettings
 CUSTOM = "CUSTOM"  # a model of the user's own
 _LARGEST_SIDE = 16384
 _COLOUR_SPACES = (
-    ("auto", "Automatic", "8-bit images are sRGB, all others linear"),
+    ("auto", "Automatic", "8-bit images are sRGB unless they state or show to be linear, all others linear"),
     ("srgb", "sRGB", "All images are sRGB, as cameras write JPEG"),
     ("linear", "Linear", "All images hold linear radiance"),
 )
@@ -34,6 +34,11 @@ _SOURCES = (
     ("SCENE", "This Scene", "The cameras and lights of the open file, each light with its image"),
 )
 _STRENGTHS = (
+    (
+        "AUTO",
+        "Automatic",
+        "As given, or estimated where the capture tells none and the photographs contradict equal ones",
+    ),
     ("GIVEN", "As Given", "Light intensities as the capture or the scene has them; 1 where it tells none"),
     ("ESTIMATE", "Estimate", "Find how strong each light was from the photographs, up to one scale, before the search"),
 )

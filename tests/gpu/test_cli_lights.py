@@ -46,10 +46,37 @@ def test_estimated_intensities_make_the_maps_right_and_relight_what_was_held_out
 
 
 def test_intensities_that_are_taken_as_1_and_are_not_are_warned_of_with_the_remedy(tmp_path, capture, truth):
-    _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0")
+    _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0", "--intensities", "given")
     assert any("--intensities estimate" in line for line in report["warnings"])
     assert "lights" not in report
     assert np.median(angle(read_map(tmp_path / "out" / "normal.exr"), truth["normal"])) > 5
+
+
+def test_intensities_that_the_images_contradict_are_estimated_unasked_and_that_is_said(
+    tmp_path, capture, truth, factors
+):
+    _, report = recover(capture, tmp_path / "whole", "--set", "prior_rounds=0")
+    assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
+    assert ["so they were estimated" in line for line in report["warnings"]] == [True]
+    normal = read_map(tmp_path / "whole" / "normal.exr")
+    assert np.median(angle(normal, truth["normal"])) < 0.5
+    _, tiled = recover(capture, tmp_path / "tiles", "--set", "prior_rounds=0", "--memory", "device=300K")
+    assert tiled["settings"]["tiles"] > 1
+    np.testing.assert_array_equal(read_map(tmp_path / "tiles" / "normal.exr"), normal)
+
+
+def test_intensities_that_are_right_are_left_alone(tmp_path, truth):
+    capture = write_card(tmp_path / "equal", render_oracle("lambert", truth, LIGHTS), LIGHTS)
+    _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0")
+    assert "lights" not in report and report["warnings"] == []
+
+
+def test_lights_that_lie_close_together_do_not_tell_their_intensities(tmp_path, truth, factors):
+    narrow = dome_lights(12, widest=22)
+    images = render_oracle("lambert", truth, narrow) * factors[:, None, None]
+    _, report = recover(write_card(tmp_path / "narrow", images, narrow), tmp_path / "out", "--set", "prior_rounds=0")
+    assert "lights" not in report
+    assert any("too close together" in line for line in report["warnings"])
 
 
 def test_directions_are_refined_and_those_that_are_right_raise_no_warning(tmp_path, truth):

@@ -39,13 +39,13 @@ def begun():
     return session.begin(make_job(bpy.context))
 
 
-def test_lights_are_taken_as_given_until_it_is_asked_for_otherwise(settings):
+def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(settings):
     from irpso_addon.ui.job import LightWish, make_job
 
-    assert make_job(bpy.context).lights == LightWish(False, 0.0)
+    assert make_job(bpy.context).lights == LightWish("auto", 0.0)
     settings.refine_directions = np.radians(2.5)
     settings.light_strengths = "ESTIMATE"
-    assert make_job(bpy.context).lights == LightWish(True, 2.5)
+    assert make_job(bpy.context).lights == LightWish("estimate", 2.5)
     settings.refine_directions = 0
 
 
