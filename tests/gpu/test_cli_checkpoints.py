@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from irpso_addon.capture.exr import read_exr
 from irpso_addon.commands import solve
 from irpso_addon.errors import InputError
 from irpso_addon.files import replacing_file
+from irpso_addon.solver.progress import Progress
 from tests import cli_maker
 from tests.cli_maker import run_cli
 
@@ -82,12 +84,15 @@ class FullDisk:
 
     def __init__(self, fails):
         self.saved, self._fails = 0, fails
-        self.progress = type("P", (), {"done": False, "fraction": 0.0, "title": "", "evaluations": 0})()
+        self.progress = Progress(
+            stage=0, stages=1, title="", iteration=0, iterations=5, iteration_in_all=0, iterations_in_all=5,
+            fraction=0.0, stage_end=1.0, evaluations=0, done=False,
+        )  # fmt: skip
         self._made = 0
 
     def step(self, iterations=None, time_budget_s=None):
         self._made += 1
-        self.progress.done = self._made == 5
+        self.progress = replace(self.progress, done=self._made == 5)
         return self.progress
 
     def save(self, path, notes):

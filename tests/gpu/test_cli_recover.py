@@ -296,7 +296,7 @@ def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_p
     from irpso_addon.commands import recover
 
     _, out, _ = recovered("lambert")
-    monkeypatch.setattr(recover, "domain_from_card", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(recover, "card_steps", lambda *_, **__: signal.raise_signal(signal.SIGINT))
     code, answer, err = run_cli("recover", out.parent / "lambert", "-o", tmp_path / "out")
     assert (code, answer, err.strip()) == (130, "", "irpso: interrupted")
     assert not list(tmp_path.iterdir())

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tests import cli_maker
 
 from irpso_addon.capture.exr import read_exr
+from tests import cli_maker
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 SHAPE = (72, 96)  # texels
