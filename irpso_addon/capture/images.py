@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
 from .exr_header import ExrPart, is_exr, read_exr_header
-from .headers import read_header
+from .headers import ImageHeader, read_header
 from .picture import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .problems import CaptureError
 from .raw import decode_raw, is_raw, raw_size
@@ -44,7 +44,7 @@ class ImageStore:
     decoder: Decoder | None = None
     _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
     _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
-    _encodings: dict[Path, tuple[str, KnownBy]] = field(default_factory=dict)
+    _pictures: dict[Path, ImageHeader] = field(default_factory=dict)
 
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
         """Return what colour_space "auto" takes an image for, "srgb" or "linear", and by what that is known.
@@ -53,14 +53,16 @@ class ImageStore:
         """
         if is_exr(image.path) or is_raw(image.path):
             return "linear", "format"
-        if image.path not in self._encodings:
-            header = read_header(image.path)
-            if header.bits == 8:
-                found = (header.states, "file") if header.states else ("srgb", "guess")
-            else:
-                found = "linear", "depth" if header.bits == 16 else "format"
-            self._encodings[image.path] = found
-        return self._encodings[image.path]
+        header = self._header(image.path)
+        if header.bits == 8:
+            return (header.states, "file") if header.states else ("srgb", "guess")
+        return "linear", "depth" if header.bits == 16 else "format"
+
+    def _header(self, path: Path) -> ImageHeader:
+        """Return the header of an image that is no EXR, which takes reading the whole file, once."""
+        if path not in self._pictures:
+            self._pictures[path] = read_header(path)
+        return self._pictures[path]
 
     def size(self, image: ImageRef) -> tuple[int, int]:
         """Return (width, height) from the file's header. Raises CaptureError where it cannot be read as asked."""
@@ -73,7 +75,7 @@ class ImageStore:
             raise CaptureError(f"{image.path}: only an EXR file has parts and layers; take part and layer out", "layer")
         if is_raw(image.path):
             return raw_size(image.path)
-        header = read_header(image.path)
+        header = self._header(image.path)
         if self.decoder is None:
             raise CaptureError(
                 f"{image.path}: is a {header.kind} file, and only EXR can be read without Blender; give read_capture"

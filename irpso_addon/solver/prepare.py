@@ -25,7 +25,7 @@ _EXPONENTS, _LEAST_EXPONENT = 280, -149  # of float32 numbers, with room
 _THREADS = 2  # memory is what it waits for; numpy lets go of the interpreter meanwhile
 
 Texels = tuple[np.ndarray, np.ndarray]  # rows, columns
-Report = Callable[[float], object]  # is told how much of something is done, 0 to 1
+Report = Callable[[float], object]  # receives the fraction that is done, 0 to 1
 
 
 @dataclass(frozen=True)

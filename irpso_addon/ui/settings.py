@@ -144,7 +144,7 @@ def _set_card_distance(self, value: float) -> None:
 
 
 def _capture_changed(self, context) -> None:
-    """Forget what was told of the capture before."""
+    """Reset what belongs to the previous capture."""
     self.near_lights, self.stated_distance, self.card_distance = False, 0.0, 0.0
 
 

@@ -1,4 +1,4 @@
-"""What fails in timers, draw handlers and modal operators is told in the panel, in words and once."""
+"""The panel reports failures of timers, draw handlers and modal operators, in words and once."""
 
 import logging
 from types import SimpleNamespace

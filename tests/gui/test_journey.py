@@ -13,7 +13,6 @@ CARD = "IRPSO leaf"
 SETUP = f"""
 import importlib
 session = importlib.import_module("{UI}.session")
-keep = importlib.import_module("{UI}.keep")
 
 def state():
     running = session.current()

@@ -144,6 +144,17 @@ def test_what_is_stated_counts_and_a_contradiction_is_only_warned_of(
     assert len(messages) == bool(said) and all(said in text for text in messages)
 
 
+def test_the_header_of_every_image_is_read_once(tmp_path, ball, monkeypatch):
+    normals, mask = ball
+    codes = encoded(photographed(MATT["clay"], NARROW, normals), "linear")
+    folder = write_capture_of(tmp_path / "ball", codes, NARROW, mask)
+    read = []
+    monkeypatch.setattr("irpso_addon.capture.images.read_header", lambda path: read.append(path) or read_header(path))
+    read_capture(folder, decode_png)
+    photographs = [path for path in read if path.name != "mask.png"]
+    assert len(photographs) == len(set(photographs)) == len(NARROW)
+
+
 def test_an_image_that_cannot_be_read_is_reported_once(tmp_path, ball):
     normals, mask = ball
     codes = encoded(photographed(MATT["white"], NARROW, normals), "linear")

@@ -1,4 +1,4 @@
-"""How far a recovery is told to be, and how long it has left: the work that is counted, and a clock that is made up."""
+"""The fraction and the time left of a recovery: a model of the work, and a fake clock."""
 
 import pytest
 

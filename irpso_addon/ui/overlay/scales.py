@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-PERCENT = 100.0  # errors are told in % of white, as the plots of a result are
+PERCENT = 100.0  # the panel, the legend and the plots show errors in % of white
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 # How far the wanted limit may stray from the one that is shown before it changes: a legend that jumps is unreadable.
 _HOLD_BELOW, _HOLD_ABOVE = 0.45, 1.8
