@@ -28,7 +28,7 @@ from ..geometry.scene_lights import LIGHT_TYPES
 from ..maps import material
 from ..maps.blender_images import decode
 from . import failures, session
-from .card_place import is_free
+from .card_place import is_free, show_card
 from .file_paths import absolute
 from .job import subject_object
 from .scene_capture import draft_steps
@@ -279,9 +279,12 @@ class CreateScene(bpy.types.Operator):
         lights = create_scene(scene, draft, capture)
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # for the same scene as the capture
-            card = material.card_object(capture.name, *capture.masks[0].shape)
+            rows, columns = capture.masks[0].shape
+            card = material.card_object(capture.name, rows, columns)
             if is_free(card):  # else somebody has moved it
                 place_card(card, capture.cameras[0], depth)
+            if context.window is not None:
+                show_card(context, card, np.array(card.matrix_world), rows / columns)
         cameras = len(capture.cameras)
         text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
         if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):

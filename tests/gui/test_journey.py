@@ -125,3 +125,7 @@ def test_close_brings_the_settings_back_and_recover_begins_anew(artist):
     artist.click(*artist.find_button("irpso.create_scene"))
     artist.wait("len([obj for obj in bpy.data.objects if obj.type == 'LIGHT']) >= 24")
     artist.screenshot("journey 8: the capture's cameras and lights")
+    seen, stands = artist.run(
+        f"[list(bpy.context.space_data.region_3d.view_location), list(bpy.data.objects[{CARD!r}].location)]"
+    )
+    np.testing.assert_allclose(seen, stands, atol=1e-5)

@@ -10,10 +10,12 @@ from tests.gui.traces import MODULE, SNAPSHOT, switch
 SIZE, LIGHTS = 64, 24
 CARD = "IRPSO card"
 MODULES = f"""
+import gpu
 import importlib
 session = importlib.import_module("{MODULE}.irpso_addon.ui.session")
 handlers = importlib.import_module("{MODULE}.irpso_addon.ui.overlay.handlers")
 """
+SOFTWARE_VULKAN = "[gpu.platform.backend_type_get(), 'llvmpipe' in gpu.platform.renderer_get()] == ['VULKAN', True]"
 FRESH = """
 bpy.ops.irpso.cancel() if session.current() is not None else None
 bpy.ops.wm.read_homefile()
@@ -60,6 +62,7 @@ def finish(window):
 def test_the_button_recovers_and_keep_makes_the_material_in_one_undo_step(ready):
     ready.click(*ready.find_button("irpso.recover"))
     ready.wait(RUNNING, 180)
+    assert any("Software Vulkan" in line for line in ready.reports()) == ready.run(SOFTWARE_VULKAN)
     finish(ready)
     assert ready.run("session.current().failure") == ""
     ready.screenshot("run-done")
