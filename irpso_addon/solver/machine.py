@@ -12,8 +12,8 @@ from ..reflectance.model import shipped_models
 from .schedule import shipped_presets
 
 SOFTWARE_VULKAN = (
-    "Software Vulkan crashes Blender after some hundred redraws of its window; save often, or start Blender with"
-    " --gpu-backend opengl"
+    "Software Vulkan crashes Blender after some hundred redraws of its window; save often, start Blender with"
+    " --gpu-backend opengl, or raise the driver's limit: sudo sysctl -w vm.max_map_count=2000000"
 )
 
 
