@@ -113,7 +113,9 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         "--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr"
     )
     add.add_argument(
-        "--hold-out", metavar="I,J,…", help="observations (from 0) left out of the fit and relit afterwards"
+        "--hold-out",
+        metavar="I,J,…",
+        help="observations (from 0) left out of the fit and relit afterwards; auto: one in eight, six at most",
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
     _add_distance(add)

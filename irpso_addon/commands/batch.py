@@ -28,7 +28,9 @@ _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # where a card is listed, no defaults of it
 _OF_CARDS = ("distance",)  # and the other way round
 _EVERY = 60.0  # seconds between checkpoints, where a job does not say
-_FIGURES = ("texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "warnings")
+_FIGURES = (
+    "texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "relighting_highlights_psnr_db", "warnings",
+)  # fmt: skip
 
 Parse = Callable[[Sequence[str]], Namespace]
 

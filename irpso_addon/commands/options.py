@@ -16,6 +16,7 @@ from ..reflectance.model import Parameter, ReflectanceModel
 from ..solver.schedule import Schedule, load_schedule
 
 LARGEST_SIDE = 16384
+_HELD_OUT_STEP, _MOST_HELD_OUT = 8, 6  # of --hold-out auto
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:
@@ -99,6 +100,20 @@ def _known_numbers(option: str, numbers: list[float], parameter: Parameter) -> n
             raise InputError(f"{option}: a normal has the length 1, as in {parameter.name}=0,0,1")
         values /= np.linalg.norm(values)
     return values.astype(np.float32)
+
+
+def held_out_list(text: str | None, count: int) -> list[int]:
+    """Return the indices that --hold-out asks for, of ``count`` observations. Raises InputError.
+
+    auto: one in eight, evenly spaced, and six at most: each is a photograph less for the fit.
+    """
+    if text != "auto":
+        return index_list("--hold-out", text, count)
+    step = max(_HELD_OUT_STEP, math.ceil(count / _MOST_HELD_OUT))
+    chosen = list(range(step // 2, count, step))
+    if not chosen:
+        raise InputError(f"--hold-out auto: of {count} observations none can be spared; leave it out, or name one")
+    return chosen
 
 
 def index_list(option: str, text: str | None, count: int) -> list[int]:

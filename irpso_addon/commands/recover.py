@@ -57,7 +57,7 @@ from ..solver.schedule import Schedule
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture
-from .options import check_size, index_list, known_from_options, positive, schedule_from_options, size_option
+from .options import check_size, held_out_list, known_from_options, positive, schedule_from_options, size_option
 from .progress import ProgressBar, counted, silent, unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
 
@@ -232,7 +232,7 @@ def check(options: Namespace, opened: bool) -> Job:
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     with naming_remedy(options.skip_damaged):
         capture = _capture(options)
-    held_out = capture.numbers(index_list("--hold-out", options.hold_out, capture.listed))
+    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed))
     fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]
     if not fitted:
         raise InputError(f"{options.capture}: no observation is left to fit; hold out fewer")
@@ -380,6 +380,7 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
             f" 99th percentile {error['p99']:.3f}"
         )
     for name, psnr in report.get("relighting_psnr_db", {}).items():
-        lines.append(f"relit {name}: {psnr:.2f} dB")
+        highlights = report["relighting_highlights_psnr_db"][name]
+        lines.append(f"relit {name}: {psnr:.2f} dB" + (f", highlights {highlights:.2f} dB" if highlights else ""))
     lines += [f"warning: {text}" for text in report["warnings"]]
     return "\n".join(lines) + "\n"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,8 +15,11 @@ from ..maps.pictures import PreviewRow, default_maximum, display_image, gallery,
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import Maps
 from ..maps.tables import map_tables
+from ..reflectance.model import load_model
 from .forward import render_domain
 
+HIGHLIGHT = 1.5  # a sample is one's that is brighter than the diffuse reflection by this factor …
+_DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
 _SHOWN = 3  # observations in a preview, the median one among them
 _WHITE = 99.5  # percentile of the reference that is shown as white
 
@@ -41,13 +45,23 @@ def error_preview(
 def relit_preview(
     domain: Domain, maps: Maps, held_out: Sequence[int], capture: Capture
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Return the picture "relit" of observations that were left out of the fit, and their PSNR for the report."""
+    """Return the picture "relit" of observations that were left out of the fit, and figures for the report.
+
+    These are their PSNR, and that of their highlights alone, in dB; None where there is nothing to compare.
+    """
     if not held_out:
         return {}, {}
     names = [capture.observations[k].name for k in held_out]
     rows = image_rows(domain, maps, held_out, names)
-    psnr = {name: round(image_psnr(row), 3) for name, row in zip(names, rows, strict=True)}
-    return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, {"relighting_psnr_db": psnr}
+    bright = _highlights(domain, maps, held_out)
+    figures = {
+        "relighting_psnr_db": dict(zip(names, map(_decibels, rows), strict=True)),
+        "relighting_highlights_psnr_db": {
+            name: _decibels(replace(row, counted=row.judged & where))
+            for name, row, where in zip(names, rows, bright, strict=True)
+        },
+    }
+    return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, figures
 
 
 def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
@@ -97,6 +111,27 @@ def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: 
     return rows
 
 
+def _highlights(domain: Domain, maps: Maps, observations: Sequence[int]) -> Iterator[np.ndarray]:
+    """Yield (H, W) bool for each observation: where its photograph is far above what the maps reflect diffusely.
+
+    That is Lambert's law for the base colours as far as they are no metal's: no highlight that the fit has missed is
+    left out for being missed.
+    """
+    normal = next(p.name for p in maps.model.parameters if p.is_normal)
+    diffuse = np.zeros((*domain.shape, 3), np.float32)
+    for parameter in maps.model.parameters:
+        if parameter.is_albedo:
+            diffuse += maps.values[parameter.name]
+    for parameter in maps.model.parameters:
+        if parameter.socket == "Metallic":
+            diffuse *= 1 - maps.values[parameter.name]
+    values = {"base_color": diffuse, "normal": maps.values[normal]}
+    renders = render_domain(domain, load_model("lambert"), values, observations)
+    for k, render in zip(observations, renders, strict=True):
+        seen = np.nan_to_num(domain.stack[k, ..., :3]).mean(axis=-1)
+        yield seen > HIGHLIGHT * render[..., :3].mean(axis=-1) + _DARK * np.percentile(seen[maps.covered], _WHITE)
+
+
 def _title(name: str) -> str:
     return name.replace("_", " ").capitalize()
 
@@ -105,3 +140,8 @@ def image_psnr(row: PreviewRow) -> float:
     """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, where the error counts."""
     difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")
+
+
+def _decibels(row: PreviewRow) -> float | None:
+    psnr = image_psnr(row)
+    return round(psnr, 3) if np.isfinite(psnr) else None

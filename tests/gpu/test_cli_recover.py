@@ -192,6 +192,38 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     assert answer["relighting_psnr_db"]["light 3"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.05)
 
 
+def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
+    lights = cli_maker.dome_lights(20, widest=30)
+    values = cli_maker.smooth_maps((24, 30), {"roughness": (0.3, 0.4), "specular": (1.0, 1.0)})
+    images = cli_maker.render_oracle("principled", values, lights)
+    folder = cli_maker.write_card(tmp_path / "shiny", images, lights)
+    out = tmp_path / "out"
+    # Matt by order: what it relights lacks all highlights.
+    code, answer, _ = run_cli(
+        "recover", folder, "--known", "specular=0", "--known", "roughness=1", "--hold-out", "auto", "-o", out, "--json"
+    )
+    answer = json.loads(answer.splitlines()[-1])
+    assert code == 0
+    names, shown = ["light 4", "light 12"], 0
+    assert list(answer["relighting_psnr_db"]) == list(answer["relighting_highlights_psnr_db"]) == names
+    found = {"normal": read_map(out / "normal.exr"), "base_color": read_map(out / "base_color.exr")}
+    for name, light, image in zip(names, (lights[4], lights[12]), (images[4], images[12]), strict=True):
+        matt = cli_maker.render_oracle("lambert", found, [light])[0]
+        seen, diffuse = image[..., :3], matt[..., :3]
+        white = np.percentile(seen, 99.5)
+        bright = seen.mean(axis=-1) > 1.5 * diffuse.mean(axis=-1) + 0.02 * np.percentile(seen.mean(axis=-1), 99.5)
+        highlights = answer["relighting_highlights_psnr_db"][name]
+        if not bright.any():
+            assert highlights is None
+            continue
+        difference = (srgb(np.clip(seen / white, 0, 1)) - srgb(np.clip(diffuse / white, 0, 1)))[bright]
+        expected = -10 * np.log10((difference**2).mean())
+        assert highlights == pytest.approx(expected, abs=0.3)
+        assert answer["relighting_psnr_db"][name] > expected + 3
+        shown += 1
+    assert shown
+
+
 def test_what_is_known_is_not_searched(recovered, tmp_path):
     values, out, _ = recovered("principled")
     code, _, _ = run_cli(
