@@ -339,8 +339,15 @@ def test_a_look_before_the_end_shows_what_the_polish_has_found(recover):
     assert bits_of(run.maps(confidence=False)) != wanted
 
 
-@pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
-@pytest.mark.parametrize("model", ["principled", "cook_torrance_two_lobe"])
+@pytest.mark.parametrize(
+    ("model", "loss"),
+    [
+        ("principled", "l1"),
+        ("cook_torrance_two_lobe", "l2"),
+        ("principled", "robust"),
+        ("cook_torrance_two_lobe", "robust"),
+    ],
+)
 def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, loss):
     domain = make_domain(11, 12, 9, card=False, near=True, perspective=True, colored=True)
     model = load_model(model)
