@@ -24,7 +24,7 @@ from .kernels import model_includes
 from .portable import digest_of_texels
 from .schedule import Schedule
 
-_VERSION = 3
+_VERSION = 4
 _NOTE = "note_"  # before the names of arrays in the file that are the caller's
 
 

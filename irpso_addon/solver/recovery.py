@@ -343,7 +343,8 @@ class Recovery:
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
         stage, model, domain, estimates = self._stages[index], self.model, self._textures, self._estimates
         if isinstance(stage, ResolvedPolish):
-            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, self._judge())
+            judge = self._judge() if any(p.is_normal for p in stage.parameters) else None
+            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, judge)
         if isinstance(stage, ResolvedPrior):
             return RunningPrior(stage, model, schedule, domain, estimates, self.entry, self._judge())
         if isinstance(stage, ResolvedSurvey):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..errors import InputError
 from ..paths import SHADERS
 from ..reflectance.model import Parameter, ReflectanceModel, Start, load_model
 from .schedule import ALL, MAX_DIMENSIONS, REST, NormalSearch, Polish, Prior, Schedule, Stage, Survey
 
+_ROUNDS = 2  # of the neighbours' offers, with the normals held
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
 
@@ -46,8 +47,7 @@ class ResolvedPolish:
     parameters: tuple[Parameter, ...]
     polish: Polish
     starts: tuple[Start, ...]
-
-    title = "polish"
+    title: str = "polish"
 
     @property
     def iterations(self) -> int:
@@ -119,6 +119,22 @@ def _resolve_polish(
     return (ResolvedPolish(parameters, polish, tuple(dict.fromkeys(start for start in starts if start))),)
 
 
+def _resolve_polish_of_the_rest(
+    polish: Polish, model: ReflectanceModel, parameters: tuple[Parameter, ...]
+) -> tuple[ResolvedPolish, ...]:
+    """Return a polish with the normals held, shorter than the other: most texels are done.
+
+    Where the survey's normal was kept, the rest is what the swarms have left of it, often of another valley than the
+    neighbours'. Around the mouth of a real icon 5.5 % of the texels had a roughness off by 0.4 and more from their 5×5
+    median, 0.24 % have now; more iterations or rounds leave as many.
+    """
+    rest = tuple(p for p in parameters if not p.is_normal)
+    if not any(p.kind == "search" for p in rest):  # what is linear the swarms have solved
+        return ()
+    shorter = replace(polish, starts=False, iterations=polish.start_iterations, rounds=min(polish.rounds, _ROUNDS))
+    return tuple(replace(one, title="polish, normals held") for one in _resolve_polish(shorter, model, rest))
+
+
 def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedPrior, ...]:
     prior, pooled = schedule.prior, tuple(p for p in parameters if p.components == 1)
     if prior.rounds == 0 or not pooled:
@@ -174,6 +190,8 @@ def resolve(
     if found:
         parameters = tuple(p for p in model.parameters if p.name in found)
         resolved += _resolve_polish(schedule.polish, model, parameters)
+        if surveyed:
+            resolved += _resolve_polish_of_the_rest(schedule.polish, model, parameters)
         resolved += _resolve_prior(schedule, parameters)
     if not resolved:
         raise InputError("search: nothing is left to find; every parameter searched is given as known")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.geometry.build import domain_from_card
@@ -21,6 +22,7 @@ from irpso_addon.solver.state import DomainTextures
 from irpso_addon.solver.survey import Judge, grey
 from tests import confidence_oracle
 from tests.cli_maker import dome_lights
+from tests.polish_oracle import Texel
 from tests.swarm_subjects import bits_of, make_domain, recoveries, unit
 
 STANDARD = load_schedule("standard").replaced(prior_rounds=0)
@@ -189,7 +191,9 @@ def test_where_there_is_nothing_to_survey_there_is_no_survey(recover, settings, 
     assert "survey of the normals" not in titles and titles[-1] == "polish"
     whole, _ = card("principled", shape=(3, 4), observations=12)
     stages = recover(whole, PRINCIPLED, STANDARD)._stages
-    assert [s.title for s in stages] == ["survey of the normals", "roughness + specular + base_color", "polish"]
+    assert [s.title for s in stages] == [
+        "survey of the normals", "roughness + specular + base_color", "polish", "polish, normals held"
+    ]  # fmt: skip
 
 
 # ---- the judge ---------------------------------------------------------------------------------------------------
@@ -205,13 +209,18 @@ def bounded_misfit(domain, model, values, settings, scale):
     return (weight * e**2 / (1 + e**2)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
 
 
-def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_the_surveys_normal(recover):
-    # Half of the card is what the model says, the other half is not.
+@pytest.fixture(scope="module")
+def half():
+    """(domain, truth) of a card of which the left half is what the model says, and the right half is not."""
     told, truth = card("principled", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
     other, _ = card("falloff_lobe", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)),
                     falloff=np.full((8, 12, 1), 1.35))  # fmt: skip
     stack = np.where(np.arange(12)[:, None] < 6, told.stack, other.stack)
-    domain = replace(told, stack=np.ascontiguousarray(stack))
+    return replace(told, stack=np.ascontiguousarray(stack)), truth
+
+
+def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_the_surveys_normal(recover, half):
+    domain, truth = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
     survey = surveyed(recovery).values["normal"]
     theirs = recovery._packing.unpack(recovery._surveyed)
@@ -223,7 +232,7 @@ def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_
     phase._judge, judge = None, phase._judge
     polished = recovery.maps(confidence=False).values
     phase._judge = judge
-    recovery.step()
+    recovery.step(iterations=1)
     found = recovery.maps(confidence=False).values
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
     ours, _ = bounded_misfit(domain, "principled", found, STANDARD.survey, scale)
@@ -236,6 +245,38 @@ def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_
     assert (at_the_end > 1.2 * theirs + 0.005)[kept].mean() > 0.9
     for name in found:
         np.testing.assert_array_equal(found[name][kept], before[name][kept])
+
+
+def test_where_the_surveys_normal_is_kept_the_rest_is_the_best_that_goes_with_it(recover, half):
+    domain, _ = half
+    recovery = recover(domain, PRINCIPLED, STANDARD)
+    survey = surveyed(recovery).values["normal"]
+    while recovery.progress.title != "polish, normals held":
+        recovery.step(iterations=1)
+    judged = recovery.maps(confidence=False).values
+    recovery.step()
+    found = recovery.maps(confidence=False).values
+    np.testing.assert_array_equal(found["normal"], judged["normal"])
+    kept = np.argwhere((found["normal"] == survey).all(axis=-1))[::4]
+    scale = texel_scale(domain, STANDARD.fitness.percentile)
+    lit = domain.stack[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None, None]
+    domain.stack[..., 3] *= lit >= STANDARD.fitness.shadow * scale
+    costs = []
+    for row, column in kept:
+        texel = Texel(PRINCIPLED, domain, row, column, "robust", STANDARD.fitness.delta, scale[row, column])
+        normal = found["normal"][row, column].astype(np.float64)
+        names = ("roughness", "specular", "base_color")
+
+        def loss(x, texel=texel, normal=normal):
+            return texel.cost({"normal": normal, "roughness": x[:1], "specular": x[1:2], "base_color": x[2:]})
+
+        own = [np.concatenate([maps[name][row, column].astype(np.float64) for name in names]) for maps in (judged, found)]
+        bounds = [(0.02, 1.0)] + [(0.0, 1.0)] * 4
+        starts = [np.array([r, 0.5, *own[1][2:]]) for r in (0.15, 0.4, 0.8)]
+        best = min(minimize(loss, x, bounds=bounds, method="L-BFGS-B").fun for x in (*starts, *own))
+        costs.append([loss(own[0]) / best, loss(own[1]) / best])
+    judged_cost, found_cost = np.array(costs).T
+    assert np.quantile(found_cost, 0.9) < 1.01 and (judged_cost > 1.02).mean() > 0.3, (judged_cost, found_cost)
 
 
 def test_the_judge_compares_what_float64_compares(recover):

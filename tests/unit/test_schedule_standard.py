@@ -31,7 +31,7 @@ def test_the_standard_preset_moves_whole_swarms_solves_surveys_and_polishes():
     assert "standard" in shipped_presets() and standard.name == "standard"
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
-    assert [type(stage) for stage in stages] == [ResolvedSurvey, ResolvedStage, ResolvedPolish]
+    assert [type(stage) for stage in stages] == [ResolvedSurvey, ResolvedStage, ResolvedPolish, ResolvedPolish]
     assert [p.name for p in stages[1].parameters] == ["roughness", "specular"]
     assert [p.name for p in stages[1].solved] == ["base_color"]
     assert particle_count(standard, stages[1].dimensions("hemisphere")) <= MAX_PARTICLES
@@ -103,10 +103,15 @@ def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
     )
     stages = resolve(standard, load_model("principled"), set(), observations=standard.survey.observations)
     assert [stage.title for stage in stages] == [
-        "survey of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "polish"
+        "survey of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "polish",
+        "polish, normals held",
     ]  # fmt: skip
     assert stages[0].iterations == 11
-    assert [p.name for p in stages[-1].parameters] == ["base_color", "normal", "roughness", "specular"]
+    assert [p.name for p in stages[-2].parameters] == ["base_color", "normal", "roughness", "specular"]
+    assert [p.name for p in stages[-1].parameters] == ["base_color", "roughness", "specular"]
+    assert stages[-1].iterations == 5 + 2 * 4 and stages[-1].starts == ()
+    matt = resolve(standard, load_model("lambert"), set(), observations=50)
+    assert [stage.title for stage in matt][-2:] == ["base_color", "polish"]
     alone = resolve(standard.replaced(search=["normal"]), load_model("lambert"), set(), observations=50)
     assert [stage.title for stage in alone] == ["survey of the normals", "polish"]
 
