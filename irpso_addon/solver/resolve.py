@@ -126,7 +126,7 @@ def _resolve_polish_of_the_rest(
 
     Where the survey's normal was kept, the rest is what the swarms have left of it, often of another valley than the
     neighbours'. Around the mouth of a real icon 5.5 % of the texels had a roughness off by 0.4 and more from their 5×5
-    median, 0.24 % have now; more iterations or rounds leave as many.
+    median, 0.24 % have now; more iterations or rounds change no more.
     """
     rest = tuple(p for p in parameters if not p.is_normal)
     if not any(p.kind == "search" for p in rest):  # what is linear the swarms have solved
