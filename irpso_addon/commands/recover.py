@@ -381,6 +381,8 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         )
     for name, psnr in report.get("relighting_psnr_db", {}).items():
         highlights = report["relighting_highlights_psnr_db"][name]
-        lines.append(f"relit {name}: {psnr:.2f} dB" + (f", highlights {highlights:.2f} dB" if highlights else ""))
+        told = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]
+        told += [f"highlights {highlights:.2f} dB"] if highlights is not None else []
+        lines.append(f"relit {name}: {', '.join(told)}")
     lines += [f"warning: {text}" for text in report["warnings"]]
     return "\n".join(lines) + "\n"

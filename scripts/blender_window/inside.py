@@ -4,6 +4,8 @@ from contextlib import suppress
 
 import bpy
 
+STEP = 18  # pixels between looks for a button: less than one is high, and each look has its region drawn again
+
 
 def main_window():
     """Return Blender's first window."""
@@ -98,12 +100,12 @@ def button_under_mouse(area_type, region_type):
     return wm.clipboard
 
 
-def walk_buttons(area_type, region_type, step):
+def walk_buttons(area_type, region_type):
     """Lead the mouse down a region in columns; yield (x, y from the screen's top, what the button there does)."""
     left, top, width, height = region_box(area_type, region_type)
     window = main_window()
     for across in (0.4, 0.8, 0.15):
-        for y in range(top + step, top + height, step):
+        for y in range(top + STEP, top + height, STEP):
             x = left + round(across * width)
             window.cursor_warp(x, window.height - 1 - y)
             yield None
@@ -111,13 +113,13 @@ def walk_buttons(area_type, region_type, step):
             yield x, y, button_under_mouse(area_type, region_type)
 
 
-def find_button(wanted, area_type, region_type="UI", step=12):
+def find_button(wanted, area_type, region_type="UI"):
     """Return x and y of a button on the screen. Raises LookupError, naming the buttons there are.
 
     wanted: a part of the operator's call in Python, or of the property's data path.
     """
     seen = {}
-    for place in walk_buttons(area_type, region_type, step):
+    for place in walk_buttons(area_type, region_type):
         if place is not None and place[2]:
             if wanted in place[2]:
                 return place[:2]
@@ -126,10 +128,10 @@ def find_button(wanted, area_type, region_type="UI", step=12):
     raise LookupError(f"no button of {wanted!r} in {region_type} of {area_type}; there are: {', '.join(seen)}")
 
 
-def buttons(area_type, region_type="UI", step=12):
+def buttons(area_type, region_type="UI"):
     """Return x, y and what it does of every button in sight of a region, one place for each."""
     seen = {}
-    for place in walk_buttons(area_type, region_type, step):
+    for place in walk_buttons(area_type, region_type):
         if place is not None and place[2]:
             seen.setdefault(place[2], place)
         yield

@@ -12,7 +12,7 @@ COUNT = "sum('memfd:allocation' in line for line in open('/proc/self/maps'))"
 def test_blender_outlives_two_full_size_recoveries_the_second_of_another_model(window, shared_data):
     window.run(MODULES, area="")
     window.run(f"bpy.ops.irpso.import_capture(filepath={str(shared_data / 'rti_icon')!r})", timeout=120)
-    window.run("settings = bpy.context.scene.irpso\nsettings.subject = 'CARD'")
+    window.run("settings = bpy.context.scene.irpso\nsettings.subject = 'CARD'\nsettings.light_strengths = 'GIVEN'")
     window.run("\n".join(f"settings.schedule.{name} = {value}" for name, value in FEW.items()))
     for model in ("principled", "principled_metallic"):
         window.run(f"settings.model = {model!r}\nbpy.ops.irpso.recover('INVOKE_DEFAULT')", timeout=120)

@@ -102,7 +102,7 @@ def test_keep_makes_the_material_that_the_rendered_view_shows(artist):
     artist.move(*artist.region().at(0.3, 0.3))
     artist.key("z", "8")  # the pie menu of shading: Rendered lies upward
     artist.wait("bpy.context.space_data.shading.type == 'RENDERED'")
-    artist.run("redrawn(10)", area="", timeout=180)
+    artist.run("redrawn(4)", area="", timeout=180)
     artist.screenshot("journey 7: kept, rendered by Cycles")
     artist.run("bpy.context.space_data.shading.type = 'SOLID'")
 
