@@ -270,7 +270,7 @@ def test_where_the_surveys_normal_is_kept_the_rest_is_the_best_that_goes_with_it
         def loss(x, texel=texel, normal=normal):
             return texel.cost({"normal": normal, "roughness": x[:1], "specular": x[1:2], "base_color": x[2:]})
 
-        own = [np.concatenate([maps[name][row, column].astype(np.float64) for name in names]) for maps in (judged, found)]
+        own = [np.concatenate([m[name][row, column].astype(np.float64) for name in names]) for m in (judged, found)]
         bounds = [(0.02, 1.0)] + [(0.0, 1.0)] * 4
         starts = [np.array([r, 0.5, *own[1][2:]]) for r in (0.15, 0.4, 0.8)]
         best = min(minimize(loss, x, bounds=bounds, method="L-BFGS-B").fun for x in (*starts, *own))
