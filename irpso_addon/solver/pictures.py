@@ -18,7 +18,7 @@ from ..maps.tables import map_tables
 from ..reflectance.model import load_model
 from .forward import render_domain
 
-HIGHLIGHT = 1.5  # a sample is one's that is brighter than the diffuse reflection by this factor …
+_HIGHLIGHT = 1.5  # a sample is one's that is brighter than the diffuse reflection by this factor …
 _DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
 _SHOWN = 3  # observations in a preview, the median one among them
 _WHITE = 99.5  # percentile of the reference that is shown as white
@@ -129,7 +129,7 @@ def _highlights(domain: Domain, maps: Maps, observations: Sequence[int]) -> Iter
     renders = render_domain(domain, load_model("lambert"), values, observations)
     for k, render in zip(observations, renders, strict=True):
         seen = np.nan_to_num(domain.stack[k, ..., :3]).mean(axis=-1)
-        yield seen > HIGHLIGHT * render[..., :3].mean(axis=-1) + _DARK * np.percentile(seen[maps.covered], _WHITE)
+        yield seen > _HIGHLIGHT * render[..., :3].mean(axis=-1) + _DARK * np.percentile(seen[maps.covered], _WHITE)
 
 
 def _title(name: str) -> str:
