@@ -19,16 +19,14 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import shutil
-import subprocess
 import sys
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.scenes import render, textured
+from benchmarks.scenes.command import ROOT, recover
 from benchmarks.scenes.lights import seen_and_unseen
 from benchmarks.scenes.scores import Errors, angles, psnr, ssim
 from irpso_addon.capture.exr import read_exr
@@ -36,8 +34,6 @@ from irpso_addon.maps.blender_images import encode_png
 from irpso_addon.maps.encode import srgb_from_linear
 from irpso_addon.maps.read import read_maps
 from irpso_addon.reflectance.model import load_model
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,8 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
     results = []
     for preset in presets:
         out = options.out / f"{name}-{Path(preset).stem}"
-        seconds = recover(folder, out, preset, options.resolution)
+        mesh = "--blend", folder / textured.BLEND, "--object", textured.NAME, "--resolution", options.resolution
+        seconds = recover(folder / textured.CAPTURE, out, *mesh, "--preset", preset)
         errors, texels = map_errors(out, truth)
         pictures = textured.photograph_result(out / "material.blend", view, out / "relit", unseen)
         shown, found = (srgb_from_linear(np.clip(p, 0, 1)) for p in (true_pictures, pictures))
@@ -80,18 +77,6 @@ def measure(name: str, scene: textured.TexturedScene, presets: list[str], option
 def side_by_side(below: np.ndarray, above: np.ndarray, count: int = 4) -> np.ndarray:
     """Return one picture of the first of two series (K, H, W, 3), in two rows."""
     return np.concatenate([np.concatenate(list(series[:count]), axis=1) for series in (below, above)])
-
-
-def recover(folder: Path, out: Path, preset: str, resolution: int) -> float:
-    """Run the command as a person would, into a new folder; return its seconds."""
-    shutil.rmtree(out, ignore_errors=True)
-    started = time.perf_counter()
-    command = [
-        sys.executable, "-m", "irpso_addon", "recover", folder / textured.CAPTURE, "--blend", folder / textured.BLEND,
-        "--object", textured.NAME, "--resolution", resolution, "--preset", preset, "-o", out, "--json", "--quiet",
-    ]  # fmt: skip
-    subprocess.run([str(part) for part in command], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - started
 
 
 def map_errors(out: Path, truth: textured.TrueMaps) -> tuple[tuple[Errors, Errors, Errors], int]:

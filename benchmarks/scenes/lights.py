@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+_GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
 
 
 def grid_lights(
@@ -20,11 +21,27 @@ def grid_lights(
     return _unit(np.concatenate([np.tan(angles), np.ones((columns * rows, 1))], axis=-1))
 
 
-def dome_lights(count: int, widest: float) -> np.ndarray:
-    """Return (count, 3) unit directions spread evenly, on a spiral, over the cap of ``widest`` degrees around +z."""
-    height = 1 - (1 - np.cos(np.radians(widest))) * (np.arange(count) + 0.5) / count
-    flat, around = np.sqrt(1 - height**2), _GOLDEN_ANGLE * np.arange(count)
+def dome_lights(count: int, widest: float, narrowest: float = 0.0, turn: float = 0.0) -> np.ndarray:
+    """Return (count, 3) unit directions spread evenly, on a spiral, over the cap of ``widest`` degrees around +z.
+
+    narrowest: degrees off +z below which there is none. turn: degrees by which the spiral is turned around +z.
+    """
+    top, low = np.cos(np.radians([narrowest, widest]))
+    height = top - (top - low) * (np.arange(count) + 0.5) / count
+    flat, around = np.sqrt(1 - height**2), _GOLDEN_ANGLE * np.arange(count) + np.radians(turn)
     return np.stack([flat * np.cos(around), flat * np.sin(around), height], axis=-1)
+
+
+def lamp_places(
+    count: int, off_axis: tuple[float, float], distance: tuple[float, float], turn: float = 0.0
+) -> np.ndarray:
+    """Return (count, 3) places of near lamps, evenly between two angles off +z and two distances from the origin.
+
+    off_axis: degrees. Distances follow the golden ratio, so that lamps beside each other differ in it.
+    """
+    share = np.arange(1, count + 1) * _GOLDEN_RATIO % 1
+    far = distance[0] + (distance[1] - distance[0]) * share
+    return far[:, None] * dome_lights(count, off_axis[1], off_axis[0], turn)
 
 
 def seen_and_unseen() -> tuple[np.ndarray, np.ndarray]:

@@ -66,27 +66,28 @@ def set_up(scene, view: View) -> None:
 
 
 def photographs(
-    folder: Path, directions: np.ndarray, report: Callable[[int], None] | None = None
+    folder: Path, directions: np.ndarray, report: Callable[[int], None] | None = None, shadows: bool = True
 ) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) float32 radiance, row 0 at the bottom, under each Sun of intensity 1; directions: (K, 3).
 
-    Pictures that ``folder`` holds are not rendered again.
+    shadows: whether light is blocked by what stands in its way. Pictures that ``folder`` holds are not rendered again.
     """
-    return _photographs(folder, directions, "SUN", report)
+    return _photographs(folder, directions, "SUN", report, shadows)
 
 
-def photographs_near(folder: Path, places: np.ndarray) -> Iterator[np.ndarray]:
+def photographs_near(folder: Path, places: np.ndarray, shadows: bool = True) -> Iterator[np.ndarray]:
     """Yield as ``photographs`` does under each point light; places: (K, 3).
 
     Their intensity is the square of their distance from the origin, where they shine as bright as a Sun of 1.
     """
-    return _photographs(folder, places, "POINT", None)
+    return _photographs(folder, places, "POINT", None, shadows)
 
 
 def _photographs(
-    folder: Path, vectors: np.ndarray, kind: str, report: Callable[[int], None] | None
+    folder: Path, vectors: np.ndarray, kind: str, report: Callable[[int], None] | None, shadows: bool
 ) -> Iterator[np.ndarray]:
     lamp = _only_lamp(kind)
+    lamp.data.use_shadow = shadows
     for number, vector in enumerate(vectors):
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():

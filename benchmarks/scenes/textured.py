@@ -31,12 +31,15 @@ _HEAD_ROUGHNESS = (0.65, 0.45)
 class TrueMaps:
     """base_color, normal: (N, N, 3), linear and unit vectors of Blender's tangent frame. roughness: (N, N).
 
-    Row 0 is at the bottom, at v = 0.
+    normal: None where the mesh's own normals are meant. metallic, specular (Specular IOR Level): (N, N), None for
+    Blender's defaults, 0 and 0.5. Row 0 is at the bottom, at v = 0.
     """
 
     base_color: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray | None
     roughness: np.ndarray
+    metallic: np.ndarray | None = None
+    specular: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -119,25 +122,34 @@ def photograph_result(blend: Path, view: render.View, folder: Path, unseen: np.n
     return np.stack(list(render.photographs(folder, unseen)))
 
 
-def true_material(truth: TrueMaps):
-    """Return a Blender material with these maps: Principled, GGX, the default specular level."""
+def true_material(truth: TrueMaps, flat: bool = False):
+    """Return a Blender material with these maps: Principled, GGX.
+
+    flat: for a plane whose texels are the picture's pixels: nothing is interpolated, and nothing darkened for normals
+    that face away from the plane, by which Cycles' correction of bump maps departs from the maps' own model.
+    """
     material, nodes = materials.blank("truth")
-    link = material.node_tree.links.new
-    nodes["Principled BSDF"].distribution = "GGX"
-    colour, roughness, coded = (
-        _texture(nodes, name, values).outputs["Color"]
-        for name, values in (
-            ("base_color", truth.base_color), ("roughness", truth.roughness), ("normal", truth.normal / 2 + 0.5),
-        )
-    )  # fmt: skip
-    materials.wire(material, colour, roughness)
-    turned = nodes.new("ShaderNodeNormalMap")
-    link(coded, turned.inputs["Color"])
-    link(turned.outputs["Normal"], nodes["Principled BSDF"].inputs["Normal"])
+    link, shader = material.node_tree.links.new, nodes["Principled BSDF"]
+    shader.distribution = "GGX"
+    material.cycles.use_bump_map_correction = not flat
+    named = {name: getattr(truth, name) for name in ("base_color", "roughness", "metallic", "specular")}
+    named["normal"] = None if truth.normal is None else truth.normal / 2 + 0.5
+    sockets = {
+        name: _texture(nodes, name, values, "Closest" if flat else "Linear").outputs["Color"]
+        for name, values in named.items()
+        if values is not None
+    }
+    materials.wire(material, sockets["base_color"], sockets["roughness"], sockets.get("metallic"))
+    if "specular" in sockets:
+        link(sockets["specular"], shader.inputs["Specular IOR Level"])
+    if "normal" in sockets:
+        turned = nodes.new("ShaderNodeNormalMap")
+        link(sockets["normal"], turned.inputs["Color"])
+        link(turned.outputs["Normal"], shader.inputs["Normal"])
     return material
 
 
-def _texture(nodes, name: str, values: np.ndarray):
+def _texture(nodes, name: str, values: np.ndarray, interpolation: str):
     size = len(values)
     rgba = np.ones((size, size, 4), np.float32)
     rgba[..., :3] = values if values.ndim == 3 else values[..., None]
@@ -145,13 +157,18 @@ def _texture(nodes, name: str, values: np.ndarray):
     image.pixels.foreach_set(rgba.ravel())
     image.update()
     node = nodes.new("ShaderNodeTexImage")
-    node.image = image
+    node.image, node.interpolation = image, interpolation
     return node
 
 
 def opaque(image: np.ndarray) -> np.ndarray:
     """Return (H, W, 4) of colours (H, W, 3): every pixel counts."""
     return np.concatenate([image, np.ones((*image.shape[:2], 1), np.float32)], axis=-1)
+
+
+def linear_picture(path: Path) -> np.ndarray:
+    """Return (H, W, 3) linear values of an sRGB picture."""
+    return srgb_to_linear(_pixels(path))
 
 
 def _pixels(path: Path) -> np.ndarray:

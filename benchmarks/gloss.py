@@ -1,0 +1,225 @@
+"""How well gloss and metal are recovered from Cycles renders of flat cards: a table, and a sheet of pictures a card.
+
+Usage: python -m benchmarks.gloss [--tune | --report] [--captures lamps,distant,shadows] [--model M] [--set NAME=VALUE]
+       [--label L] [--cache .cache/scenes/gloss] [-o OUT] [--keep] [NAME …]
+       python -m benchmarks.gloss --table RESULT.json …
+       python -m benchmarks.gloss --check [NAME …]
+
+Cards are 128 × 128 texels, one a pixel, with true base colour, roughness, metallic and a relief that is real geometry.
+Four are for choosing settings by (--tune), four only for reporting (--report). Each is photographed by Cycles as
+
+- lamps: 16 near lamps 1.2 to 2 widths away, 15° to 60° off axis, perspective camera; JPEG with noise, 1.5 % clipped;
+- distant: 48 distant lights, orthographic camera; EXR without noise;
+- shadows: 24 lamps as above, with cast shadows and four bounces;
+
+and recovered by the public command with the lights given. Errors are of all texels: degrees of normals, absolute
+differences of maps; base colour also of true metals alone (metallic > .9), roughness by whether the true one is below
+.2. A model without a metallic map counts as metallic 0. PSNR is in sRGB (the Standard view) under 8 lamps that are in
+no capture: Cycles renders the true card, and the recovered maps on a flat card pixel for pixel. Highlights are
+samples with more than 1.5 × the true diffuse part + .02. Pictures stay in the cache, and are rendered again where a
+card or a capture has changed.
+
+--check compares the program's own renderer, given the true maps, with the pictures of ``distant`` and ``lamps``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.scenes import card_captures, cards
+from benchmarks.scenes.card_captures import SHOOTINGS, Photographed
+from benchmarks.scenes.command import ROOT, recover
+from benchmarks.scenes.gloss_table import Row, one_run, side_by_side
+from benchmarks.scenes.scores import angles, psnr
+from benchmarks.scenes.textured import TrueMaps
+from irpso_addon.capture.read import read_capture
+from irpso_addon.geometry.build import domain_from_card
+from irpso_addon.maps.blender_images import decode, encode_png
+from irpso_addon.maps.encode import encode_normal, srgb_from_linear
+from irpso_addon.maps.read import read_maps
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.forward import render_domain
+
+_GLOSSY = 0.2  # of roughness
+_METAL = 0.9  # of metallic
+_SHOWN = {"base_color", "normal", "roughness", "metallic", "specular"}  # parameters that Cycles is shown here
+_GAP, _ENLARGED = 4, 2  # of a sheet: pixels between pictures, and pixels a texel
+
+
+def measure(name: str, kind: str, card: cards.Card, options: argparse.Namespace) -> Row:
+    """Photograph a card, recover it, write its sheet, and return its errors."""
+    shot = card_captures.photograph(f"{name}-{kind}", card, SHOOTINGS[kind], options.cache)
+    out = options.out / f"{name}-{kind}"
+    settings = [part for setting in options.set for part in ("--set", setting)]
+    preset = ["--preset", options.preset] if options.preset else []
+    seconds = recover(shot.capture, out, "--model", options.model, *preset, *settings)
+    found = recovered_maps(out, options.model)
+    pictures = card_captures.relight(found, SHOOTINGS[kind].near, out / "relit")
+    row = {"card": name, "capture": kind, "label": options.label, "model": options.model, "set": options.set}
+    row |= errors(found, shot.truth) | picture_errors(pictures, shot) | {"seconds": seconds}
+    encode_png(options.out / f"{name}-{kind}.png", sheet(found, pictures, shot), bits=8)
+    if not options.keep:
+        shutil.rmtree(out)
+    return row
+
+
+def recovered_maps(out: Path, name: str) -> TrueMaps:
+    """Return a result's maps as Cycles is shown them: without roughness matt, without metallic dielectric."""
+    model = load_model(name)
+    if unknown := {p.name for p in model.parameters} - _SHOWN:
+        raise SystemExit(f"{name}: Cycles is not shown {', '.join(sorted(unknown))} here; choose a Principled model")
+    found = read_maps(out, model)
+    shape = found["normal"].shape[:2]
+    maps = {key: value[..., 0] for key, value in found.items() if value.shape[-1] == 1}
+    if "roughness" not in maps:
+        maps |= {"roughness": np.ones(shape), "specular": np.zeros(shape)}
+    maps.setdefault("metallic", np.zeros(shape))
+    return TrueMaps(found["base_color"], found["normal"], **maps)
+
+
+def errors(found: TrueMaps, truth: dict[str, np.ndarray]) -> Row:
+    """Return the errors of maps; None where a card has no texels of a kind."""
+    turned = angles(found.normal, truth["normal"])
+    colour = np.abs(found.base_color - truth["base_color"]).mean(axis=-1)
+    rough = np.abs(found.roughness - truth["roughness"])
+    glossy, metal = truth["roughness"] < _GLOSSY, truth["metallic"] > _METAL
+    return {
+        "normal_mean": _of(np.mean, turned),
+        "normal_median": _of(np.median, turned),
+        "base_color": _of(np.mean, colour),
+        "base_color_metal": _of(np.mean, colour[metal]),
+        "metallic": _of(np.mean, np.abs(found.metallic - truth["metallic"])),
+        "roughness_glossy": _of(np.mean, rough[glossy]),
+        "roughness_glossy_median": _of(np.median, rough[glossy]),
+        "roughness_matt": _of(np.mean, rough[~glossy]),
+        "roughness_matt_median": _of(np.median, rough[~glossy]),
+    }
+
+
+def _of(summary, values: np.ndarray) -> float | None:
+    return float(summary(values)) if values.size else None
+
+
+def picture_errors(pictures: np.ndarray, shot: Photographed) -> Row:
+    """Return the PSNR of relit pictures (8, H, W, 3) over all samples, and over those in highlights."""
+    lit = highlights(shot)
+    shown, true = (srgb_from_linear(np.clip(p, 0, 1)) for p in (pictures, shot.unseen))
+    return {
+        "psnr": psnr(shown, true, np.ones(lit.shape, bool)),
+        "psnr_highlights": psnr(shown, true, lit) if lit.any() else None,
+        "highlights": float(lit.mean()),
+    }
+
+
+def highlights(shot: Photographed) -> np.ndarray:
+    """Return (8, H, W) bool: where the true picture is much brighter than its diffuse part."""
+    return shot.unseen.mean(axis=-1) > 1.5 * card_captures.diffuse_part(shot.truth) + 0.02
+
+
+def sheet(found: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
+    """Return a picture: above the truth, below what was recovered; base colour, metallic, roughness, normal, relit.
+
+    The unseen lamp with the most highlights is shown.
+    """
+    lamp = int(highlights(shot).sum(axis=(1, 2)).argmax())
+    true = TrueMaps(*(shot.truth[name] for name in ("base_color", "normal", "roughness", "metallic")))
+    rows = []
+    for maps, picture in ((found, pictures[lamp]), (true, shot.unseen[lamp])):
+        grey = (np.repeat(values[..., None], 3, axis=-1) for values in (maps.metallic, maps.roughness))
+        colour, relit = srgb_from_linear(np.clip(maps.base_color, 0, 1)), srgb_from_linear(np.clip(picture, 0, 1))
+        rows.append(np.concatenate([_framed(p) for p in (colour, *grey, encode_normal(maps.normal), relit)], axis=1))
+    return np.concatenate(rows)
+
+
+def _framed(picture: np.ndarray) -> np.ndarray:
+    large = picture.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1)
+    return np.pad(large, [(_GAP, _GAP), (_GAP, _GAP), (0, 0)], constant_values=0.5)
+
+
+def forward_error(shot: Photographed) -> tuple[float, float, float]:
+    """Return quantiles .5, .9 of the texels' relative error of the program's renderer with the true maps, and its bias.
+
+    A texel's error is the mean over its samples that are not clipped of |ours − theirs|, over the mean of theirs; the
+    bias is the median over the texels of the signed one.
+    """
+    domain = domain_from_card(read_capture(shot.capture, decoder=decode))
+    truth = {name: np.atleast_3d(shot.truth[name]) for name in ("base_color", "normal", "roughness", "metallic")}
+    model = load_model("principled_metallic")
+    ours = np.stack([p[..., :3] for p in render_domain(domain, model, truth, range(domain.observations))])
+    kept = domain.stack[..., 3:] > 0
+    apart, theirs = (ours - domain.stack[..., :3]) * kept, domain.stack[..., :3] * kept
+    share = np.abs(apart).sum(axis=(0, 3)) / theirs.sum(axis=(0, 3))
+    signed = apart.sum(axis=(0, 3)) / theirs.sum(axis=(0, 3))
+    return float(np.median(share)), float(np.quantile(share, 0.9)), float(np.median(signed))
+
+
+def check(names: list[str], table: dict, options: argparse.Namespace) -> None:
+    """Print how far the program's renderer is from Cycles."""
+    print("| card | capture | relative error of texels, median | 90 % | signed, median |\n|---|---|---|---|---|")
+    for name in names:
+        for kind in ("distant", "lamps"):
+            shot = card_captures.photograph(f"{name}-{kind}", table[name](), SHOOTINGS[kind], options.cache)
+            print(f"| {name} | {kind} | {' | '.join(f'{100 * v:.2f} %' for v in forward_error(shot))} |", flush=True)
+
+
+def main() -> None:
+    """Print the table, and write it with its numbers and sheets into the output folder."""
+    options = _parser().parse_args()
+    if options.table:
+        print(side_by_side(options.table))
+        return
+    tune, report = cards.card_table(options.data)
+    table = tune | report
+    chosen = options.names or list(tune if options.tune else report if options.report else table)
+    kinds = options.captures.split(",")
+    for asked, known in ((chosen, table), (kinds, SHOOTINGS)):
+        if unknown := set(asked) - set(known):
+            raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(known)}")
+    if options.check:
+        check(chosen, table, options)
+        return
+    options.label = options.label or options.model
+    options.out = options.out or options.cache / "results" / options.label
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for kind in kinds:
+        for name in chosen:
+            rows.append(measure(name, kind, table[name](), options))
+            sys.stderr.write(f"{one_run(rows[-1:]).splitlines()[-1]}\n")
+            (options.out / "gloss.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    (options.out / "gloss.md").write_text(one_run(rows) + "\n", encoding="utf-8")
+    print(one_run(rows))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="cards; all without")
+    half = parser.add_mutually_exclusive_group()
+    half.add_argument("--tune", action="store_true", help="only the cards that settings are chosen by")
+    half.add_argument("--report", action="store_true", help="only the cards that no setting was chosen by")
+    parser.add_argument("--captures", default="lamps,distant,shadows", help="which of them, and in which order")
+    parser.add_argument("--model", default="principled", help="of recover")
+    parser.add_argument("--preset", help="of recover")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of recover; repeatable")
+    parser.add_argument("--label", help="name of this run in tables (default: the model)")
+    data = ROOT.parent / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=data, help="folder that may hold materials/rock/albedo.jpg")
+    cache = ROOT / ".cache" / "scenes" / "gloss"
+    parser.add_argument("--cache", type=Path, default=cache, help="folder that keeps the pictures")
+    parser.add_argument(
+        "-o", "--out", type=Path, help="folder for table and sheets (default: results/LABEL, in the cache)"
+    )
+    parser.add_argument("--keep", action="store_true", help="keep what recover wrote, beside the sheets")
+    parser.add_argument("--table", type=Path, nargs="+", metavar="FILE", help="print gloss.json of several runs")
+    parser.add_argument("--check", action="store_true", help="compare the program's renderer with Cycles, and end")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+"""Flat cards of glossy and metallic materials: maps from numpy, and the displaced mesh that carries them.
+
+A card fills a picture of SIDE × SIDE pixels: one texel is one pixel. Maps have MARGIN more texels on each side, so that
+the border of the picture is lit and shadowed as its middle is. Heights stay below HIGHEST texels: at the corner of the
+perspective picture that is half a pixel of parallax.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from .resample import resampled
+from .textured import TrueMaps, linear_picture, true_material
+
+SIDE, MARGIN = 128, 8
+WIDTH = 2.0  # of the card that the picture shows, in world units
+FIELD = 35.0  # degrees, of the perspective camera
+DISTANCE = WIDTH / 2 / np.tan(np.radians(FIELD / 2))  # of that camera from the card
+HIGHEST = 0.5 / (np.sqrt(2) * np.tan(np.radians(FIELD / 2)))  # texels
+_FULL = SIDE + 2 * MARGIN
+_QUADS = 512  # along a side of the mesh
+_BLUR = 1.0  # texels: what a border between two materials is softened by
+
+
+@dataclass(frozen=True)
+class Card:
+    """Maps of _FULL × _FULL texels, row 0 at the bottom. height: texels. base_color: (…, 3) linear."""
+
+    height: np.ndarray
+    base_color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+
+    @property
+    def digest(self) -> bytes:
+        """What tells this card from others."""
+        return b"".join(np.round(a, 6).astype(np.float32).tobytes() for a in vars(self).values())
+
+
+def card_table(data: Path) -> tuple[dict[str, Callable[[], Card]], dict[str, Callable[[], Card]]]:
+    """Return name → card of the half for tuning and of the half for reports. data: folder with ``materials/``."""
+    tune = {
+        "polished_stone": partial(polished_stone, data / "materials" / "rock" / "albedo.jpg"),
+        "gilding": gilding,
+        "rust": rust,
+        "varnished_wood": varnished_wood,
+    }
+    return tune, {"glazed_tiles": glazed_tiles, "brass_patina": brass_patina, "cloth": cloth, "skin": skin}
+
+
+def polished_stone(albedo: Path) -> Card:
+    """Return a polished slab with veins; its colours are those of a CC0 rock, or made here where that is missing."""
+    noise = _Noise(1)
+    if albedo.is_file():
+        colour = np.pad(resampled(linear_picture(albedo), SIDE, SIDE), [(MARGIN, MARGIN)] * 2 + [(0, 0)], mode="wrap")
+        colour = gaussian_filter(colour, (_BLUR, _BLUR, 0))
+    else:
+        colour = _mixed((0.22, 0.2, 0.17), (0.07, 0.06, 0.055), _step(noise(2.0) + noise(8.0), 1.0))
+    vein = np.exp(-((noise(12.0) / 0.12) ** 2)) * _step(noise(16.0) + 0.5, 0.5)
+    colour = _mixed(colour, (0.75, 0.7, 0.62), 0.9 * _soft(vein))
+    roughness = 0.04 + 0.08 * _step(noise(9.0), 0.6)
+    return _card(noise(5.0), 1.0, colour, roughness, 0.0)
+
+
+def gilding() -> Card:
+    """Return a painted ground of skin, red and blue with gold leaf on it, worn at its borders."""
+    noise = _Noise(2)
+    skin_or_red = _mixed((0.62, 0.34, 0.22), (0.42, 0.03, 0.025), _step(noise(14.0), 0.1))
+    ground = _mixed(skin_or_red, (0.03, 0.07, 0.35), _step(noise(14.0) - 0.45, 0.1))
+    ground = ground * (1 + 0.12 * noise(3.0))[..., None]
+    field = noise(11.0) + 0.35 * noise(3.0)
+    gold = gaussian_filter((field > 0.1).astype(float), 1.8)  # metallic goes from 1 to 0 over some four texels
+    leaf = 0.9 * np.array((1.0, 0.77, 0.34)) * (1 + 0.05 * noise(4.0))[..., None]
+    colour = _mixed(ground, leaf, gold)
+    roughness = _mixed(0.5 + 0.1 * _even(noise(6.0)), 0.3 + 0.05 * _even(noise(6.0)), gold)
+    relief = 0.35 * noise(3.5) + 0.9 * (gold - 0.5)
+    return _card(relief, 1.0, colour, roughness, gold)
+
+
+def rust() -> Card:
+    """Return bare steel with islands of rust, whose borders are noisy."""
+    noise = _Noise(3)
+    field = noise(12.0) + 0.5 * noise(4.0) + 0.25 * noise(1.5)
+    rusty = _soft((field > 0.0).astype(float))
+    steel = np.array((0.56, 0.55, 0.53)) * (1 + 0.04 * noise(3.0))[..., None]
+    red = _mixed((0.34, 0.11, 0.035), (0.12, 0.04, 0.02), _step(noise(3.0), 1.0))
+    roughness = _mixed(0.3 + 0.03 * _even(noise(8.0)), 0.875 + 0.075 * _even(noise(4.0)), rusty)
+    relief = 0.25 * noise(8.0) + rusty * (0.5 + 0.45 * noise(2.2))
+    return _card(relief, 1.0, _mixed(steel, red, rusty), roughness, 1 - rusty)
+
+
+def varnished_wood() -> Card:
+    """Return a varnished board: bent year rings with pores, below a smooth film with slight waves."""
+    noise = _Noise(4)
+    x, y = _places()
+    along = x + 0.08 * y + 5 * noise(20.0)
+    rings = np.sin(2 * np.pi * along / 11) + 0.4 * noise((9.0, 1.2))
+    late = _soft(_step(rings - 0.2, 0.7))
+    colour = _mixed((0.46, 0.23, 0.09), (0.16, 0.06, 0.025), late) * (1 + 0.1 * noise((12.0, 1.5)))[..., None]
+    roughness = 0.16 + 0.04 * _even(noise(8.0))
+    return _card(0.25 * rings + 0.75 * noise(7.0), 0.9, colour, roughness, 0.0)
+
+
+def glazed_tiles() -> Card:
+    """Return glazed tiles of four colours, domed and bevelled, in a matt grout."""
+    noise = _Noise(5)
+    x, y = _places()
+    pitch = SIDE / 4
+    inward = np.minimum(*(np.abs((p + 10.0) % pitch - pitch / 2) * -1 + pitch / 2 for p in (x, y)))
+    tile = _soft((inward > 2.0).astype(float))
+    which = (np.floor((x + 10.0) / pitch) * 2 + np.floor((y + 10.0) / pitch) * 3).astype(int) % 4
+    glazes = np.array([(0.03, 0.16, 0.36), (0.72, 0.68, 0.55), (0.06, 0.27, 0.12), (0.5, 0.2, 0.04)])
+    glaze = glazes[which] * (1 + 0.1 * noise(6.0))[..., None]
+    grout = np.array((0.42, 0.4, 0.37)) * (1 + 0.1 * noise(1.5))[..., None]
+    bevel = _smooth(np.clip((inward - 2.0) / 6.0, 0, 1))
+    roughness = _mixed(np.full_like(x, 0.9), 0.075 + 0.025 * _even(noise(9.0)), tile)
+    relief = 1.25 * bevel + 0.2 * noise(6.0) * tile + 0.08 * noise(1.5) * (1 - tile)
+    return _card(gaussian_filter(relief, 1.0), 1.0, _mixed(grout, glaze, tile), roughness, 0.0)
+
+
+def brass_patina() -> Card:
+    """Return brass, here more polished and there less, with green patina."""
+    noise = _Noise(6)
+    green = _soft((noise(9.0) + 0.4 * noise(3.0) > 0.35).astype(float))
+    brass = np.array((0.89, 0.72, 0.36)) * (1 + 0.03 * noise(4.0))[..., None]
+    patina = _mixed((0.1, 0.36, 0.27), (0.26, 0.5, 0.4), _step(noise(3.0), 1.0))
+    roughness = _mixed(0.325 + 0.125 * _even(noise(10.0)), 0.8 + 0.05 * _even(noise(4.0)), green)
+    relief = 0.6 * noise(6.0) + green * (0.3 + 0.3 * noise(2.2))
+    return _card(relief, 1.0, _mixed(brass, patina, green), roughness, 1 - green)
+
+
+def cloth() -> Card:
+    """Return a plain weave of two threads, matt."""
+    noise = _Noise(7)
+    x, y = (p + 0.6 * noise(12.0) for p in _places())
+    pitch = 8.0
+    above = np.sin(np.pi * x / pitch) * np.sin(np.pi * y / pitch)
+    warp = _soft(_step(above, 0.15))
+    colour = _mixed((0.55, 0.47, 0.33), (0.09, 0.12, 0.3), warp) * (1 + 0.08 * noise(1.5))[..., None]
+    roughness = 0.95 + 0.05 * _even(noise(5.0))
+    return _card(_soft(np.abs(above)) + 0.05 * noise(2.0), 0.85, colour, roughness, 0.0)
+
+
+def skin() -> Card:
+    """Return skin with pores, reddish and pale, here oily and there dry."""
+    noise = _Noise(8)
+    colour = _mixed((0.66, 0.4, 0.29), (0.5, 0.2, 0.13), _step(noise(10.0), 1.5))
+    pores = _step(noise(2.2) - 1.0, 0.6)
+    colour = colour * (1 + 0.06 * noise(2.0) - 0.25 * pores)[..., None]
+    roughness = 0.45 + 0.1 * _even(noise(8.0))
+    return _card(0.3 * noise(2.5) + 0.35 * noise(5.0) - 0.5 * pores, 1.0, colour, roughness, 0.0)
+
+
+def build(card: Card):
+    """Put the card into the open scene, as a mesh of _QUADS² quads with its material, and return the object."""
+    count = _QUADS + 1
+    along = np.linspace(0, 1, count)
+    v, u = np.meshgrid(along, along, indexing="ij")
+    texels = [np.clip(a * _FULL - 0.5, 0, _FULL - 1) for a in (v, u)]
+    height = map_coordinates(card.height, texels, order=3, mode="nearest")
+    reach = WIDTH * _FULL / SIDE
+    vertices = np.stack([(u - 0.5) * reach, (v - 0.5) * reach, height * WIDTH / SIDE], axis=-1)
+    corner = (np.arange(_QUADS)[:, None] * count + np.arange(_QUADS)).ravel()
+    quads = corner[:, None] + np.array([0, 1, count + 1, count])
+    made = _mesh(vertices.reshape(-1, 3), quads, np.stack([u, v], axis=-1).reshape(-1, 2))
+    made.data.materials.append(
+        true_material(TrueMaps(card.base_color, None, card.roughness, np.asarray(card.metallic)))
+    )
+    return made
+
+
+def build_flat(maps: TrueMaps):
+    """Put a flat card that the picture shows pixel for pixel into the open scene, with recovered maps on it."""
+    reach = WIDTH / 2
+    corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * reach
+    made = _mesh(corners, np.arange(4)[None], (corners[:, :2] / reach + 1) / 2)
+    made.data.materials.append(true_material(maps, flat=True))
+    return made
+
+
+def _mesh(vertices: np.ndarray, quads: np.ndarray, uv: np.ndarray):
+    """Return a smooth object of vertices (N, 3) and quads (M, 4), with texture coordinates (N, 2) of the vertices."""
+    mesh = bpy.data.meshes.new("card")
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    mesh.loops.add(quads.size)
+    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
+    mesh.polygons.add(len(quads))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv[quads.ravel()].astype(np.float32).ravel())
+    mesh.update(calc_edges=True)
+    mesh.shade_smooth()
+    made = bpy.data.objects.new("card", mesh)
+    bpy.context.scene.collection.objects.link(made)
+    return made
+
+
+class _Noise:
+    """Smooth noise of mean 0 and standard deviation 1; every call gives another."""
+
+    def __init__(self, seed: int):
+        self._rng = np.random.default_rng(seed)
+
+    def __call__(self, texels: float | tuple[float, float]) -> np.ndarray:
+        """Return (_FULL, _FULL) of white noise blurred by so many texels, along y and x where there are two."""
+        values = gaussian_filter(self._rng.standard_normal((_FULL, _FULL)), texels, mode="wrap")
+        return (values - values.mean()) / values.std()
+
+
+def _card(relief: np.ndarray, share: float, colour: np.ndarray, roughness: np.ndarray, metallic) -> Card:
+    """Return a card whose relief is scaled to ``share`` of what parallax allows."""
+    relief = relief - (relief.max() + relief.min()) / 2
+    height = share * HIGHEST * relief / np.abs(relief).max()
+    return Card(height, np.clip(colour, 0, 1), roughness, np.broadcast_to(metallic, height.shape).astype(np.float64))
+
+
+def _places() -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of the texels' middles, in texels from the lower left corner of the picture."""
+    along = np.arange(_FULL) + 0.5 - MARGIN
+    return tuple(np.meshgrid(along, along))
+
+
+def _mixed(a, b, share: np.ndarray) -> np.ndarray:
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    share = share[..., None] if max(a.ndim, b.ndim) != 2 else share
+    return a + share * (b - a)
+
+
+def _smooth(share: np.ndarray) -> np.ndarray:
+    return share**2 * (3 - 2 * share)
+
+
+def _step(values: np.ndarray, width: float) -> np.ndarray:
+    """Return 0 below −width, 1 above width, and a smooth step between."""
+    return _smooth(np.clip(values / (2 * width) + 0.5, 0, 1))
+
+
+def _even(noise: np.ndarray) -> np.ndarray:
+    """Return noise brought to −1…1, about evenly."""
+    return np.tanh(noise)
+
+
+def _soft(mask: np.ndarray) -> np.ndarray:
+    return gaussian_filter(mask, _BLUR)

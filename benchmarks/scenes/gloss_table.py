@@ -1,0 +1,88 @@
+"""Tables of what benchmarks/gloss.py measured: one run, or several beside each other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+# key of a row: (heading, decimals). A row is a card and a capture; None where a card has no such texels.
+COLUMNS = {
+    "normal_mean": ("normal ° mean", 2),
+    "normal_median": ("median", 2),
+    "base_color": ("base colour", 4),
+    "base_color_metal": ("of metals", 4),
+    "metallic": ("metallic", 3),
+    "roughness_glossy": ("roughness < .2 mean", 3),
+    "roughness_glossy_median": ("median", 3),
+    "roughness_matt": ("roughness ≥ .2 mean", 3),
+    "roughness_matt_median": ("median", 3),
+    "psnr": ("PSNR dB", 1),
+    "psnr_highlights": ("of highlights", 1),
+    "seconds": ("s", 0),
+}
+# What several runs are compared by: a table of all columns would be too wide to read.
+COMPARED = {
+    "normal_mean": "normal °",
+    "base_color": "base colour",
+    "base_color_metal": "of metals",
+    "metallic": "metallic",
+    "roughness_glossy": "roughness < .2",
+    "roughness_matt": "≥ .2",
+    "psnr": "PSNR dB",
+    "psnr_highlights": "of highlights",
+    "seconds": "s",
+}
+
+
+def one_run(rows: Sequence[Row]) -> str:
+    """Return the markdown table of rows, one a card and capture."""
+    lines = [_line(["card", "capture", "label", *(heading for heading, _ in COLUMNS.values())])]
+    lines.append("|---" * (len(COLUMNS) + 3) + "|")
+    for row in rows:
+        lines.append(_line([row["card"], row["capture"], row["label"], *(_number(row, key) for key in COLUMNS)]))
+    return "\n".join(lines)
+
+
+def side_by_side(files: Sequence[Path]) -> str:
+    """Return the markdown table of several results: a cell holds the numbers of all runs, in the order of the files.
+
+    Rows are cards and captures that any of the files has; a mean over what all have is at the end.
+    """
+    runs = [{(row["card"], row["capture"]): row for row in read_rows(path)} for path in files]
+    labels = [next(iter(run.values()))["label"] if run else path.stem for run, path in zip(runs, files, strict=True)]
+    keys = list(dict.fromkeys(key for run in runs for key in run))
+    lines = [f"In each cell: {' → '.join(labels)}.", "", _line(["card", "capture", *COMPARED.values()])]
+    lines.append("|---" * (len(COMPARED) + 2) + "|")
+    for key in keys:
+        lines.append(_line([*key, *(" → ".join(_number(run.get(key), name) for run in runs) for name in COMPARED)]))
+    shared = [key for key in keys if all(key in run for run in runs)]
+    means = [_mean([run[key] for key in shared]) for run in runs]
+    lines.append(_line(["mean", "", *(" → ".join(_number(mean, name) for mean in means) for name in COMPARED)]))
+    return "\n".join(lines)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a result's JSON."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    found: Row = {}
+    for name in COMPARED:
+        values = [row[name] for row in rows if row[name] is not None]
+        found[name] = sum(values) / len(values) if values else None
+    return found
+
+
+def _number(row: Row | None, key: str) -> str:
+    if row is None or row[key] is None:
+        return "–"
+    return f"{row[key]:.{COLUMNS[key][1]}f}"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
