@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks.gloss [--tune | --report] [--captures lamps,distant,shadows] [--model M] [--set NAME=VALUE]
        [--label L] [--cache .cache/scenes/gloss] [-o OUT] [--keep] [NAME …]
-       python -m benchmarks.gloss --table RESULT.json …
+       python -m benchmarks.gloss --table RESULT/gloss.json …
        python -m benchmarks.gloss --check [NAME …]
 
 Cards are 128 × 128 texels, one a pixel, with true base colour, roughness, metallic and a relief that is real geometry.
@@ -37,7 +37,7 @@ import numpy as np
 from benchmarks.scenes import card_captures, cards
 from benchmarks.scenes.card_captures import SHOOTINGS, Photographed
 from benchmarks.scenes.command import ROOT, recover
-from benchmarks.scenes.gloss_table import Row, one_run, side_by_side
+from benchmarks.scenes.gloss_table import Row, one_run, read_rows, side_by_side
 from benchmarks.scenes.scores import angles, psnr
 from benchmarks.scenes.textured import TrueMaps
 from irpso_addon.capture.read import read_capture
@@ -63,12 +63,16 @@ def measure(name: str, kind: str, card: cards.Card, options: argparse.Namespace)
     seconds = recover(shot.capture, out, "--model", options.model, *preset, *settings)
     found = recovered_maps(out, options.model)
     pictures = card_captures.relight(found, SHOOTINGS[kind].near, out / "relit")
-    row = {"card": name, "capture": kind, "label": options.label, "model": options.model, "set": options.set}
+    row = {"card": name, "capture": kind, **_how(options)}
     row |= errors(found, shot.truth) | picture_errors(pictures, shot) | {"seconds": seconds}
     encode_png(options.out / f"{name}-{kind}.png", sheet(found, pictures, shot), bits=8)
     if not options.keep:
         shutil.rmtree(out)
     return row
+
+
+def _how(options: argparse.Namespace) -> Row:
+    return {"label": options.label, "model": options.model, "preset": options.preset, "set": options.set}
 
 
 def recovered_maps(out: Path, name: str) -> TrueMaps:
@@ -198,14 +202,25 @@ def main() -> None:
     options.label = options.label or options.model
     options.out = options.out or options.cache / "results" / options.label
     options.out.mkdir(parents=True, exist_ok=True)
-    rows = []
+    print(one_run(measure_all(chosen, kinds, table, options)))
+
+
+def measure_all(names: list[str], kinds: list[str], table: dict, options: argparse.Namespace) -> list[Row]:
+    """Measure every card in every capture and write the tables; return all rows of the output folder.
+
+    What the folder's gloss.json holds of other cards and captures stays, where it was recovered in the same way.
+    """
+    path, rows = options.out / "gloss.json", {}
+    if path.exists():
+        former = [row for row in read_rows(path) if row.items() >= _how(options).items()]
+        rows = {(row["card"], row["capture"]): row for row in former}
     for kind in kinds:
-        for name in chosen:
-            rows.append(measure(name, kind, table[name](), options))
-            sys.stderr.write(f"{one_run(rows[-1:]).splitlines()[-1]}\n")
-            (options.out / "gloss.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    (options.out / "gloss.md").write_text(one_run(rows) + "\n", encoding="utf-8")
-    print(one_run(rows))
+        for name in names:
+            rows[name, kind] = measure(name, kind, table[name](), options)
+            sys.stderr.write(f"{one_run([rows[name, kind]]).splitlines()[-1]}\n")
+            path.write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
+    (options.out / "gloss.md").write_text(one_run(list(rows.values())) + "\n", encoding="utf-8")
+    return list(rows.values())
 
 
 def _parser() -> argparse.ArgumentParser:

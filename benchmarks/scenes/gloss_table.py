@@ -50,10 +50,13 @@ def one_run(rows: Sequence[Row]) -> str:
 def side_by_side(files: Sequence[Path]) -> str:
     """Return the markdown table of several results: a cell holds the numbers of all runs, in the order of the files.
 
-    Rows are cards and captures that any of the files has; a mean over what all have is at the end.
+    Files of one label are one run. Rows are cards and captures that any run has; a mean over what all have is at the
+    end.
     """
-    runs = [{(row["card"], row["capture"]): row for row in read_rows(path)} for path in files]
-    labels = [next(iter(run.values()))["label"] if run else path.stem for run, path in zip(runs, files, strict=True)]
+    by_label: dict[str, dict[tuple[str, str], Row]] = {}
+    for row in (row for path in files for row in read_rows(path)):
+        by_label.setdefault(row["label"], {})[row["card"], row["capture"]] = row
+    labels, runs = list(by_label), list(by_label.values())
     keys = list(dict.fromkeys(key for run in runs for key in run))
     lines = [f"In each cell: {' → '.join(labels)}.", "", _line(["card", "capture", *COMPARED.values()])]
     lines.append("|---" * (len(COMPARED) + 2) + "|")
