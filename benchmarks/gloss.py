@@ -10,7 +10,7 @@ Four are for choosing settings by (--tune), four only for reporting (--report). 
 
 - lamps: 16 near lamps 1.2 to 2 widths away, 15° to 60° off axis, perspective camera; JPEG with noise, 1.5 % clipped;
 - distant: 48 distant lights, orthographic camera; EXR without noise;
-- shadows: 24 lamps as above, with cast shadows and four bounces;
+- shadows: 24 lamps as above, with cast shadows, of a rim around the card too, and four bounces;
 
 and recovered by the public command with the lights given. Errors are of all texels: degrees of normals, absolute
 differences of maps; base colour also of true metals alone (metallic > .9), roughness by whether the true one is below

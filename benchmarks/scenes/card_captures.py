@@ -44,7 +44,7 @@ class Shooting:
 
     near: under lamps, by a perspective camera, as 8-bit sRGB JPEG with noise; else distant lights, an orthographic
     camera and EXR without noise. shadows: whether they are cast. samples: a pixel and light, of
-    cards with narrow lobes and of others.
+    cards with narrow lobes and of others. rim: height of a rim around the picture, in world units.
     """
 
     lights: np.ndarray
@@ -52,6 +52,7 @@ class Shooting:
     shadows: bool = False
     bounces: int = 0
     samples: tuple[int, int] = (32, 32)
+    rim: float = 0.0
 
 
 # What is left of the renderer's noise, on polished stone below radiance 1: root mean square .0015 with 16 samples,
@@ -59,7 +60,8 @@ class Shooting:
 SHOOTINGS = {
     "lamps": Shooting(lamp_places(16, _OFF_AXIS, _FAR)),
     "distant": Shooting(dome_lights(48, 60.0), near=False, samples=(64, 16)),
-    "shadows": Shooting(lamp_places(24, _OFF_AXIS, _FAR), shadows=True, bounces=4),
+    # With this rim 6.5 % of the samples are in shadow, up to 18 % of a picture; half of the texels never.
+    "shadows": Shooting(lamp_places(24, _OFF_AXIS, _FAR), shadows=True, bounces=4, rim=0.3),
 }
 
 
@@ -76,11 +78,20 @@ def photograph(name: str, card: cards.Card, shooting: Shooting, cache: Path) -> 
     """Return the card's capture, truth and unseen pictures, rendered where ``cache`` lacks them."""
     samples = shooting.samples[0 if card.roughness.min() < _NARROW else 1]
     lights = shooting.lights.tobytes(), UNSEEN.tobytes()
-    how = shooting.near, shooting.shadows, shooting.bounces, samples, _UNSEEN_SAMPLES
+    how = (
+        shooting.near,
+        shooting.shadows,
+        shooting.bounces,
+        samples,
+        _UNSEEN_SAMPLES,
+        *([shooting.rim] if shooting.rim else []),
+    )
     key = repr((card.digest, lights, how, _CLIPPED, _NOISE, _QUALITY, cards.SIDE, cards.FIELD))
     folder = cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
     _empty(shooting.near, samples, shooting.bounces)
     cards.build(card)
+    if shooting.rim:
+        cards.build_rim(shooting.rim)
     truth = render.truth(folder / "seen")
     if not (folder / CAPTURE).exists():
         _write(name, shooting, folder)
