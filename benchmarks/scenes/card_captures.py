@@ -78,14 +78,8 @@ def photograph(name: str, card: cards.Card, shooting: Shooting, cache: Path) -> 
     """Return the card's capture, truth and unseen pictures, rendered where ``cache`` lacks them."""
     samples = shooting.samples[0 if card.roughness.min() < _NARROW else 1]
     lights = shooting.lights.tobytes(), UNSEEN.tobytes()
-    how = (
-        shooting.near,
-        shooting.shadows,
-        shooting.bounces,
-        samples,
-        _UNSEEN_SAMPLES,
-        *([shooting.rim] if shooting.rim else []),
-    )
+    how = shooting.near, shooting.shadows, shooting.bounces, samples, _UNSEEN_SAMPLES
+    how += (shooting.rim,) if shooting.rim else ()
     key = repr((card.digest, lights, how, _CLIPPED, _NOISE, _QUALITY, cards.SIDE, cards.FIELD))
     folder = cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
     _empty(shooting.near, samples, shooting.bounces)
