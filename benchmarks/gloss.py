@@ -175,7 +175,8 @@ def check(names: list[str], kinds: list[str], table: dict, options: argparse.Nam
             with TemporaryDirectory() as folder:
                 shown = card_captures.relight(true_maps(shot.truth), SHOOTINGS[kind].near, Path(folder))
             best = picture_errors(shown, shot)
-            print(f"| {name} | {kind} | {off} | {best['psnr']:.1f} | {best['psnr_highlights']:.1f} |", flush=True)
+            found = [f"{value:.1f}" if value is not None else "–" for value in (best["psnr"], best["psnr_highlights"])]
+            print(f"| {name} | {kind} | {off} | {' | '.join(found)} |", flush=True)
 
 
 def true_maps(truth: dict[str, np.ndarray]) -> TrueMaps:
