@@ -135,14 +135,19 @@ def principled(p, light, view, albedo=specular_layer_fit):
 
 
 def principled_metallic(p, light, view):
-    """Blender's Principled with distribution GGX, Specular IOR Level 0.5 and a white Specular Tint: a mixture.
+    """``metallic_roughness`` at a Specular IOR Level of 0.5: base_color, normal, roughness, metallic."""
+    return metallic_roughness({**p, "specular": np.full(np.shape(p["roughness"]), 0.5)}, light, view)
 
-    base_color, normal, roughness, metallic. The metal's F82 tint model (Kutz, Hasan and Edmondson 2021) with a white
-    tint is Schlick's.
+
+def metallic_roughness(p, light, view):
+    """Blender's Principled with distribution GGX and a white Specular Tint: a mixture.
+
+    base_color, normal, roughness, metallic, specular. The metal's F82 tint model (Kutz, Hasan and Edmondson 2021) with
+    a white tint is Schlick's.
     """
     c = Configuration(p["normal"], light, view)
     metallic = np.asarray(p["metallic"])[..., None]
-    dielectric_part = principled({**p, "specular": np.full(np.shape(p["roughness"]), 0.5)}, light, view)
+    dielectric_part = principled(p, light, view)
     alpha = np.asarray(p["roughness"]) ** 2
     lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)
     fresnel = p["base_color"] + (1 - p["base_color"]) * ((1 - c.between) ** 5)[..., None]
@@ -219,6 +224,7 @@ MODELS = {
     "lambert": lambert,
     "principled": principled,
     "principled_metallic": principled_metallic,
+    "metallic_roughness": metallic_roughness,
     "cook_torrance_two_lobe": cook_torrance_two_lobe,
     "principled_two_lobe": principled_two_lobe,
     "ward": ward,

@@ -121,7 +121,7 @@ class _Reader:
     encoding: Encoding | None = None
 
     def __call__(self) -> np.ndarray:
-        return self.samples().rgba
+        return self.samples().bounds
 
     def samples(self):
         """Return the Samples of the image, checked against the camera's size."""

@@ -113,11 +113,9 @@ def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None) -> Sample
     Alpha becomes the weight. Pixels outside the data window have weight 0.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
-    clipped = np.zeros(image.inside.shape, bool)
-    if colour.dtype == np.float16:
-        clipped = (colour >= _HALF_MAX).any(axis=-1)
+    clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
     found = samples(colour.astype(np.float32), None if alpha is None else image.channels[alpha], clipped)
-    found.rgba[~image.inside] = 0
+    found.rgba[~image.inside] = found.bounds[~image.inside] = 0
     return found
 
 

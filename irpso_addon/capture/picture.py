@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .bounds import bounded
+
 COLOUR_SPACES = ("auto", "srgb", "linear")
 
 
@@ -33,10 +35,11 @@ class Samples:
     """One observation's pixels, and what was found wrong with them.
 
     rgba: (H, W, 4) float32, row 0 at the bottom: linear radiance and weight. clipped, not_finite, negative: (H, W)
-    bool. The first two have weight 0.
+    bool. The first two have weight 0. bounds: the rgba, but for the weights of what is clipped (capture/bounds.py).
     """
 
     rgba: np.ndarray
+    bounds: np.ndarray
     clipped: np.ndarray
     not_finite: np.ndarray
     negative: np.ndarray
@@ -55,27 +58,31 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB, all others linear.
     """
     colour, alpha = _colour_and_alpha(picture.values)
-    clipped = np.zeros(colour.shape[:2], bool)
+    clipped = np.zeros(colour.shape, bool)
     if picture.bits < 32:
         # Half a code below the top, for decoders that scale with rounding.
-        clipped = (colour >= 1 - 0.5 / (2**picture.bits - 1)).any(axis=-1)
+        clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
     if colour_space == "srgb" or (colour_space == "auto" and picture.bits == 8):
         colour = srgb_to_linear(colour)
     return samples(colour, alpha, clipped)
 
 
 def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -> Samples:
-    """Return Samples of (H, W, 3) linear colour, an (H, W) alpha or None, and an (H, W) bool of clipped pixels."""
+    """Return Samples of (H, W, 3) linear colour, an (H, W) alpha or None, and (H, W, 3) bool: what is clipped."""
     not_finite = ~np.isfinite(colour).all(axis=-1)
     weight = np.ones(colour.shape[:2], np.float32) if alpha is None else alpha.astype(np.float32)
     not_finite |= ~np.isfinite(weight)
     rgba = np.empty((*colour.shape[:2], 4), np.float32)
     rgba[..., :3] = colour
     rgba[..., 3] = np.clip(weight, 0, 1)
-    rgba[..., 3][clipped | not_finite] = 0
     rgba[not_finite] = 0
+    bounds, any_clipped = rgba, clipped.any(axis=-1)
+    if any_clipped.any():
+        bounds = rgba.copy()
+        bounds[..., 3] = bounded(rgba[..., 3], clipped)
+        rgba[..., 3][any_clipped] = 0
     negative = (rgba[..., :3] < 0).any(axis=-1)
-    return Samples(rgba, clipped & ~not_finite, not_finite, negative)
+    return Samples(rgba, bounds, any_clipped & ~not_finite, not_finite, negative)
 
 
 def mask_of_picture(picture: Picture) -> np.ndarray:

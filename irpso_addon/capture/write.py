@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files import new_folder
+from .bounds import without_bounds
 from .camera import Camera
 from .exr import write_exr
 from .problems import CaptureError
@@ -32,7 +33,7 @@ def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, s
     names = [f"{n:0{count}d}" for n in range(len(capture.observations))]
     masked = [not mask.all() for mask in capture.masks]
     with new_folder(folder) as partial:
-        images = zip(names, (_channels(observation.read()) for observation in capture.observations), strict=True)
+        images = zip(names, (_channels(without_bounds(observation.read())) for observation in capture.observations), strict=True)
         masks = ((f"mask_{n}", {"Y": capture.masks[n].astype(np.float32)}) for n in np.flatnonzero(masked))
         if single_file:
             write_exr(partial / _IMAGES, dict(images) | dict(masks), half)

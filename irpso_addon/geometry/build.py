@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from ..capture.places import card_depth
 from ..capture.steps import run_steps
@@ -271,8 +272,10 @@ def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.n
     if (gain == 1).all() and (weight == 1).all():
         return
     values = layer.reshape(-1, 4)[texels]
-    values[:, 3] = np.maximum(values[:, 3] * weight, 0)
-    values[:, :3] = np.where(values[:, 3:] > 0, values[:, :3] * gain[:, None], values[:, :3])
+    own, clipped = weight_and_clipped(values[:, 3])
+    counted = np.maximum(own * weight, 0)
+    values[:, 3] = bounded(counted, clipped)
+    values[:, :3] = np.where(counted[:, None] > 0, values[:, :3] * gain[:, None], values[:, :3])
     layer.reshape(-1, 4)[texels] = values
 
 

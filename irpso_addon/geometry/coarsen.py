@@ -92,7 +92,7 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 
 def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    weight = np.where(coverage, layer[..., 3], 0).astype(np.float64)
+    weight = np.where(coverage, np.maximum(layer[..., 3], 0), 0).astype(np.float64)
     mean, total = _cell_means(layer[..., :3], weight)
     # Of a cell without weight the plain mean of what was photographed: it is for people to look at.
     plain, _ = _cell_means(layer[..., :3], coverage & np.isfinite(layer[..., :3]).all(axis=-1))

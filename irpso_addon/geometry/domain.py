@@ -42,8 +42,9 @@ class Domain:
     """W×H texels with geometry, sample stack, lights and views: everything that one recovery reads.
 
     All arrays are float32, in world units and axes (on a card the camera's). bake: the geometry. stack: (K, H, W, 4)
-    linear RGB radiance of every observation and its weight, 0…1, in alpha; a sample without weight (clipped, in the
-    mesh's own shadow) keeps its radiance for pictures, and is 0 where nothing was photographed. lights: (K, 4) xyz and
+    linear RGB radiance of every observation and its weight, 0…1, in alpha, below 0 where it is a lower bound
+    (capture/bounds.py); a sample without weight (in the mesh's own shadow) keeps its radiance for pictures, and is 0
+    where nothing was photographed. lights: (K, 4) xyz and
     0 for the unit direction toward a distant light, xyz and 1 for the position of a near one. intensities: (K, 3), of
     which 1 is an irradiance of π (of a near light at distance 1). views: (K, 4) xyz and 1 for the place of a
     perspective camera, xyz and 0 for the direction toward an orthographic one. origin: global (x, y) of texel (0, 0):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from .bake import SurfaceBake
 from .footprint import MOST, falloff, jacobian, place, places_along
@@ -100,10 +101,11 @@ class Projector:
         """Return (h, w, 4) float32: an image's radiance at the texels, 0 where it shows none, and its weight in alpha.
 
         image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel
-        centres radiance and weight are interpolated; where one of the pixels that count has no weight (clipped,
-        outside the mask, not a number) the texel has none either. A texel of several pixels is the mean of those that
-        are usable and weighs as much as their share, nothing where that is under three quarters. A texel without weight
-        has the radiance of the pixels as they are, clipped ones included: it is for people to look at.
+        centres radiance and weight are interpolated; where one of the pixels that count has no weight (outside the
+        mask, not a number) the texel has none either. A texel of several pixels is the mean of those that are usable
+        and weighs as much as their share, nothing where that is under three quarters. What has part in a bound is a
+        bound (capture/bounds.py). A texel without weight has the radiance of the pixels as they are: it is for people
+        to look at.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
             raise ValueError(f"the image is {image.shape}, the camera {self.camera.height} × {self.camera.width} × 4")
@@ -112,12 +114,17 @@ class Projector:
         if mask is not None:
             photographed &= np.asarray(mask, bool).ravel()
         pixels[~photographed] = 0
-        usable = pixels[:, 3] > 0
+        weight, clipped = weight_and_clipped(pixels[:, 3])
+        pixels[:, 3] = weight
+        usable = weight > 0
         stack = np.zeros((self._shape[0] * self._shape[1], 4), np.float32)
+        bounds = np.flatnonzero(clipped.any(axis=1)).size > 0
         for group in self._groups:
             for start in range(0, len(group.texels), _BLOCK):
                 part = group.part(slice(start, start + _BLOCK))
                 stack[part.texels] = self._mean(part, pixels, usable)
+                if bounds:
+                    stack[part.texels, 3] = bounded(stack[part.texels, 3], self._any(part, clipped & usable[:, None]))
                 blank = part.part(stack[part.texels, 3] == 0)
                 if len(blank.texels):
                     stack[blank.texels, :3] = self._mean(blank, pixels, photographed)[:, :3]
@@ -143,6 +150,15 @@ class Projector:
             total[share < USABLE * number] = 0
         total[:, 3] *= group.worth
         return total
+
+    def _any(self, group: _Group, flags: np.ndarray) -> np.ndarray:
+        """Return (N, 3) bool: which of the flags (P, 3) any of a texel's pixels has."""
+        found = np.zeros((len(group.texels), 3), bool)
+        for bit, where in group.places():
+            counts = (group.counts >> np.uint64(bit)) & np.uint64(1) > 0
+            for pixel, weight in _taps(group.first, where, self.camera.width):
+                found |= flags[np.where(counts, pixel, 0)] & (counts & (weight > 0))[:, None]
+        return found
 
     def _look(self, texels: np.ndarray) -> list[_Group]:
         """Return where the texels are seen, in groups that are read alike."""

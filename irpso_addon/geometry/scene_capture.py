@@ -126,7 +126,7 @@ def _name(scene: Any, lights: list) -> str:
 
 
 def _reader(photograph: Photograph):
-    return lambda: photograph.read().rgba
+    return lambda: photograph.read().bounds
 
 
 def _camera_object(light: Any, scene: Any) -> Any:

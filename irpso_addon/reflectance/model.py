@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,28 @@ MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
 _KINDS = ("search", "linear")
+_PRIORS = ("normal", "exponential")
 _COLOR_SPACES = ("Non-Color", "sRGB")
 # What the keys of the TOML hold, where it is no number.
 _KIND_OF = {"ordered": list, "complement": list, "material": dict}
 _WORDS = {str: "a text", list: "a list of names", dict: "a table"}
 
 
-Start = tuple[tuple[str, tuple[float, ...]], ...]  # parameters' names, each with its components
+Start = tuple[tuple[str, tuple[float, ...]], ...]  # parameters' names, each with its components; the mirror's has none
+_MIRROR = "mirror"  # what a start says of the normal, and nothing else
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """What is believed of a parameter before any photograph is seen, of each of its components alike.
+
+    kind: "normal" around ``value`` with the standard deviation ``width``; "exponential" away from ``value``, an end of
+    the range, with the mean distance ``width``.
+    """
+
+    kind: str
+    value: float
+    width: float
 
 
 @dataclass(frozen=True)
@@ -34,7 +50,7 @@ class Parameter:
     must search, "linear" for what the radiance is linear in. map: the file stem it is written to; parameters that name
     the same map become its channels in order. color_space: "sRGB" or "Non-Color", of the 8/16-bit picture.
     socket: the shader socket it drives, "" for none. stage: which stage of a staged schedule searches it.
-    is_normal: a unit vector rather than independent numbers.
+    is_normal: a unit vector rather than independent numbers. prior: what is believed of a searched parameter.
     """
 
     name: str
@@ -47,6 +63,7 @@ class Parameter:
     socket: str = ""
     stage: str = ""
     is_normal: bool = False
+    prior: ParameterPrior | None = None
 
     @property
     def is_albedo(self) -> bool:
@@ -82,6 +99,11 @@ class ReflectanceModel:
                 return parameter
         names = ", ".join(p.name for p in self.parameters)
         raise InputError(f"model {self.name} has no parameter '{name}'; it has: {names}")
+
+    def without_priors(self, names: Collection[str]) -> ReflectanceModel:
+        """Return the model without what it believes of the parameters named."""
+        parameters = tuple(replace(p, prior=None) if p.name in names else p for p in self.parameters)
+        return replace(self, parameters=parameters)
 
     @property
     def components(self) -> int:
@@ -152,19 +174,22 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
 def _starts_from_table(rows: Any, parameters: tuple[Parameter, ...], path: Path) -> tuple[Start, ...]:
     if not isinstance(rows, list) or not all(isinstance(row, dict) and row for row in rows):
         raise InputError(f"{path}: starts are written [[start]], with two brackets, and set at least one parameter")
-    names = {p.name: p for p in parameters if not p.is_normal}
+    names = {p.name: p for p in parameters}
     starts = []
     for row in rows:
-        if unknown := sorted(set(row) - set(names)):
-            raise InputError(f"{path}: [[start]]: '{unknown[0]}' is no parameter, or a normal; set {', '.join(names)}")
         where = f"{path}: [[start]]"
-        starts.append(
-            tuple(
-                (name, _components(value, names[name].components, names[name].range, f"{where}: {name}"))
-                for name, value in row.items()
-            )
-        )
+        if unknown := sorted(set(row) - set(names)):
+            raise InputError(f"{where}: '{unknown[0]}' is no parameter; set {', '.join(names)}")
+        starts.append(tuple(_start_value(names[name], value, f"{where}: {name}") for name, value in row.items()))
     return tuple(starts)
+
+
+def _start_value(parameter: Parameter, value: Any, where: str) -> tuple[str, tuple[float, ...]]:
+    if not parameter.is_normal:
+        return parameter.name, _components(value, parameter.components, parameter.range, where)
+    if value != _MIRROR:
+        raise InputError(f'{where}: a normal begins at "{_MIRROR}", where it mirrors the brightest light; or leave it out')
+    return parameter.name, ()
 
 
 def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
@@ -191,8 +216,35 @@ def _parameter_from_table(row: dict[str, Any], path: Path) -> Parameter:
     return Parameter(
         name, components, (low, high), default, row.get("kind", "search"),
         row.get("map", name), row.get("color_space", "Non-Color"), row.get("socket", ""), row.get("stage", name),
-        is_normal,
+        is_normal, _prior_from_table(row, is_normal, (low, high), f"{path}: {where}: prior"),
     )  # fmt: skip
+
+
+def _prior_from_table(
+    row: dict[str, Any], is_normal: bool, within: tuple[float, float], where: str
+) -> ParameterPrior | None:
+    table = row.get("prior")
+    if table is None:
+        return None
+    keys = set(ParameterPrior.__dataclass_fields__)
+    if not isinstance(table, dict) or set(table) != keys:
+        raise InputError(f'{where}: write prior = {{ kind = "normal", value = 0.5, width = 0.1 }}')
+    if is_normal or row.get("kind", "search") != "search":
+        raise InputError(f"{where}: only a searched parameter that is no normal may have one; remove it")
+    kind, value, width = table["kind"], table["value"], table["width"]
+    if kind not in _PRIORS:
+        raise InputError(f"{where}: kind must be one of {', '.join(_PRIORS)}, not {kind!r}")
+    if not _is_number(value) or not within[0] <= value <= within[1]:
+        raise InputError(f"{where}: value must be a number inside the range {list(within)}, not {value!r}")
+    if not _is_number(width) or width <= 0:
+        raise InputError(f"{where}: width must be a number above 0, not {width!r}")
+    if kind == "exponential" and value not in within:
+        raise InputError(f"{where}: the value of an exponential prior is an end of the range {list(within)}")
+    return ParameterPrior(kind, float(value), float(width))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _components(value: Any, count: int, within: tuple[float, float], where: str) -> tuple[float, ...]:

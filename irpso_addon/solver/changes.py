@@ -107,7 +107,7 @@ def _samples_differ(a: Fitness, b: Fitness) -> bool:
     def dropped(fitness: Fitness) -> float:
         return fitness.shadow if fitness.loss == "robust" else 0.0
 
-    return a.percentile != b.percentile or dropped(a) != dropped(b)
+    return (a.percentile, a.bounds, dropped(a)) != (b.percentile, b.bounds, dropped(b))
 
 
 def _new_samples(

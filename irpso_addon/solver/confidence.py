@@ -11,7 +11,8 @@ from ..gpu import textures
 from ..gpu.bands import Bands
 from ..reflectance.model import ReflectanceModel
 from .kernels import confidence_pass
-from .state import DomainTextures, Estimates
+from .schedule import Fitness
+from .state import DomainTextures, Estimates, loss_constants
 from .unknowns import build_unknowns
 
 
@@ -28,10 +29,12 @@ class Confidence:
     numbers all have their range.
     """
 
-    def __init__(self, model: ReflectanceModel, known: Collection[str], domain_defines: dict[str, int]):
-        self.model, self._known = model, frozenset(known)
+    def __init__(
+        self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+    ):
+        self.model, self._known, self._fitness = model, frozenset(known), fitness
         unknowns = build_unknowns(model, self._known)
-        self._pass = confidence_pass(model, unknowns.source, {**domain_defines, **unknowns.defines})
+        self._pass = confidence_pass(model, unknowns.source, fitness, {**domain_defines, **unknowns.defines})
         self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
 
     def deviations(
@@ -54,7 +57,7 @@ class Confidence:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         targets = self._targets
         inputs = {**domain.textures, **estimates.bindings(resolved)}
-        constants = {"u_observations": domain.domain.observations}
+        constants = loss_constants(domain, self._fitness.delta)
         yield from bands.run(
             "confidence",
             targets[0].height,

@@ -14,6 +14,7 @@ from ..reflectance.model import ReflectanceModel
 from .confidence import Confidence
 from .kernels import residual_pass, sampled_residual_pass
 from .phase import Phase
+from .schedule import Fitness
 from .state import SOLVED, DomainTextures, Estimates, texel_states
 
 _SAMPLED = 4096  # texels of which a mean is told: a sixty-fourth of 512², and its standard error is 1 % or so
@@ -26,7 +27,15 @@ class Findings:
     ``finding`` finds all that ``maps`` tells. Raises ShaderError where the model does not compile.
     """
 
-    def __init__(self, model: ReflectanceModel, domain: DomainTextures, estimates: Estimates, known: Collection[str]):
+    def __init__(
+        self,
+        model: ReflectanceModel,
+        fitness: Fitness,
+        domain: DomainTextures,
+        estimates: Estimates,
+        known: Collection[str],
+    ):
+        self._fitness = fitness
         self._model, self._domain, self._estimates, self._known = model, domain, estimates, frozenset(known)
         self._residual = residual_pass(model, domain.defines).compile()
         self._error: Any = textures.empty(*estimates.size)
@@ -53,7 +62,7 @@ class Findings:
         )  # fmt: skip
         if confidence:
             if self._confidence is None:
-                self._confidence = Confidence(self._model, self._known, self._domain.defines)
+                self._confidence = Confidence(self._model, self._known, self._fitness, self._domain.defines)
             yield from self._confidence.measuring(
                 self._domain, self._estimates, self._resolved, self._bands, seconds
             )  # fmt: skip

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..gpu.passes import Entry, Kernel, Output, Pass
-from ..reflectance.glsl import material_declaration
+from ..reflectance.glsl import material_declaration, prior_declaration
 from ..reflectance.model import ReflectanceModel
 from .codec import Codec
-from .schedule import Schedule
+from .schedule import Fitness, Schedule
 
 FLOAT_2D = "FLOAT_2D"
 LAYERS = "FLOAT_2D_ARRAY"
@@ -16,10 +16,12 @@ GEOMETRY = {"u_geometry": LAYERS}
 PACKING = {**GEOMETRY, "u_packed": FLOAT_2D}
 OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
+FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
     **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
+    "u_brightness": "FLOAT",
     "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
 LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/loss.glsl
@@ -107,11 +109,16 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
     swarm = schedule.swarm
     return {
         "REACH": swarm.neighbourhood // 2,
-        "FITNESS": LOSSES[schedule.fitness.loss],
+        **fitness_defines(schedule.fitness),
         "WALLS": _WALLS[swarm.walls],
         "NEIGHBOUR_EVERY": swarm.neighbour_every,
         "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
     }
+
+
+def fitness_defines(fitness: Fitness, loss: str = "") -> dict[str, str | int]:
+    """Return the constants of a fitness that are compiled in, or of another loss in its place."""
+    return {"FITNESS": LOSSES[loss or fitness.loss], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
 
 
 def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
@@ -133,13 +140,13 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
-def confidence_pass(model: ReflectanceModel, unknowns: str, defines: dict[str, int]) -> Pass:
+def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
     """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what unknowns.glsl brings."""
     outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
     given = {**model_includes(model), "unknowns.glsl": unknowns}
-    defines = {**defines, **estimate_defines(model)}
-    return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, given))
+    defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
+    return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def copy_pass() -> Pass:
@@ -154,8 +161,12 @@ def _model_pass(model: ReflectanceModel, source: str, output: str, constants: di
 
 
 def model_includes(model: ReflectanceModel) -> dict:
-    """Return what a kernel's includes of material.glsl and model.glsl bring."""
-    return {"material.glsl": material_declaration(model), "model.glsl": model.shader}
+    """Return what a kernel's includes of material.glsl, model.glsl and priors.glsl bring."""
+    return {
+        "material.glsl": material_declaration(model),
+        "model.glsl": model.shader,
+        "priors.glsl": prior_declaration(model),
+    }
 
 
 def estimate_defines(model: ReflectanceModel) -> dict[str, int]:

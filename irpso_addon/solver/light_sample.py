@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from ..capture.bounds import without_bounds
 from ..geometry.domain import Domain, GeometryBake
 from .prepare import light_vectors
 from .semi_calibrated import relative_intensities
@@ -50,7 +51,7 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     rng = np.random.default_rng(seed % 2**32)
     chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
     rows, columns = np.divmod(chosen, domain.shape[1])
-    stack = domain.stack[:, rows, columns]
+    stack = without_bounds(domain.stack[:, rows, columns])  # of a light they tell nothing
     vectors, irradiance = (a[fitted] for a in light_vectors(domain, (rows, columns)))
     kept = _well_lit(stack[fitted], 2 * count)
     vectors, irradiance = (a if a.shape[1] == 1 else a[:, kept] for a in (vectors, irradiance))

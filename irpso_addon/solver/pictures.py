@@ -95,12 +95,13 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
     """Return a row for each observation: the photograph, as the maps render it, and the difference in % of white.
 
-    Samples without weight, clipped ones above all, are shown as they were photographed; their difference is not.
+    Samples without weight are shown as they were photographed; their difference is not. Clipped ones differ where the
+    render is darker: both pictures end at white.
     """
     rows = []
     renders = render_domain(domain, maps.model, maps.values, observations)
     for k, label, render in zip(observations, labels, renders, strict=True):
-        seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] > 0
+        seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] != 0
         # Texels that no light told anything of, as a black background, have no material to be rendered.
         rendered = np.where(maps.covered[..., None], render[..., :3], 0)
         white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0

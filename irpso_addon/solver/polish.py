@@ -18,7 +18,7 @@ from .polish_kernels import NO_PENALTY, SPREAD_REACH, build_polish_passes
 from .reader import Reader
 from .resolve import ResolvedPolish
 from .schedule import Polish, Schedule
-from .state import HALO, SOLVED, DomainTextures, Estimates, MadeInSteps, packed_states, texel_states
+from .state import HALO, SOLVED, DomainTextures, Estimates, MadeInSteps, loss_constants, packed_states, texel_states
 
 SPREAD = -2  # in place of a start: what the neighbours offer
 BEST = -1  # in place of a start: the best so far, its damping and all
@@ -89,6 +89,7 @@ class RunningPolish(Phase):
         self._schedule, self._domain, self._estimates = schedule, domain, estimates
         self._components = model.components
         self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
+        self._polish = resolved.polish
         self._tracks = tracks_of(resolved.polish, len(resolved.starts))
         self._reader = Reader(entry)
         self.textures = PolishTextures(*estimates.size, estimates.count)
@@ -124,7 +125,8 @@ class RunningPolish(Phase):
         if made == 0:
             yield from self._begin(track, bands, seconds)
         target = self._spare()
-        yield from self._banded("polish", self.passes.step, target, self._bindings(self.work), bands, seconds)
+        widening = self._widening(track, made)
+        yield from self._banded("polish", self.passes.step, target, self._bindings(self.work), bands, seconds, widening)
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
@@ -231,6 +233,12 @@ class RunningPolish(Phase):
             made -= track.iterations
         return self._tracks[-1], made
 
+    def _widening(self, track: Track, made: int) -> float:
+        """How many times its own width δ is in an iteration of a track: 1 in its last, and always but from starts."""
+        if track.start < 0 or track.iterations < 2:
+            return 1.0
+        return self._polish.widening ** (1 - made / (track.iterations - 1))
+
     def _begin(self, track: Track, bands: Bands, seconds: float) -> Iterator[None]:
         if track.start == BEST:
             self.work = self.best
@@ -253,13 +261,9 @@ class RunningPolish(Phase):
         work = {f"u_work_{i}": t for i, t in enumerate(self.work[:-1])}
         return {**self._bindings(self.best), **work, "u_work_status": self.work[-1]}
 
-    def _constants(self, start: int = BEST) -> dict[str, int | float]:
-        domain = self._domain.domain
-        return {
-            "u_observations": domain.observations,
-            "u_delta": self._schedule.fitness.delta * self._domain.brightness,
-            "u_start": start,
-        }
+    def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
+        constants = loss_constants(self._domain, widening * self._schedule.fitness.delta)
+        return {**constants, "u_start": start, "u_settles": int(widening == 1)}
 
     def _run(self, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST) -> None:
         work.run(targets, {**inputs, **self._domain.textures}, self._constants(start))
@@ -270,9 +274,16 @@ class RunningPolish(Phase):
         return bands.once(lambda: self._run(work, targets, inputs, start), lambda: work.fence(targets))
 
     def _banded(
-        self, name: str, work: Pass, targets: list[Any], inputs: dict[str, Any], bands: Bands, seconds: float
+        self,
+        name: str,
+        work: Pass,
+        targets: list[Any],
+        inputs: dict[str, Any],
+        bands: Bands,
+        seconds: float,
+        widening: float = 1.0,
     ) -> Iterator[None]:
-        given, constants = {**inputs, **self._domain.textures}, self._constants()
+        given, constants = {**inputs, **self._domain.textures}, self._constants(widening=widening)
         return bands.run(
             name, targets[0].height, seconds, lambda rows: work.run(targets, given, constants, rows),
             lambda: work.fence(targets), counted=work is self.passes.step,

@@ -9,14 +9,15 @@ from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..paths import SHADERS
 from ..reflectance.model import ReflectanceModel
 from .kernels import (
+    FITNESS,
     FLOAT_2D,
     GEOMETRY,
-    LOSSES,
     OBSERVATIONS,
     PACKING,
     estimate_defines,
     estimate_outputs,
     estimate_samplers,
+    fitness_defines,
     model_includes,
 )
 from .resolve import ResolvedPolish
@@ -24,10 +25,10 @@ from .schedule import Fitness, Polish
 from .unknowns import Unknowns, build_slopes, build_starts
 
 NO_PENALTY = SHADERS / "swarm" / "no_penalty.glsl"
+STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings that are tried together
 SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/swarm/polish_spread.glsl, votes.glsl)
 _OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
-_FITNESS = {"u_observations": "INT", "u_delta": "FLOAT"}
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def build_polish_passes(
     evaluations, offers = renders(model, resolved)
     defines = {
         **domain_defines, **unknowns.defines, **estimate_defines(model),
-        "FITNESS": LOSSES[fitness.loss], "EVALUATIONS": evaluations, **step_defines(settings),
+        **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
     given = {
         **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
@@ -102,11 +103,11 @@ def build_polish_passes(
         return Pass(Kernel(f"swarm/{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
 
     return PolishPasses(
-        begin=make("polish_begin", GEOMETRY, {"u_start": "INT"}),
-        step=make("polish", OBSERVATIONS, _FITNESS),
-        spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, _FITNESS),
+        begin=make("polish_begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
+        step=make("polish", OBSERVATIONS, STEP),
+        spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, FITNESS),
         keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
-        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **OBSERVATIONS, **PACKING}, _FITNESS)
+        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **OBSERVATIONS, **PACKING}, FITNESS)
         if voted
         else None,
         evaluations=evaluations,

@@ -63,6 +63,8 @@ class Prepared:
         def work(start: int, texels: Texels) -> None:
             part = stack[:, start : start + len(texels[0])]
             part[:] = _samples(domain, texels, start)
+            if not schedule.fitness.bounds:
+                part[..., 3] = np.maximum(part[..., 3], 0)
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
 
         _each_chunk(domain, work, report)

@@ -17,7 +17,7 @@ from .prior_kernels import DEVIATION, FIRST_ROUND, NOISE, build_prior_passes, ev
 from .reader import Reader
 from .resolve import ResolvedPrior
 from .schedule import Schedule
-from .state import HALO, DomainTextures, Estimates, MadeInSteps, packed_states
+from .state import HALO, DomainTextures, Estimates, MadeInSteps, loss_constants, packed_states
 
 
 class PriorTextures(MadeInSteps):
@@ -211,8 +211,7 @@ class RunningPrior(Phase):
         return {**self._estimates.bindings(), **self.textures.bindings(), **self._domain.textures}
 
     def _constants(self) -> dict[str, int | float]:
-        delta = self._schedule.fitness.delta * self._domain.brightness
-        return {"u_observations": self._domain.domain.observations, "u_delta": delta}
+        return {**loss_constants(self._domain, self._schedule.fitness.delta), "u_settles": 1}
 
     def _banded(
         self,

@@ -8,24 +8,24 @@ from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..paths import SHADERS
 from ..reflectance.model import Parameter, ReflectanceModel
 from .kernels import (
+    FITNESS,
     FLOAT_2D,
     GEOMETRY,
-    LOSSES,
     OBSERVATIONS,
     PACKING,
     copy_pass,
     estimate_defines,
     estimate_outputs,
     estimate_samplers,
+    fitness_defines,
     model_includes,
 )
-from .polish_kernels import renders, resolved_slopes, step_defines
+from .polish_kernels import STEP, renders, resolved_slopes, step_defines
 from .resolve import ResolvedPrior
 from .schedule import Polish, Prior, Schedule
 from .unknowns import build_slopes, build_unknowns
 
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # what the iterations of a prior are; the steps follow the rounds
-CONSTANTS = {"u_observations": "INT", "u_delta": "FLOAT"}
 _NOISE = {"u_noise": FLOAT_2D}
 # Of shaders/swarm/prior_pool.glsl.
 _KINDS = {"other": 0, "color": 1, "pooled": 2}
@@ -72,7 +72,7 @@ def build_prior_passes(
     unknowns = build_unknowns(model, held)
     common = {
         **domain_defines, **estimate_defines(model), **unknowns.defines, **_lobes(model, held),
-        **_settings(prior, schedule.polish), "FITNESS": LOSSES[schedule.fitness.loss], "COMPONENTS": model.components,
+        **_settings(prior, schedule.polish), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
     }  # fmt: skip
     means, deviations, own = (_samplers(model, name) for name in ("mean", "deviation", "own"))
     estimates, belief = estimate_samplers(model), {**means, **deviations}
@@ -84,7 +84,7 @@ def build_prior_passes(
 
     def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/{source}.glsl"
-        return Pass(Kernel(name, outputs, samplers, CONSTANTS, {**common, **more}, includes), how)
+        return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
 
     return PriorPasses(
         noise=make("prior_noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
@@ -145,7 +145,7 @@ def _step_pass(
     return Pass(
         Kernel(
             "swarm/polish.glsl", (*estimate_outputs(model), Output("o_status")),
-            {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, CONSTANTS,
+            {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
             {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
             {**includes, "unknowns.glsl": unknowns.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
         ),

@@ -108,7 +108,9 @@ class Recovery:
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())
-        self._findings = Findings(self.model, textures, estimates, known)
+        self._findings = Findings(
+            self._believing(self.schedule), self.schedule.fitness, textures, estimates, known
+        )
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
         self._shown: tuple[int, int] | None = None  # and of which a display's copy is
@@ -341,7 +343,8 @@ class Recovery:
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
-        stage, model, domain, estimates = self._stages[index], self.model, self._textures, self._estimates
+        stage, model = self._stages[index], self._believing(schedule)
+        domain, estimates = self._textures, self._estimates
         if isinstance(stage, ResolvedPolish):
             judge = self._judge() if any(p.is_normal for p in stage.parameters) else None
             return RunningPolish(stage, model, schedule, domain, estimates, self.entry, judge)
@@ -351,6 +354,11 @@ class Recovery:
             return RunningSurvey(stage, model, schedule, seed, domain, estimates, self.entry)
         kind = RunningGenerations if schedule.swarm.update == "all" else RunningStage
         return kind(stage, model, schedule, seed, domain, estimates, self.entry)
+
+    def _believing(self, schedule: Schedule) -> ReflectanceModel:
+        """Return the model with the priors that count: none where the schedule says so, nor of what is known."""
+        everything = {p.name for p in self.model.parameters}
+        return self.model.without_priors(self._known if schedule.fitness.priors else everything)
 
     def _judge(self) -> Judge | None:
         if self._surveyed is None:

@@ -73,13 +73,19 @@ class Fitness:
     """What a swarm minimises: the mean over observations of |e| (l1), e² (l2) or log(1 + (e/δ)²) (robust).
 
     delta: δ as a fraction of the texel's own scale, which is the ``percentile`` of its radiance per light intensity;
-    shadow: under this fraction of it a sample is taken for cast shadow and weighs nothing (robust only).
+    shadow: under this fraction of it a sample is taken for cast shadow and weighs nothing (robust only). priors:
+    whether what the model believes of its parameters counts too (reflectance.model.ParameterPrior). bounds: whether
+    clipped samples count where the render is darker; else they weigh nothing. highlight_power: δ of a sample grows
+    with this power of its radiance over the texel's scale, where it is brighter (robust only).
     """
 
     loss: Loss
     delta: float
     percentile: float
     shadow: float
+    priors: bool
+    bounds: bool
+    highlight_power: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,9 @@ class Polish:
     the texels around count (shaders/swarm/votes.glsl): a material that many have is polished too, and kept where noise
     explains what it fits worse; 0 where the samples alone decide. damping: the first λ, of the diagonal of JᵀJ. A
     texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing by more than the
-    fraction smallest_step of its range. central: differences to both sides instead of one.
+    fraction smallest_step of its range. central: differences to both sides instead of one. widening: from the model's
+    starts δ is so many times as wide at first, and falls to its own (graduated non-convexity; Blake & Zisserman 1987,
+    Visual Reconstruction): a lobe that is far off must not pass for an outlier.
     """
 
     iterations: int = 0
@@ -107,6 +115,7 @@ class Polish:
     gain: float = 1e-5
     smallest_step: float = 1e-5
     central: bool = False
+    widening: float = 1.0
 
 
 @dataclass(frozen=True)

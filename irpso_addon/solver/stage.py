@@ -18,7 +18,7 @@ from .phase import Phase
 from .reader import Reader
 from .resolve import ResolvedStage
 from .schedule import Schedule
-from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, texel_states
+from .state import SOLVED, DomainTextures, Estimates, SwarmTextures, loss_constants, texel_states
 
 ALL_TOLD = 255  # a seed that knows of all eight dimensions
 
@@ -199,7 +199,6 @@ def swarm_constants(
         "u_height": domain.packing.height,
         "u_origin_x": domain.domain.origin[0],
         "u_origin_y": domain.domain.origin[1],
-        "u_observations": domain.domain.observations,
         "u_seed": seed,
         "u_iteration": iteration,
         "u_particle": iteration + particles,
@@ -211,7 +210,7 @@ def swarm_constants(
         "u_c3": neighbour_constant(schedule, iteration, stage.iterations),
         "u_v_max": swarm.v_max,
         "u_threshold": schedule.threshold,
-        "u_delta": schedule.fitness.delta * domain.brightness,
+        **loss_constants(domain, schedule.fitness.delta),
         "u_seed_tells": told,
         "u_seed_spread": swarm.seed_spread,
         "u_start_speed": swarm.start_speed,

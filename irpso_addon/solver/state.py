@@ -53,6 +53,14 @@ class DomainTextures:
         self.textures["u_stack"] = textures.upload_layers(stack)
 
 
+def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | float]:
+    """Return the push constants of a fitness over a domain; delta: δ as a fraction of a texel's scale."""
+    return {
+        "u_observations": domain.domain.observations, "u_delta": delta * domain.brightness,
+        "u_brightness": domain.brightness,
+    }  # fmt: skip
+
+
 def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
     """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
     bake, seams = domain.bake, domain.seams

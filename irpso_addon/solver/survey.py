@@ -21,7 +21,7 @@ from .polish import RunningPolish
 from .polish_kernels import NO_PENALTY
 from .resolve import ResolvedSurvey, survey_model
 from .schedule import Schedule
-from .state import DomainTextures, Estimates
+from .state import DomainTextures, Estimates, loss_constants
 
 _TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
 _PENALTY = SHADERS / "survey" / "falloff_penalty.glsl"
@@ -29,7 +29,6 @@ _PENALTY = SHADERS / "survey" / "falloff_penalty.glsl"
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2); wide lights tell the exponent,
 # and the prior would cost 0.08° on bunny_lambert.
 _FALLOFF_DEVIATION = 0.15
-_JUDGED = {"u_observations": "INT", "u_delta": "FLOAT"}
 
 
 class RunningSurvey(Phase):
@@ -261,22 +260,22 @@ def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, 
         **{f"u_work_{i}": kernels.FLOAT_2D for i in range(count)},
     }  # fmt: skip
     defines = {
-        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"],
+        **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
         "TRUST": f"{schedule.survey.trust:.9f}", "TRUST_FLOOR": f"{_TRUST_FLOOR:.9f}",
     }  # fmt: skip
     given = kernels.model_includes(model)
-    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, _JUDGED, defines, given))
+    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, kernels.FITNESS, defines, given))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
     samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS}
     defines = {
-        **defines, **kernels.estimate_defines(model), "FITNESS": kernels.LOSSES["bounded"],
+        **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
         "LEAST_SAMPLES": schedule.survey.observations,
     }  # fmt: skip
     outputs = (Output("o_fitness", "R32F"),)
-    return Pass(Kernel("survey/measure.glsl", outputs, samplers, _JUDGED, defines, kernels.model_includes(model)))
+    return Pass(Kernel("survey/measure.glsl", outputs, samplers, kernels.FITNESS, defines, kernels.model_includes(model)))
 
 
 def _judge_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
-    return {"u_observations": domain.domain.observations, "u_delta": schedule.survey.judge_delta}
+    return loss_constants(domain, schedule.survey.judge_delta)

@@ -129,13 +129,20 @@ def _product(a: str, b: str, channel: str) -> str:
 
 
 def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
-    """Return ``void take_start(int start, inout float c[12])``, which puts a start's values in; −1 leaves all."""
+    """Return ``void take_start(int start, inout float c[12])``, which puts a start's values in; −1 leaves all.
+
+    ``bool mirrors(int start)`` says whether it turns the normal to the brightest sample's mirror direction.
+    """
     lines = [
         f"    if (start == {k}) {{ {' '.join(sets)} }}"
         for k, start in enumerate(starts)
-        if (sets := [f"c[{model.offset(name) + i}] = {v!r};" for name, row in start for i, v in enumerate(row)])
+        if (sets := [f"c[{model.offset(name) + i}] = {v!r};" for name, row in start if row for i, v in enumerate(row)])
     ]
-    return "\n".join(["void take_start(int start, inout float c[12])", "{", *lines, "}", ""])
+    mirroring = " || ".join(f"start == {k}" for k, start in enumerate(starts) if not all(row for _, row in start)) or "false"
+    return "\n".join(
+        ["void take_start(int start, inout float c[12])", "{", *lines, "}",
+         "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
+    )  # fmt: skip
 
 
 def _unknown(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:

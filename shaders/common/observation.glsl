@@ -29,31 +29,65 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// Returns the weight of an observation, 0 where it tells nothing of this texel, and otherwise its light and radiance.
-// With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has, and what is
-// under GREY_SHADOW of the texel's scale is taken for shadow.
-float observe(ivec2 texel, Frame f, int k, out vec3 l, out vec3 intensity, out vec3 radiance)
+// What was seen of a texel under one light. weight: what it counts; l: the unit direction to the light in the texel's
+// frame; intensity: irradiance over π there; clipped: 1 in the channels whose radiance is a lower bound, else 0.
+struct Observation {
+    float weight;
+    vec3 l;
+    vec3 intensity;
+    vec3 radiance;
+    vec3 clipped;
+};
+
+// Reads observation k; false where it tells nothing of this texel.
+// In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1].
+// With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has; what is under
+// GREY_SHADOW of the texel's scale is taken for shadow; where one channel is a bound the mean is.
+bool observe(ivec2 texel, Frame f, int k, out Observation o)
 {
     vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
-    l = vec3(0.0);
-    intensity = vec3(0.0);
-    radiance = reference.rgb;
-    if (reference.a <= 0.0) {
-        return 0.0;
+    o.weight = reference.a;
+    o.l = vec3(0.0);
+    o.intensity = vec3(0.0);
+    o.radiance = reference.rgb;
+    o.clipped = vec3(0.0);
+    if (reference.a == 0.0) {
+        return false;
     }
-    l = light_at(f, k, intensity);
+    if (reference.a < 0.0) {
+        int bits = int(-reference.a);
+        o.weight = 2.0 * (-reference.a - float(bits));
+        o.clipped = vec3(bits & 1, (bits >> 1) & 1, (bits >> 2) & 1);
 #ifdef GREY
-    vec3 has = vec3(greaterThan(intensity, vec3(0.0)));
+        o.clipped = vec3(1.0);
+#endif
+    }
+    o.l = light_at(f, k, o.intensity);
+#ifdef GREY
+    vec3 has = vec3(greaterThan(o.intensity, vec3(0.0)));
     float channels = dot(has, vec3(1.0));
     if (channels == 0.0) {
-        return 0.0;
+        return false;
     }
     // A channel that the light lacks is divided by 1 and counts nothing.
-    radiance = vec3(dot(has * radiance, 1.0 / mix(vec3(1.0), intensity, has)) / channels);
-    intensity = vec3(1.0);
-    if (radiance.r < GREY_SHADOW * scale_at(texel)) {
-        return 0.0;
+    o.radiance = vec3(dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / channels);
+    o.intensity = vec3(1.0);
+    if (o.radiance.r < GREY_SHADOW * scale_at(texel)) {
+        return false;
     }
 #endif
-    return reference.a;
+    return true;
+}
+
+// What a render of reflectance ρ is off by; a bound is met by whatever is brighter.
+vec3 error_of(Observation o, vec3 rho)
+{
+    vec3 error = o.intensity * rho - o.radiance;
+    return mix(error, min(error, vec3(0.0)), o.clipped);
+}
+
+// 1 in the channels that an error draws at, 0 in bounds that are met.
+vec3 draws(Observation o, vec3 error)
+{
+    return vec3(1.0) - o.clipped * vec3(greaterThanEqual(error, vec3(0.0)));
 }

@@ -2,15 +2,7 @@
 // it in Cycles. See ../README.md for the contract of a model.
 // Burley 2012, Physically-Based Shading at Disney; Burley 2015, Extending the Disney BRDF to a BSDF.
 
-#include "brdf/angles.glsl"
-#include "brdf/d_ggx.glsl"
-#include "brdf/e_specular.glsl"
-#include "brdf/f_dielectric.glsl"
-#include "brdf/fd_lambert.glsl"
-#include "brdf/v_smith_ggx.glsl"
-
-// Blender's Specular IOR Level doubles F0 at 1 and leaves it at 0.5: F0 = 2 level ((ior − 1) / (ior + 1))², ior = 1.5.
-#define F0_PER_LEVEL 0.08
+#include "brdf/principled_layers.glsl"
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {
@@ -19,7 +11,7 @@ vec3 basis_base_color(Material s, vec3 l, vec3 v)
     if (!above_horizon(NoL, NoV)) {
         return vec3(0.0);
     }
-    return vec3(Fd_Lambert(NoL) * (1.0 - E_SpecularLayer(NoV, s.roughness, F0_PER_LEVEL * s.specular)));
+    return vec3(layered_diffuse(NoL, NoV, s.roughness, F0_PER_LEVEL * s.specular));
 }
 
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
@@ -28,10 +20,7 @@ vec3 basis_fixed(Material s, vec3 l, vec3 v)
         return vec3(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
-    float alpha = s.roughness * s.roughness;
-    float DV = D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha);
-    float F = F_Dielectric(a.VoH, ior_from_F0(F0_PER_LEVEL * s.specular));
-    return vec3(3.14159265358979 * DV * F * a.NoL);
+    return vec3(ggx_lobe(a, s.roughness) * F_Dielectric(a.VoH, ior_from_F0(F0_PER_LEVEL * s.specular)));
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)

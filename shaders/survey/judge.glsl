@@ -35,7 +35,8 @@ bool texel_kernel(ivec2 texel)
     for (int i = 0; i < 4; i++) {
         c[8 + i] = part[i];
     }
-    float fitness = fitness_of(texel, frame_at(texel), material_from(c));
+    float weights;
+    float fitness = fitness_of(texel, frame_at(texel), material_from(c), weights);
     if (fitness > TRUST * texelFetch(u_survey_fitness, texel, 0).x + TRUST_FLOOR) {
         o_estimate_0 = texelFetch(u_estimate_0, texel, 0);
 #if ESTIMATES > 1

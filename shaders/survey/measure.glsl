@@ -11,13 +11,12 @@ bool texel_kernel(ivec2 texel)
         Frame f = frame_at(texel);
         int told = 0;
         for (int k = 0; k < u_observations; k++) {
-            vec3 l;
-            vec3 intensity;
-            vec3 radiance;
-            told += observe(texel, f, k, l, intensity, radiance) > 0.0 ? 1 : 0;
+            Observation o;
+            told += observe(texel, f, k, o) ? 1 : 0;
         }
         if (told >= LEAST_SAMPLES) {
-            o_fitness = fitness_of(texel, f, estimate_at(texel));
+            float weights;
+            o_fitness = fitness_of(texel, f, estimate_at(texel), weights);
         }
     }
     return true;

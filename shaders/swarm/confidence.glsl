@@ -5,8 +5,9 @@
 // component of a normal has the root of its two tangent variances, in radians, the others 0.
 
 #include "common/estimate.glsl"
-#include "common/observation.glsl"
 #include "model.glsl"
+#include "swarm/relative_error.glsl"
+#include "priors.glsl"
 #include "swarm/differences.glsl"
 
 // The normal matrix squares the condition of J: after hundreds of samples in float32, what is left of a diagonal below
@@ -32,16 +33,17 @@ vec2 steps_of(inout float c[12], int u)
     return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
 }
 
-// Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights.
+// Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights
+// of the channels. A bound that is met tells nothing of them.
 void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors,
-                out float energy, out float weights)
+                out float energy, out float channels)
 {
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
         a[i] = 0.0;
     }
     errors = 0.0;
     energy = 0.0;
-    weights = 0.0;
+    channels = 0.0;
     vec2 steps[UNKNOWNS];
     for (int u = 0; u < UNKNOWNS; u++) {
         steps[u] = steps_of(c, u);
@@ -49,24 +51,23 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
     Frame f = frame_at(texel);
     Material s = material_from(c);
     for (int k = 0; k < u_observations; k++) {
-        vec3 l;
-        vec3 intensity;
-        vec3 radiance;
-        float weight = observe(texel, f, k, l, intensity, radiance);
-        if (weight == 0.0) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
             continue;
         }
         vec3 v = view_at(f, k);
-        vec3 render = intensity * reflectance(s, l, v);
-        vec3 error = render - radiance;
-        errors += weight * dot(error, error);
-        energy += weight * dot(render, render);
-        weights += weight;
+        vec3 render = o.intensity * reflectance(s, o.l, v);
+        vec3 error = error_of(o, reflectance(s, o.l, v));
+        float relative = relative_error(texel, o);
+        vec3 weight = o.weight * relative * relative * draws(o, error);
+        errors += dot(weight, error * error);
+        energy += dot(weight, render * render);
+        channels += o.weight * dot(draws(o, error), vec3(1.0));
         vec3 j[UNKNOWNS];
         for (int u = 0; u < UNKNOWNS; u++) {
             vec2 by = steps[u];
-            vec3 first = intensity * reflectance(moved(c, u, by.x), l, v) - render;
-            vec3 second = intensity * reflectance(moved(c, u, by.y), l, v) - render;
+            vec3 first = o.intensity * reflectance(moved(c, u, by.x), o.l, v) - render;
+            vec3 second = o.intensity * reflectance(moved(c, u, by.y), o.l, v) - render;
             // The slope at 0 of the parabola through the three.
             j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
         }
@@ -77,6 +78,20 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
             }
         }
     }
+}
+
+// What the model's priors tell, as samples of that variance would: a width of its own for each unknown that has one.
+void add_priors(inout float c[12], float variance, inout float a[UNKNOWNS * UNKNOWNS])
+{
+#if PRIORS > 0
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+        a[u * UNKNOWNS + u] += max(variance, 0.0) * width * width * prior_precision(at);
+    }
+#endif
 }
 
 // Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). Once the set S
@@ -154,12 +169,12 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
 }
 
 // The variance of the noise, below 0 where there are too few samples to tell.
-float variance_of(ivec2 texel, float errors, float weights)
+float variance_of(ivec2 texel, float errors, float channels)
 {
 #ifdef NOISE_GIVEN
     return texelFetch(u_noise, texel, 0).z;
 #else
-    float freedom = 3.0 * weights - float(UNKNOWNS);
+    float freedom = channels - float(UNKNOWNS);
     return freedom > 0.0 ? errors / freedom : -1.0;
 #endif
 }
@@ -176,10 +191,13 @@ bool texel_kernel(ivec2 texel)
         float a[UNKNOWNS * UNKNOWNS];
         float errors;
         float energy;
-        float weights;
-        accumulate(texel, c, a, errors, energy, weights);
+        float channels;
+        accumulate(texel, c, a, errors, energy, channels);
         float deviation[UNKNOWNS];
-        float variance = variance_of(texel, errors, weights);
+        float variance = variance_of(texel, errors, channels);
+#ifndef NOISE_GIVEN
+        add_priors(c, variance, a);
+#endif
         if (variance >= 0.0) {
             deviations_from(a, variance, energy, deviation);
         }

@@ -53,18 +53,16 @@ bool texel_kernel(ivec2 texel)
             float weights = 0.0;
 #if LINEAR_BLOCKS > 0
             for (int k = 0; k < u_observations; k++) {
-                vec3 l;
-                vec3 intensity;
-                vec3 radiance;
-                float weight = observe(texel, f, k, l, intensity, radiance);
-                if (weight == 0.0) {
+                Observation o;
+                if (!observe(texel, f, k, o)) {
                     continue;
                 }
                 vec3 v = view_at(f, k);
-                vec3 error = intensity * reflectance(incumbent, l, v) - radiance;
-                vec3 counted = weight * loss_weight(scale * error);
+                vec3 error = error_of(o, reflectance(incumbent, o.l, v));
+                float relative = relative_error(texel, o);
+                vec3 counted = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
                 for (int p = 0; p < CHUNK; p++) {
-                    add_observation(equations[p], s[p], l, v, intensity, radiance, counted);
+                    add_observation(equations[p], s[p], o.l, v, o.intensity, o.radiance, counted);
                 }
             }
             for (int p = 0; p < CHUNK; p++) {
@@ -73,22 +71,20 @@ bool texel_kernel(ivec2 texel)
             }
 #endif
             for (int k = 0; k < u_observations; k++) {
-                vec3 l;
-                vec3 intensity;
-                vec3 radiance;
-                float weight = observe(texel, f, k, l, intensity, radiance);
-                if (weight == 0.0) {
+                Observation o;
+                if (!observe(texel, f, k, o)) {
                     continue;
                 }
                 vec3 v = view_at(f, k);
+                float relative = scale * relative_error(texel, o);
                 for (int p = 0; p < CHUNK; p++) {
-                    vec3 error = intensity * reflectance(s[p], l, v) - radiance;
-                    sum[p] += weight * loss_of(scale * error);
+                    vec3 error = error_of(o, reflectance(s[p], o.l, v));
+                    sum[p] += o.weight * loss_of(relative * error);
                 }
-                weights += weight;
+                weights += o.weight;
             }
             for (int p = 0; p < CHUNK; p++) {
-                float mean = sum[p] / (3.0 * weights);
+                float mean = with_priors(sum[p] / (3.0 * weights), weights, s[p]);
                 // Written so that NaN is unfit too: it must never become a best.
                 float worth = weights > 0.0 && mean < UNFIT ? mean : UNFIT;
                 if (first + p < PARTICLES) {

@@ -12,16 +12,13 @@ vec4 mean_error(ivec2 texel, Material s)
     float weights = 0.0;
     float largest = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        vec3 l;
-        vec3 intensity;
-        vec3 radiance;
-        float weight = observe(texel, f, k, l, intensity, radiance);
-        if (weight == 0.0) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
             continue;
         }
-        vec3 error = abs(intensity * reflectance(s, l, view_at(f, k)) - radiance);
-        sum += weight * (error.r + error.g + error.b);
-        weights += weight;
+        vec3 error = abs(error_of(o, reflectance(s, o.l, view_at(f, k))));
+        sum += o.weight * (error.r + error.g + error.b);
+        weights += o.weight;
         largest = max(largest, max(error.r, max(error.g, error.b)));
     }
     return vec4(weights > 0.0 ? sum / (3.0 * weights) : 0.0, weights, largest, 0.0);

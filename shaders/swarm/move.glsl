@@ -51,7 +51,9 @@ bool texel_kernel(ivec2 texel)
 
     Material s = estimate_at(texel);
     decode(x, reach_of(scale_at(texel)), s);
-    float fitness = fitness_of(texel, f, s);
+    float weights;
+    float fitness = fitness_of(texel, f, s, weights);
+    fitness = fitness < UNFIT ? with_priors(fitness, weights, s) : UNFIT;
 
     o_position_0 = vec4(x[0], x[1], x[2], x[3]);
     o_velocity_0 = vec4(v[0], v[1], v[2], v[3]);

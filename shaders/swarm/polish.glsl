@@ -37,26 +37,51 @@ vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * U
     float loss = 0.0;
     float weights = 0.0;
     for (int k = 0; k < u_observations; k++) {
-        vec3 l;
-        vec3 intensity;
-        vec3 radiance;
-        float counted = observe(texel, f, k, l, intensity, radiance);
-        if (counted == 0.0) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
             continue;
         }
         vec3 v = view_at(f, k);
-        vec3 render = reflectance(s, l, v);
-        vec3 error = intensity * render - radiance;
-        loss += counted * loss_of(scale * error);
-        weights += counted;
-        vec3 weight = counted * loss_weight(scale * error) * intensity;
-        add_slopes(s, steps, render, l, v, weight * error, weight * intensity, sums);
+        vec3 render = reflectance(s, o.l, v);
+        vec3 error = error_of(o, render);
+        float relative = relative_error(texel, o);
+        loss += o.weight * loss_of(scale * relative * error);
+        weights += o.weight;
+        vec3 weight = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
+        weight *= o.intensity;
+        add_slopes(s, steps, render, o.l, v, weight * error, weight * o.intensity, sums);
     }
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
         a[i] = 0.0;
     }
     sums_to(sums, a, slope);
     return vec2(loss, weights);
+}
+
+// Adds the model's priors to the normal equations, J per range. Of n log F + D the derivative is that of n F + F D over
+// F; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
+void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[UNKNOWNS * UNKNOWNS],
+                inout float slope[UNKNOWNS])
+{
+#if PRIORS > 0
+    float scale = loss_scale(texel);
+#if FITNESS == FITNESS_L1
+    float unit = 2.0 * fitness / (scale * scale);
+#else
+    float unit = fitness / (scale * scale);
+#endif
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+        float by;
+        float curvature;
+        prior_slope(at, c[at], by, curvature);
+        a[u * UNKNOWNS + u] += unit * width * width * curvature;
+        slope[u] += unit * width * by;
+    }
+#endif
 }
 
 // The components after a step of all unknowns; the normal stays on its hemisphere.
@@ -98,7 +123,9 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float slope[UNKNOWNS];
     vec2 sums = linearise(texel, f, c, a, slope);
     add_penalty(texel, c, a, slope);
-    float before = (sums.x + penalty_of(texel, c)) / (3.0 * sums.y);
+    float fitness = (sums.x + penalty_of(texel, c)) / (3.0 * sums.y);
+    float before = with_priors(fitness, sums.y, material_from(c));
+    add_priors(texel, c, fitness, a, slope);
     status.w += float(EVALUATIONS);
     // Written so that NaN ends here too: nothing can be made better than what has no fitness.
     if (!(sums.y > 0.0 && before < UNFIT)) {
@@ -143,23 +170,21 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     }
     float scale = loss_scale(texel);
     for (int k = 0; k < u_observations; k++) {
-        vec3 l;
-        vec3 intensity;
-        vec3 radiance;
-        float counted = observe(texel, f, k, l, intensity, radiance);
-        if (counted == 0.0) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
             continue;
         }
         vec3 v = view_at(f, k);
+        float relative = scale * relative_error(texel, o);
         for (int p = 0; p < CANDIDATES; p++) {
-            vec3 error = intensity * reflectance(tried[p], l, v) - radiance;
-            sum[p] += counted * loss_of(scale * error);
+            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            sum[p] += o.weight * loss_of(relative * error);
         }
     }
     int chosen = -1;
     float best = before;
     for (int p = 0; p < CANDIDATES; p++) {
-        float fitness = sum[p] / (3.0 * sums.y);
+        float fitness = with_priors(sum[p] / (3.0 * sums.y), sums.y, tried[p]);
         if (fitness < best) {
             best = fitness;
             chosen = p;
@@ -190,6 +215,8 @@ bool texel_kernel(ivec2 texel)
     vec4 status = texelFetch(u_status, texel, 0);
     if (state_at(texel) == TEXEL_SOLVED && status.z < CALM) {
         improve(texel, c, status);
+        // What is done under another δ is not done.
+        status.z = u_settles != 0 ? status.z : 0.0;
     }
     write_estimate(material_from(c));
     o_status = status;

@@ -86,19 +86,17 @@ bool texel_kernel(ivec2 texel)
     float weights = 0.0;
     float scale = loss_scale(texel);
     for (int k = 0; k < u_observations; k++) {
-        vec3 l;
-        vec3 intensity;
-        vec3 radiance;
-        float counted = observe(texel, f, k, l, intensity, radiance);
-        if (counted == 0.0) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
             continue;
         }
         vec3 v = view_at(f, k);
+        float relative = scale * relative_error(texel, o);
         for (int p = 0; p < OFFERS; p++) {
-            vec3 error = intensity * reflectance(tried[p], l, v) - radiance;
-            sum[p] += counted * loss_of(scale * error);
+            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            sum[p] += o.weight * loss_of(relative * error);
         }
-        weights += counted;
+        weights += o.weight;
     }
     o_status.w += float(OFFERS);
     float freedom = freedom_of(weights);
@@ -107,7 +105,7 @@ bool texel_kernel(ivec2 texel)
     float least = 0.0;
     int chosen = -1;
     for (int p = 0; p < OFFERS; p++) {
-        float fitness = sum[p] / (3.0 * weights);
+        float fitness = with_priors(sum[p] / (3.0 * weights), weights, tried[p]);
         // Written so that NaN is no offer.
         if (!(there[p] && fitness < UNFIT)) {
             continue;

@@ -20,8 +20,11 @@ bool texel_kernel(ivec2 texel)
         work_at(texel, c);
         order_lobes(c);
         Material work = material_from(c);
-        float loss = fitness_of(texel, frame_at(texel), work) * noise.y;
-        bool better = objective * noise.y < noise.x * unit + texelFetch(u_penalty, texel, 0).x;
+        float weights;
+        float fitness = fitness_of(texel, frame_at(texel), work, weights);
+        float loss = 3.0 * weights * fitness;
+        float before = (noise.x * unit + texelFetch(u_penalty, texel, 0).x) / (3.0 * weights);
+        bool better = objective < with_priors(before, weights, result);
         if (better && loss <= (noise.x + TOLERANCE * TOLERANCE * deviance_unit(noise.w)) * unit) {
             result = work;
         }

@@ -8,25 +8,22 @@
 bool texel_kernel(ivec2 texel)
 {
     float sum = 0.0;
-    float weights = 0.0;
+    float channels = 0.0;
     if (state_at(texel) == TEXEL_SOLVED) {
         Frame f = frame_at(texel);
         Material s = estimate_at(texel);
         float scale = loss_scale(texel);
         for (int k = 0; k < u_observations; k++) {
-            vec3 l;
-            vec3 intensity;
-            vec3 radiance;
-            float weight = observe(texel, f, k, l, intensity, radiance);
-            if (weight == 0.0) {
+            Observation o;
+            if (!observe(texel, f, k, o)) {
                 continue;
             }
-            vec3 error = intensity * reflectance(s, l, view_at(f, k)) - radiance;
-            sum += weight * loss_of(scale * error);
-            weights += weight;
+            vec3 error = error_of(o, reflectance(s, o.l, view_at(f, k)));
+            sum += o.weight * loss_of(scale * relative_error(texel, o) * error);
+            channels += o.weight * dot(draws(o, error), vec3(1.0));
         }
     }
-    o_noise = vec4(sum / loss_unit(texel), 3.0 * weights, 0.0, 0.0);
+    o_noise = vec4(sum / loss_unit(texel), channels, 0.0, 0.0);
     o_mean_0 = texelFetch(u_estimate_0, texel, 0);
 #if ESTIMATES > 1
     o_mean_1 = texelFetch(u_estimate_1, texel, 0);

@@ -1,0 +1,35 @@
+// The parts of Blender's Principled BSDF with distribution GGX and a white Specular Tint, as Cycles renders them: a
+// diffuse base under a dielectric GGX layer, and a metal. Burley 2012, Physically-Based Shading at Disney.
+
+#include "brdf/angles.glsl"
+#include "brdf/d_ggx.glsl"
+#include "brdf/e_specular.glsl"
+#include "brdf/f_dielectric.glsl"
+#include "brdf/fd_lambert.glsl"
+#include "brdf/v_smith_ggx.glsl"
+
+// Blender's Specular IOR Level doubles F0 at 1 and leaves it at 0.5: F0 = 2 level ((ior − 1) / (ior + 1))², ior = 1.5.
+#define F0_PER_LEVEL 0.08
+
+// (1 − v·h)⁵, what Schlick 1994 adds toward white at grazing angles. 1 − v·h of a black metal is all that it reflects:
+// sin² of the angle is |l − v|² / 4, which does not cancel where light and view are near each other.
+float grazing(vec3 l, vec3 v, float VoH)
+{
+    vec3 apart = l - v;
+    float m = 0.25 * dot(apart, apart) / (1.0 + VoH);
+    float m2 = m * m;
+    return m2 * m2 * m;
+}
+
+// π D V n·l: the lobe of a mirror of microfacets.
+float ggx_lobe(Angles a, float roughness)
+{
+    float alpha = roughness * roughness;
+    return 3.14159265358979 * D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha) * a.NoL;
+}
+
+// What is diffuse under a layer of this F0, per base colour.
+float layered_diffuse(float NoL, float NoV, float roughness, float F0)
+{
+    return Fd_Lambert(NoL) * (1.0 - E_SpecularLayer(NoV, roughness, F0));
+}
