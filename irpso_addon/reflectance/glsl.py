@@ -26,34 +26,53 @@ def material_declaration(model: ReflectanceModel) -> str:
     return "\n".join(lines)
 
 
-def prior_declaration(model: ReflectanceModel) -> str:
-    """Return PRIORS, how many components have a prior, and what the priors say.
+_NARROWEST = 0.02  # of a prior's width, what is left of it where it vanishes
 
-    ``float prior_deviance(Material s)`` is −2 log of their densities, up to a constant. ``void prior_slope(int
-    component, float x, out float slope, out float curvature)`` gives half its first and half its second derivative,
-    ``float prior_precision(int component)`` 1 over its variance.
+
+def prior_declaration(model: ReflectanceModel) -> str:
+    """Return PRIORS, how many components have a prior, and what the priors say of a material's components.
+
+    ``float prior_deviance(inout float c[12])`` is −2 log of their densities, up to a constant. ``void prior_slopes(
+    inout float c[12], out float slope[12], out float curvature[12])`` gives half its first and half its second
+    derivatives, ``float prior_precision(inout float c[12], int component)`` 1 over its variance.
     """
-    terms, slopes, precisions = ["0.0"], [], []
+    deviances, slopes, precisions = [], [], []
     for p in model.parameters:
         if p.prior is None:
             continue
-        value, width = p.prior.value, p.prior.width
-        for i in range(p.components):
-            away = f"(s.{p.name}{f'[{i}]' if p.components > 1 else ''} - {value!r})"
+        value, width, extent = p.prior.value, p.prior.width, p.range[1] - p.range[0]
+        along = model.parameter(p.prior.vanishes_with) if p.prior.vanishes_with else None
+        for i in range(model.offset(p.name), model.offset(p.name) + p.components):
+            lines = [f"float d = c[{i}] - {value!r};", f"float w = {width!r};"]
+            if along is not None:
+                at, (low, high) = model.offset(along.name), along.range
+                lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
+                lines.append(f"w *= max(1.0 - x * x, {_NARROWEST!r});")
             if p.prior.kind == "normal":
-                terms.append(f"{away} * {away} * {1 / width**2!r}")
-                slope, curvature = f"(x - {value!r}) * {1 / width**2!r}", 1 / width**2
+                deviance, slope, curvature, precision = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)", "1.0"
             else:
                 side = 1.0 if value == p.range[0] else -1.0
-                terms.append(f"{away} * {2 * side / width!r}")
-                slope, curvature = repr(side / width), 0.0
-            here = f"    if (component == {model.offset(p.name) + i})"
-            slopes.append(f"{here} {{ slope = {slope}; curvature = {curvature!r}; }}")
-            precisions.append(f"{here} {{ return {1 / width**2!r}; }}")
+                left = f"(1.0 - abs(d) * {1 / extent!r})"
+                deviance = f"2.0 * (abs(d) - d * d * {0.5 / extent!r}) / w"
+                slope, curvature, precision = f"{side!r} * {left} / w", "0.0", f"{left} * {left}"
+            deviances.append([*lines, f"sum += {deviance};"])
+            found = [*lines, f"slope[{i}] += {slope};", f"curvature[{i}] += {curvature};"]
+            if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
+                power = 2.0 if p.prior.kind == "normal" else 1.0
+                found.append(
+                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {_NARROWEST!r});"
+                )
+            slopes.append(found)
+            precisions.append([*lines, f"if (component == {i}) {{ return {precision} / (w * w); }}"])
+
+    def blocks(parts: list[list[str]]) -> list[str]:
+        return [line for part in parts for line in ("    {", *(f"        {x}" for x in part), "    }")]
+
     lines = [
-        f"#define PRIORS {len(slopes)}", "float prior_deviance(Material s)", "{", f"    return {' + '.join(terms)};", "}",
-        "void prior_slope(int component, float x, out float slope, out float curvature)", "{",
-        "    slope = 0.0; curvature = 0.0;", *slopes, "}",
-        "float prior_precision(int component)", "{", *precisions, "    return 0.0;", "}", "",
+        f"#define PRIORS {len(deviances)}",
+        "float prior_deviance(inout float c[12])", "{", "    float sum = 0.0;", *blocks(deviances), "    return sum;", "}",
+        "void prior_slopes(inout float c[12], out float slope[12], out float curvature[12])", "{",
+        "    for (int i = 0; i < 12; i++) { slope[i] = 0.0; curvature[i] = 0.0; }", *blocks(slopes), "}",
+        "float prior_precision(inout float c[12], int component)", "{", *blocks(precisions), "    return 0.0;", "}", "",
     ]  # fmt: skip
     return "\n".join(lines)

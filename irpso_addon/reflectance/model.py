@@ -17,7 +17,7 @@ MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
 _KINDS = ("search", "linear")
-_PRIORS = ("normal", "exponential")
+_PRIORS = ("normal", "concave")
 _COLOR_SPACES = ("Non-Color", "sRGB")
 # What the keys of the TOML hold, where it is no number.
 _KIND_OF = {"ordered": list, "complement": list, "material": dict}
@@ -32,13 +32,16 @@ _MIRROR = "mirror"  # what a start says of the normal, and nothing else
 class ParameterPrior:
     """What is believed of a parameter before any photograph is seen, of each of its components alike.
 
-    kind: "normal" around ``value`` with the standard deviation ``width``; "exponential" away from ``value``, an end of
-    the range, with the mean distance ``width``.
+    kind: "normal" around ``value`` with the standard deviation ``width``; "concave" away from ``value``, an end of the
+    range: −2 log p = 2 (d − d² / 2R) / width at the distance d of R, which draws at what is near the value and leaves
+    the other end alone (the minimax concave penalty; Zhang 2010, Nearly Unbiased Variable Selection). vanishes_with:
+    a scalar parameter, at the end of whose range the width is 0; it is (1 − x²) times its own at the place x in it.
     """
 
     kind: str
     value: float
     width: float
+    vanishes_with: str = ""
 
 
 @dataclass(frozen=True)
@@ -149,6 +152,11 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
         raise InputError(f"{path}: two parameters have the same name; names must differ")
     if sum(p.is_normal for p in parameters) != 1:
         raise InputError(f"{path}: exactly one parameter must have is_normal = true")
+    scalars = {p.name for p in parameters if p.components == 1}
+    for p in parameters:
+        if p.prior is not None and p.prior.vanishes_with not in {"", *scalars} - {p.name}:
+            others = ", ".join(sorted(scalars - {p.name})) or "none"
+            raise InputError(f"{path}: parameter '{p.name}': prior: vanishes_with must name another scalar: {others}")
     components = sum(p.components for p in parameters)
     if components > MAX_COMPONENTS:
         raise InputError(f"{path}: {components} components in all; at most {MAX_COMPONENTS} fit")
@@ -227,7 +235,7 @@ def _prior_from_table(
     if table is None:
         return None
     keys = set(ParameterPrior.__dataclass_fields__)
-    if not isinstance(table, dict) or set(table) != keys:
+    if not isinstance(table, dict) or not keys - {"vanishes_with"} <= set(table) <= keys:
         raise InputError(f'{where}: write prior = {{ kind = "normal", value = 0.5, width = 0.1 }}')
     if is_normal or row.get("kind", "search") != "search":
         raise InputError(f"{where}: only a searched parameter that is no normal may have one; remove it")
@@ -238,9 +246,9 @@ def _prior_from_table(
         raise InputError(f"{where}: value must be a number inside the range {list(within)}, not {value!r}")
     if not _is_number(width) or width <= 0:
         raise InputError(f"{where}: width must be a number above 0, not {width!r}")
-    if kind == "exponential" and value not in within:
-        raise InputError(f"{where}: the value of an exponential prior is an end of the range {list(within)}")
-    return ParameterPrior(kind, float(value), float(width))
+    if kind == "concave" and value not in within:
+        raise InputError(f"{where}: the value of a concave prior is an end of the range {list(within)}")
+    return ParameterPrior(kind, float(value), float(width), table.get("vanishes_with", ""))
 
 
 def _is_number(value: Any) -> bool:

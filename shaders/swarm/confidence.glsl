@@ -89,7 +89,7 @@ void add_priors(inout float c[12], float variance, inout float a[UNKNOWNS * UNKN
         float low;
         float width;
         unknown_at(u, at, low, width);
-        a[u * UNKNOWNS + u] += max(variance, 0.0) * width * width * prior_precision(at);
+        a[u * UNKNOWNS + u] += max(variance, 0.0) * width * width * prior_precision(c, at);
     }
 #endif
 }

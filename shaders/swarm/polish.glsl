@@ -58,28 +58,28 @@ vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * U
     return vec2(loss, weights);
 }
 
-// Adds the model's priors to the normal equations, J per range. Of n log F + D the derivative is that of n F + F D over
-// F; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
+// Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D is that of
+// n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
 void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[UNKNOWNS * UNKNOWNS],
                 inout float slope[UNKNOWNS])
 {
 #if PRIORS > 0
     float scale = loss_scale(texel);
 #if FITNESS == FITNESS_L1
-    float unit = 2.0 * fitness / (scale * scale);
+    float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
 #else
-    float unit = fitness / (scale * scale);
+    float unit = (fitness + NOISE_FLOOR) / (scale * scale);
 #endif
+    float by[12];
+    float curvature[12];
+    prior_slopes(c, by, curvature);
     for (int u = 0; u < UNKNOWNS; u++) {
         int at;
         float low;
         float width;
         unknown_at(u, at, low, width);
-        float by;
-        float curvature;
-        prior_slope(at, c[at], by, curvature);
-        a[u * UNKNOWNS + u] += unit * width * width * curvature;
-        slope[u] += unit * width * by;
+        a[u * UNKNOWNS + u] += unit * width * width * curvature[at];
+        slope[u] += unit * width * by[at];
     }
 #endif
 }

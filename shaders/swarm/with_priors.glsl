@@ -1,11 +1,14 @@
 // The fitness of a material with what its model believes beforehand. For n samples of Gaussian noise of unknown variance
-// −2 log of the posterior is n log(fitness) + D, D that of the priors: a fitness F counts as F exp(D / n).
-// priors.glsl is generated (reflectance/glsl.py).
+// −2 log of the posterior is n log(F) + D, F the fitness and D that of the priors. No photograph is met better than to
+// NOISE_FLOOR, so it is n log(F + NOISE_FLOOR) + D: what orders materials like (F + NOISE_FLOOR) exp(D / n) − NOISE_FLOOR,
+// which is F where the priors say nothing. priors.glsl is generated (reflectance/glsl.py).
 
 #include "material.glsl"
 #include "priors.glsl"
 
-// Far beyond what is ever preferred, and no overflow.
+// In squares of δ: 0.3 % of a texel's scale, about a step of eight bits.
+#define NOISE_FLOOR 0.01
+// D / n far beyond what is ever preferred, and no overflow.
 #define MOST_BELIEF 30.0
 
 // n of samples that weigh so much together, of three channels each; a single one where there are none.
@@ -17,7 +20,12 @@ float samples_of(float weights)
 float with_priors(float fitness, float weights, Material s)
 {
 #if PRIORS > 0
-    return fitness * exp(min(prior_deviance(s) / samples_of(weights), MOST_BELIEF));
+    float c[12];
+    material_to(s, c);
+    float x = min(prior_deviance(c) / samples_of(weights), MOST_BELIEF);
+    // exp(x) − 1, whose digits near 0 would be lost.
+    float more = x < 1e-3 ? x + 0.5 * x * x : exp(x) - 1.0;
+    return fitness + (fitness + NOISE_FLOOR) * more;
 #else
     return fitness;
 #endif
