@@ -58,7 +58,8 @@ class Observation:
     """One image, its light and its camera.
 
     read: returns (H, W, 4) float32, row 0 at the bottom: linear Rec. 709 radiance, and in alpha the weight of the
-    pixel, 0 where it is not a number, below 0 where it is clipped (capture/bounds.py). Reading is put off until it is needed. camera: an index.
+    pixel, 0 where it is not a number, below 0 where it is clipped (capture/bounds.py). Reading is put off until it is
+    needed. camera: an index.
     """
 
     name: str

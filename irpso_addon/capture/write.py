@@ -33,7 +33,7 @@ def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, s
     names = [f"{n:0{count}d}" for n in range(len(capture.observations))]
     masked = [not mask.all() for mask in capture.masks]
     with new_folder(folder) as partial:
-        images = zip(names, (_channels(without_bounds(observation.read())) for observation in capture.observations), strict=True)
+        images = zip(names, (_channels(observation.read()) for observation in capture.observations), strict=True)
         masks = ((f"mask_{n}", {"Y": capture.masks[n].astype(np.float32)}) for n in np.flatnonzero(masked))
         if single_file:
             write_exr(partial / _IMAGES, dict(images) | dict(masks), half)
@@ -47,6 +47,7 @@ def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, s
 
 
 def _channels(rgba: np.ndarray) -> dict[str, np.ndarray]:
+    rgba = without_bounds(rgba)
     channels = {name: rgba[..., i] for i, name in enumerate("RGB")}
     return channels if (rgba[..., 3] == 1).all() else {**channels, "A": rgba[..., 3]}
 

@@ -31,7 +31,7 @@ from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.height import Height
 from ..maps.read import read_maps
-from ..maps.report import build_report, limit_warnings
+from ..maps.report import build_report, limit_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
@@ -178,6 +178,8 @@ def finish(
         report["colour_space"] = encoding.colour_space
         warnings += [text] if (text := encoding.message()) else []
     report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
+    if job.schedule.fitness.priors and (shares := prior_shares(maps, job.known)):
+        report["priors_decided"] = shares
     if left_out:
         report["left_out"] = [asdict(one) for one in left_out]
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
@@ -379,6 +381,8 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
             f"{name} against ground truth: mean {error['mean']:.3f} {error['unit']}, median {error['median']:.3f},"
             f" 99th percentile {error['p99']:.3f}"
         )
+    for name, share in report.get("priors_decided", {}).items():
+        lines.append(f"{name}: the prior says more than the photographs on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():
         highlights = report["relighting_highlights_psnr_db"][name]
         told = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]

@@ -77,6 +77,25 @@ def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
     return lines
 
 
+def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
+    """Return, for each parameter with a prior that is not ``given``, the share of the texels where that decided.
+
+    There it says more than the samples do: the variance that is left is more than half of its own.
+    """
+    model, shares = maps.model, {}
+    for p in model.parameters:
+        if p.prior is None or p.name in given or maps.confidence is None or not maps.covered.any():
+            continue
+        place = None
+        if p.prior.vanishes_with:
+            other = model.parameter(p.prior.vanishes_with)
+            place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
+        variance = p.prior.variance(maps.values[p.name][maps.covered], p.range[1] - p.range[0], place)
+        decided = 2 * np.square(maps.confidence[p.name][maps.covered]) > variance
+        shares[p.name] = round(float(decided.mean()), 4)
+    return shares
+
+
 def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:
     """Return for each known parameter the unit and quantiles of its error: degrees, or per cent of the range."""
     result = {}

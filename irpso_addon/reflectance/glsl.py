@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .model import ReflectanceModel
+from .model import NARROWEST, ReflectanceModel
 
 _TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
@@ -26,9 +26,6 @@ def material_declaration(model: ReflectanceModel) -> str:
     return "\n".join(lines)
 
 
-_NARROWEST = 0.02  # of a prior's width, what is left of it where it vanishes
-
-
 def prior_declaration(model: ReflectanceModel) -> str:
     """Return PRIORS, how many components have a prior, and what the priors say of a material's components.
 
@@ -47,7 +44,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
             if along is not None:
                 at, (low, high) = model.offset(along.name), along.range
                 lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
-                lines.append(f"w *= max(1.0 - x * x, {_NARROWEST!r});")
+                lines.append(f"w *= max(1.0 - x * x, {NARROWEST!r});")
             if p.prior.kind == "normal":
                 deviance, slope, curvature, precision = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)", "1.0"
             else:
@@ -60,7 +57,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
             if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
                 power = 2.0 if p.prior.kind == "normal" else 1.0
                 found.append(
-                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {_NARROWEST!r});"
+                    f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {NARROWEST!r});"
                 )
             slopes.append(found)
             precisions.append([*lines, f"if (component == {i}) {{ return {precision} / (w * w); }}"])
@@ -70,7 +67,8 @@ def prior_declaration(model: ReflectanceModel) -> str:
 
     lines = [
         f"#define PRIORS {len(deviances)}",
-        "float prior_deviance(inout float c[12])", "{", "    float sum = 0.0;", *blocks(deviances), "    return sum;", "}",
+        "float prior_deviance(inout float c[12])", "{", "    float sum = 0.0;", *blocks(deviances),
+        "    return sum;", "}",
         "void prior_slopes(inout float c[12], out float slope[12], out float curvature[12])", "{",
         "    for (int i = 0; i < 12; i++) { slope[i] = 0.0; curvature[i] = 0.0; }", *blocks(slopes), "}",
         "float prior_precision(inout float c[12], int component)", "{", *blocks(precisions), "    return 0.0;", "}", "",

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import InputError
 from ..files import load_shipped_table, shipped_names
 from ..paths import MODELS
@@ -16,6 +18,7 @@ from ..paths import MODELS
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
 _BASIS = re.compile(r"\bvec3\s+basis_(\w+)\s*\(")
+NARROWEST = 0.02  # of a prior's width, what is left of it where it vanishes
 _KINDS = ("search", "linear")
 _PRIORS = ("normal", "concave")
 _COLOR_SPACES = ("Non-Color", "sRGB")
@@ -42,6 +45,17 @@ class ParameterPrior:
     value: float
     width: float
     vanishes_with: str = ""
+
+
+    def variance(self, values: np.ndarray, extent: float, place: np.ndarray | None = None) -> np.ndarray:
+        """Return (…) its variance around values (…): ∞ where it draws at nothing. extent: of the range.
+
+        place: (…) of the scalar that it vanishes with, in that scalar's range, 0 to 1.
+        """
+        width = self.width if place is None else self.width * np.maximum(1 - place**2, NARROWEST)
+        left = 1.0 if self.kind == "normal" else 1 - np.abs(values - self.value) / extent
+        with np.errstate(divide="ignore"):
+            return np.square(width / left)
 
 
 @dataclass(frozen=True)
@@ -196,7 +210,7 @@ def _start_value(parameter: Parameter, value: Any, where: str) -> tuple[str, tup
     if not parameter.is_normal:
         return parameter.name, _components(value, parameter.components, parameter.range, where)
     if value != _MIRROR:
-        raise InputError(f'{where}: a normal begins at "{_MIRROR}", where it mirrors the brightest light; or leave it out')
+        raise InputError(f'{where}: a normal begins at "{_MIRROR}", that of the brightest light; or leave it out')
     return parameter.name, ()
 
 

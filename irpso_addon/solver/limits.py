@@ -16,8 +16,15 @@ _ABOVE_ZERO = {"v_max", "delta", "percentile", "level_iterations", "survey_judge
                "prior_likeness", "prior_likeness_color", "prior_spread", "prior_noise_freedom", "prior_share",
                "prior_tolerance"}  # fmt: skip
 # At five levels a coarse texel is 16 × 16; at six scales a round of the prior reaches 64 texels.
-_MOST = {"seeded": 1, "c3_until": 1, "percentile": 100, "levels": 5, "level_iterations": 1, "prior_scales": 6,
-         "highlight_power": 1}
+_MOST = {
+    "seeded": 1,
+    "c3_until": 1,
+    "percentile": 100,
+    "levels": 5,
+    "level_iterations": 1,
+    "prior_scales": 6,
+    "highlight_power": 1,
+}
 _ODD = {"neighbourhood"}
 
 

@@ -108,9 +108,7 @@ class Recovery:
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())
-        self._findings = Findings(
-            self._believing(self.schedule), self.schedule.fitness, textures, estimates, known
-        )
+        self._findings = Findings(self._believing(self.schedule), self.schedule.fitness, textures, estimates, known)
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
         self._shown: tuple[int, int] | None = None  # and of which a display's copy is
@@ -174,7 +172,7 @@ class Recovery:
         if self._work is not None or self._found != at or (confidence and self._trusted != at):
             for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
-        return self._findings.maps(confidence)
+        return replace(self._findings.maps(confidence), model=self.model)
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Find what ``maps`` tells, for about so long; return whether it is found: then maps() itself is quick.

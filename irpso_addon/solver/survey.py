@@ -273,8 +273,8 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str
         **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
         "LEAST_SAMPLES": schedule.survey.observations,
     }  # fmt: skip
-    outputs = (Output("o_fitness", "R32F"),)
-    return Pass(Kernel("survey/measure.glsl", outputs, samplers, kernels.FITNESS, defines, kernels.model_includes(model)))
+    outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
+    return Pass(Kernel("survey/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
 
 
 def _judge_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:

@@ -138,7 +138,8 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
         for k, start in enumerate(starts)
         if (sets := [f"c[{model.offset(name) + i}] = {v!r};" for name, row in start if row for i, v in enumerate(row)])
     ]
-    mirroring = " || ".join(f"start == {k}" for k, start in enumerate(starts) if not all(row for _, row in start)) or "false"
+    turned = [k for k, start in enumerate(starts) if not all(row for _, row in start)]
+    mirroring = " || ".join(f"start == {k}" for k in turned) or "false"
     return "\n".join(
         ["void take_start(int start, inout float c[12])", "{", *lines, "}",
          "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
