@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from .errors import InputError, IrpsoError, ShaderError
+from .paths import DEFAULT_MODEL
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _REMEDIES = {  # of a module that is missing
@@ -157,7 +158,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
 
 
 def _add_solver(add: argparse.ArgumentParser) -> None:
-    add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
+    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help="shipped model, or a .toml of your own")
     add.add_argument("--preset", default="standard", metavar="P", help="shipped preset, or a .toml of your own")
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                      help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
@@ -198,7 +199,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--dome", default="10x20", metavar="LATxLON",
                      help="distant lights, evenly over the sphere (default 10x20, as in the paper)")  # fmt: skip
     add.add_argument("--lights", metavar="FILE", help="light directions, one x y z a line, instead of a dome")
-    add.add_argument("--model", default="principled", metavar="M", help="shipped model, or a .toml of your own")
+    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help="shipped model, or a .toml of your own")
     _add_common(add)
 
 

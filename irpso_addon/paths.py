@@ -6,6 +6,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SHADERS = ROOT / "shaders"
 MODELS = SHADERS / "models"
 PRESETS = ROOT / "presets"
+DEFAULT_MODEL = "metallic_roughness"  # in MODELS
 
 # Installed as an extension this module is bl_ext.REPOSITORY.irpso.irpso_addon.paths; Blender's own functions
 # (preferences, extension_path_user) want the part before irpso_addon.

@@ -46,7 +46,6 @@ class ParameterPrior:
     width: float
     vanishes_with: str = ""
 
-
     def variance(self, values: np.ndarray, extent: float, place: np.ndarray | None = None) -> np.ndarray:
         """Return (…) its variance around values (…): ∞ where it draws at nothing. extent: of the range.
 

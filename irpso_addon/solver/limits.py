@@ -25,6 +25,7 @@ _MOST = {
     "prior_scales": 6,
     "highlight_power": 1,
 }
+_FROM_ONE = {"polish_widening"}
 _ODD = {"neighbourhood"}
 
 
@@ -81,5 +82,5 @@ def check_values(limits: Mapping[str, Limits], values: Mapping[str, Any], where:
 def _limits(name: str, hint: Any) -> Limits:
     if get_origin(hint) is Literal:
         return Limits(str, choices=get_args(hint))
-    least = 1 if hint is int and name not in _FROM_ZERO else 0
+    least = 1 if name in _FROM_ONE or (hint is int and name not in _FROM_ZERO) else 0
     return Limits(hint, least, name in _ABOVE_ZERO, _MOST.get(name), name in _ODD)

@@ -389,7 +389,7 @@ def _shown(settings, name: str) -> bool:
     part = name.partition("_")[0]
     if part in switch and name != switch[part]:
         return getattr(schedule, switch[part]) > 0
-    if name in ("delta", "shadow"):
+    if name in ("delta", "shadow", "highlight_power"):
         return schedule.loss == "robust"
     if name in ("seeded", "seed_spread"):
         return schedule.seed != "random"

@@ -31,10 +31,11 @@ GROUPS = {  # panel → the settings in it, in order
         "survey_iterations", "survey_polish_iterations", "survey_shadow", "survey_observations", "survey_judge_delta",
         "survey_trust",
     ),
-    "Fitness": ("loss", "delta", "percentile", "shadow"),
+    "Fitness": ("loss", "delta", "percentile", "shadow", "highlight_power", "bounds", "priors"),
     "Polish": (
         "polish_iterations", "polish_starts", "polish_start_iterations", "polish_rounds", "polish_round_iterations",
         "polish_daring", "polish_votes", "polish_damping", "polish_gain", "polish_smallest_step", "polish_central",
+        "polish_widening",
     ),
     "Prior": (
         "prior_rounds", "prior_scales", "prior_iterations", "prior_likeness", "prior_likeness_color", "prior_spread",
@@ -140,6 +141,14 @@ WORDS = {
         "Scale At", "The percentile of its radiances that is a texel's scale", subtype="PERCENTAGE", precision=1
     ),
     "shadow": Words("Shadow", "Samples under this part of a texel's scale count as shadow (robust loss only)", 1),
+    "highlight_power": Words(
+        "Highlights",
+        "Delta grows with this power of a sample's brightness above the texel's scale (robust loss only)",
+        1,
+        precision=2,
+    ),
+    "bounds": Words("Clipped Samples", "Clipped samples count where the render is darker; else they count nothing"),
+    "priors": Words("Model's Priors", "What the model believes of its parameters counts where photographs say little"),
     "polish_iterations": Words(
         "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no polish", 100
     ),
@@ -167,6 +176,9 @@ WORDS = {
         precision=6,
     ),
     "polish_central": Words("Central Differences", "Differences to both sides instead of one: slower, more exact"),
+    "polish_widening": Words(
+        "Widening", "From the model's starts Delta is so many times as wide at first, and falls to its own", 100
+    ),
     "prior_rounds": Words("Rounds", "How often alike neighbors are asked; 0 for no prior", 8),
     "prior_scales": Words("Scales", "A round reaches 2 to this power texels"),
     "prior_iterations": Words("Iterations", "Levenberg–Marquardt steps after each round", 30),

@@ -15,6 +15,7 @@ from bpy.props import (
 )
 
 from ..errors import InputError
+from ..paths import DEFAULT_MODEL
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
 from ..solver.lights import MOST_DEGREES
 from ..solver.texel_probe import component_names
@@ -298,7 +299,7 @@ class Settings(bpy.types.PropertyGroup):
         " off where the mesh is rougher than its subject", default=True,
     )  # fmt: skip
     model: EnumProperty(
-        name="Model", description="What is recovered", items=_MODEL_ITEMS, default="principled", update=_model_changed
+        name="Model", description="What is recovered", items=_MODEL_ITEMS, default=DEFAULT_MODEL, update=_model_changed
     )
     model_path: StringProperty(
         name="Model File", description="A .toml that declares the parameters, with its .glsl beside it",
