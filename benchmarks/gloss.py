@@ -45,6 +45,7 @@ from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.maps.blender_images import decode, encode_png
 from irpso_addon.maps.encode import encode_normal, srgb_from_linear
 from irpso_addon.maps.read import read_maps
+from irpso_addon.paths import DEFAULT_MODEL
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.forward import render_domain
 
@@ -231,7 +232,7 @@ def _parser() -> argparse.ArgumentParser:
     half.add_argument("--tune", action="store_true", help="only the cards that settings are chosen by")
     half.add_argument("--report", action="store_true", help="only the cards that no setting was chosen by")
     parser.add_argument("--captures", default="lamps,distant,shadows", help="which of them, and in which order")
-    parser.add_argument("--model", default="principled", help="of recover")
+    parser.add_argument("--model", default=DEFAULT_MODEL, help="of recover")
     parser.add_argument("--preset", help="of recover")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of recover; repeatable")
     parser.add_argument("--label", help="name of this run in tables (default: the model)")

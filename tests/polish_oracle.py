@@ -8,33 +8,65 @@ from tests import oracles
 
 _STEP = 1e-6  # of a range
 _FARTHEST = 0.2  # as in shaders/swarm/polish.glsl
+_FLOOR = 0.01  # as in shaders/swarm/with_priors.glsl
 
 
 class Texel:
-    """One texel's samples and what its losses mean. scale, delta: of the robust loss. model: a ReflectanceModel."""
+    """One texel's samples and what its losses mean. model: a ReflectanceModel, whose priors count.
 
-    def __init__(self, model, domain, row, column, loss, delta, scale):
+    scale, delta, power: of the robust loss, Fitness.highlight_power.
+    """
+
+    def __init__(self, model, domain, row, column, loss, delta, scale, power=1.0):
         assert domain.card and not domain.lights[:, 3].any() and not domain.views[:, 3].any()
         self.model, self.loss = model, loss
         samples = domain.stack[:, row, column].astype(np.float64)
-        self.weight = samples[:, 3:]
+        below = np.maximum(-samples[:, 3:], 0)
+        self.bound = (below.astype(int) & (1, 2, 4)) > 0
+        self.weight = np.where(below > 0, 2 * (below % 1), samples[:, 3:])
         self.radiance = np.where(self.weight > 0, samples[:, :3], 0)
         self.lights, self.views = (a[:, :3].astype(np.float64) for a in (domain.lights, domain.views))
         self.intensities = domain.intensities.astype(np.float64)
-        self.unit = 1 / (delta * self.intensities.mean() * scale) if loss == "robust" else 1.0
+        level = self.intensities.mean() * scale
+        self.unit = 1 / (delta * level) if loss == "robust" else 1.0
+        brightest = np.maximum(self.radiance.max(axis=-1, keepdims=True), level)
+        self.relative = (level / brightest) ** power if loss == "robust" else np.ones_like(self.weight)
         self.unknowns = [(p, i) for p in model.parameters for i in range(2 if p.is_normal else p.components)]
 
     def error(self, values):
         """(K, 3): what the render of values, name → (components,), has too much."""
         flat = {name: v[0] if len(v) == 1 else v for name, v in values.items()}
         render = oracles.MODELS[self.model.name](flat, self.lights, self.views) * self.intensities
-        return np.where(self.weight > 0, render - self.radiance, 0)
+        off = render - self.radiance
+        return np.where((self.weight > 0) & ~(self.bound & (off > 0)), off, 0)
 
-    def cost(self, values):
+    def residuals(self, values):
+        """(K, 3): errors in δ."""
+        return self.unit * self.relative * self.error(values)
+
+    def mean_loss(self, values):
         """Mean loss over weighted samples and channels."""
-        e = self.unit * self.error(values)
+        e = self.residuals(values)
         losses = {"l1": np.abs(e), "l2": e**2, "robust": np.log1p(e**2)}
         return (self.weight * losses[self.loss]).sum() / (3 * self.weight.sum())
+
+    def belief(self, values):
+        """−2 log of the model's priors, up to a constant."""
+        total = 0.0
+        for p in self.model.parameters:
+            if p.prior is not None:
+                away, width = np.abs(np.asarray(values[p.name]) - p.prior.value), p.prior.width
+                if p.prior.vanishes_with:
+                    low, high = self.model.parameter(p.prior.vanishes_with).range
+                    width *= max(1 - ((values[p.prior.vanishes_with][0] - low) / (high - low)) ** 2, 0.02)
+                concave = 2 * (away - away**2 / (2 * (p.range[1] - p.range[0]))) / width
+                total += float((concave if p.prior.kind == "concave" else (away / width) ** 2).sum())
+        return total
+
+    def cost(self, values):
+        """What is made least: −2 log of the posterior, up to what keeps the order, of noise of unknown variance."""
+        more = np.expm1(self.belief(values) / (3 * self.weight.sum()))
+        return self.mean_loss(values) * (1 + more) + _FLOOR * more
 
     def moved(self, values, by):
         """Values after a step (n,) in fractions of the ranges, that of a normal π/2, inside them."""
@@ -55,17 +87,24 @@ class Texel:
     def equations(self, values):
         """JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
         e = self.error(values)
-        scaled = self.unit * e
+        scaled = self.unit * self.relative * e
         weight = {"l1": 1 / np.maximum(np.abs(scaled), 1e-4), "l2": np.ones_like(e), "robust": 1 / (1 + scaled**2)}[
             self.loss
         ]
-        weight = (self.weight * weight).ravel()
+        weight = (self.weight * self.relative**2 * weight * ~(self.bound & (e == 0))).ravel()
         j = []
         for u in range(len(self.unknowns)):
             ends = [self.error(self.moved(values, sign * _STEP * np.eye(len(self.unknowns))[u])) for sign in (-1, 1)]
             j.append(((ends[1] - ends[0]) / (2 * _STEP)).ravel())
         j = np.array(j)
-        return (weight * j) @ j.T, (weight * j) @ e.ravel()
+        a, slope = (weight * j) @ j.T, (weight * j) @ e.ravel()
+        part = (self.mean_loss(values) + _FLOOR) / self.unit**2 * (2 if self.loss == "l1" else 1)
+        for u, (p, _) in enumerate(self.unknowns):
+            ends = [self.belief(self.moved(values, sign * _STEP * np.eye(len(slope))[u])) for sign in (-1, 1)]
+            slope[u] += part * (ends[1] - ends[0]) / (4 * _STEP)
+            if p.prior is not None and p.prior.kind == "normal":
+                a[u, u] += part * ((p.range[1] - p.range[0]) / p.prior.width) ** 2
+        return a, slope
 
     def step(self, values, damping):
         """(n,): the solution of (JᵀWJ + λ diag) step = −JᵀWe, whether inside the ranges or not."""

@@ -261,7 +261,7 @@ def _prior_from_table(
         raise InputError(f"{where}: width must be a number above 0, not {width!r}")
     if kind == "concave" and value not in within:
         raise InputError(f"{where}: the value of a concave prior is an end of the range {list(within)}")
-    return ParameterPrior(kind, float(value), float(width), table.get("vanishes_with", ""))
+    return ParameterPrior(kind, float(value), float(width), str(table.get("vanishes_with", "")))
 
 
 def _is_number(value: Any) -> bool:

@@ -79,7 +79,7 @@ def test_eight_bits_are_linearised_by_the_exact_srgb_curve(tmp_path):
     encoded = codes / 255
     exact = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(found[..., :3], exact, rtol=1e-6, atol=1e-9)
-    assert found[..., 3].ravel().tolist() == [1] * 255 + [0]
+    assert found[..., 3].ravel().tolist() == [1] * 255 + [-7.5]  # white: all three channels are bounds
 
 
 def test_tiff_of_8_16_and_float_bits_arrives_exactly(tmp_path):

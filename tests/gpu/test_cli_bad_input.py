@@ -281,7 +281,7 @@ OPTIONS = {
     "too many held out": (recover("--hold-out", "0,1,2,3"), r"has 2 lights; a normal needs at least three"),
     "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: there is no such file"),
     "ground truth of no known map": (
-        lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model principled"),
+        lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model metallic"),
     "ground truth of another size": (
         lambda f: recover("--ground-truth", f / "normal_4.exr")(f), r"normal is 4 × 3.*8 × 6"),
     "an object and no .blend": (recover("--object", "square"), r"--object .* no --blend"),

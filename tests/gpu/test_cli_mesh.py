@@ -164,7 +164,7 @@ def test_the_saved_file_holds_the_material_on_the_mesh_with_its_images_packed(ba
     (material,) = bpy.data.objects["Ball"].data.materials
     assert material.name == "IRPSO Ball"
     images = {image.name: image for image in bpy.data.images if image.name.startswith("IRPSO")}
-    spaces = {"base_color": "sRGB", "normal": "Non-Color", "roughness": "Non-Color", "specular": "Non-Color"}
+    spaces = dict.fromkeys(("normal", "roughness", "metallic", "specular"), "Non-Color") | {"base_color": "sRGB"}
     assert {name: image.colorspace_settings.name for name, image in images.items()} == {
         f"IRPSO Ball {name}": space for name, space in spaces.items()
     }

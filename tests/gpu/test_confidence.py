@@ -22,6 +22,7 @@ from tests.swarm_subjects import make_domain, unit
 SHAPE = (12, 25)
 MESH = {"card": False, "near": True, "perspective": True, "colored": True}
 TWO_LOBES = "cook_torrance_two_lobe"
+UNIFORM = load_schedule("paper").fitness  # noise that is the same in all samples
 
 
 @dataclass
@@ -64,14 +65,14 @@ def observed(model, domain, values, noise, seed=0):
     return Subject(model, replace(domain, stack=stack), values)
 
 
-def deviations(subject, known=(), values=None, seconds=0.25):
+def deviations(subject, known=(), values=None, seconds=0.25, fitness=UNIFORM):
     """What the pass says, name → (H, W, components) over the domain, NaN where nothing is solved."""
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
     uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), scale)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
-    work = Confidence(subject.model, known, uploaded.defines)
+    work = Confidence(subject.model, known, fitness, uploaded.defines)
     found = work.deviations(uploaded, estimates, False, Bands(), seconds)
     work.close()
     return {name: pack.unpack(value, np.nan) for name, value in found.items()}

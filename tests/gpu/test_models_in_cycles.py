@@ -154,13 +154,18 @@ def test_a_white_principled_surface_is_what_cycles_renders(facets, tmp_path, roo
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
-def test_metals_and_what_lies_between_are_what_cycles_renders(facets, tmp_path, root, roughness, metallic):
+@pytest.mark.parametrize(
+    ("name", "specular"), [("principled_metallic", 0.5), ("metallic_roughness", 0.25), ("metallic_roughness", 1.0)]
+)
+def test_metals_and_what_lies_between_are_what_cycles_renders(
+    facets, tmp_path, root, roughness, metallic, name, specular
+):
     gold = (0.9, 0.6, 0.25)
-    node = principled_node(facets, Base_Color=(*gold, 1), Specular_IOR_Level=0.5, Roughness=roughness)
+    node = principled_node(facets, Base_Color=(*gold, 1), Specular_IOR_Level=specular, Roughness=roughness)
     node.inputs["Metallic"].default_value = metallic
-    settings = {"base_color": gold, "roughness": roughness, "metallic": metallic}
+    settings = {"base_color": gold, "roughness": roughness, "metallic": metallic, "specular": specular}
     try:
-        error = compare(facets, tmp_path, root, load_model("principled_metallic"), settings)
+        error = compare(facets, tmp_path, root, load_model(name), settings)
     finally:
         node.inputs["Metallic"].default_value = 0.0
     assert error.max() < 0.01

@@ -5,19 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
-from irpso_addon.gpu import context
+from irpso_addon.capture.bounds import bounded
+from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.polish import RunningPolish
+from irpso_addon.solver.polish import RunningPolish, Track
 from irpso_addon.solver.polish_kernels import SPREAD_REACH
 from irpso_addon.solver.resolve import ResolvedPolish
 from irpso_addon.solver.schedule import Polish, load_schedule
 from irpso_addon.solver.state import DomainTextures, Estimates
 from tests import confidence_oracle
 from tests.polish_oracle import Texel
+from tests.swarm_oracle import direction_to, frames, turned
 from tests.swarm_subjects import bits_of, make_domain, recoveries, run_tiled, unit
 
 MODELS = Path(__file__).parent / "models"
@@ -101,8 +103,8 @@ def near(model, values, by, seed=5):
     return {name: v.astype(np.float32).astype(np.float64) for name, v in off.items()}
 
 
-def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, seed=2, **domain):
-    """A domain in which these materials are seen, with noise and a fraction of its samples in shadow."""
+def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, bounds=0.0, seed=2, **domain):
+    """A domain in which these materials are seen, with noise, fractions of its samples in shadow, or lower bounds."""
     rng = np.random.default_rng(seed)
     made = make_domain(*shape, observations=observations, holes=False, **domain)
     stack = made.stack.copy()
@@ -110,6 +112,9 @@ def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, seed=
     stack[..., :3] += noise * rng.normal(size=stack[..., :3].shape)
     stack[..., :3] *= np.where(rng.random(stack.shape[:3]) < shadow, 0.1, 1.0)[..., None]
     stack[..., 3] = rng.random(stack.shape[:3]) < 0.9
+    clipped = rng.random((*stack.shape[:3], 3)) < 0.05 * bounds
+    stack[..., :3] *= np.where(clipped, rng.uniform(0.3, 1.2, clipped.shape), 1.0)
+    stack[..., 3] = bounded(stack[..., 3], clipped)
     return replace(made, stack=stack.astype(np.float32))
 
 
@@ -121,7 +126,7 @@ def at(values, row, column):
 # ---- against float64 and scipy -----------------------------------------------------------------------------------
 
 
-NAMES = ["lambert", "principled", "cook_torrance_two_lobe", WARD]
+NAMES = ["lambert", "principled", "metallic_roughness", "cook_torrance_two_lobe", WARD]
 # Each is a shader of its own, of seconds to compile: a loss knows nothing of the model.
 STEPS = [(name, "robust", central) for name in NAMES for central in (True, False)]
 STEPS += [("principled", "l2", True), ("cook_torrance_two_lobe", "l2", False), (WARD, "l1", True)]
@@ -133,7 +138,7 @@ def test_a_step_is_that_of_float64(polish, name, loss, central):
     model, shape = load_model(name), (5, 7)
     truth = materials(model, shape)
     start = near(model, truth, 0.02)
-    domain = observed(model, truth, shape, noise=0.005, shadow=0.0 if loss == "l2" else 0.1, colored=True)
+    domain = observed(model, truth, shape, noise=0.005, shadow=0.0 if loss == "l2" else 0.1, bounds=1.0, colored=True)
     damping = 0.1
     schedule = schedule_of(loss, damping=damping, central=central, gain=0.0)  # the optimum's own shaders
     found = polish(model, domain, start, schedule, scale=0.7).run()
@@ -168,7 +173,7 @@ def test_the_optimum_is_that_of_scipy(polish, name, central):
     model, shape = load_model(name), (2, 5)
     truth = materials(model, shape, seed=4)
     start = near(model, truth, 0.05)
-    domain = observed(model, truth, shape, noise=0.01, shadow=0.15)
+    domain = observed(model, truth, shape, noise=0.01, shadow=0.15, bounds=1.0)
     found = polish(model, domain, start, schedule_of(iterations=60, central=central, gain=0.0)).run()
     for row, column in np.ndindex(shape):
         texel = Texel(model, domain, row, column, "robust", DELTA, 1.0)
@@ -179,11 +184,19 @@ def test_the_optimum_is_that_of_scipy(polish, name, central):
                for (p, i), w in zip(texel.unknowns, widths, strict=True)]  # fmt: skip
         high = [1.0 if p.is_normal else (p.range[1] - origin[p.name][i]) / w
                 for (p, i), w in zip(texel.unknowns, widths, strict=True)]  # fmt: skip
-        fit = least_squares(
-            lambda x, t=texel, origin=origin, seen=seen: t.unit * t.error(t.moved(origin, x))[seen].ravel(),
-            np.zeros(len(widths)), loss="cauchy", bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=400,
-        )  # fmt: skip
-        wanted = 2 * fit.cost / (3 * seen.sum())
+        if any(p.prior for p in model.parameters):
+            fit = minimize(
+                lambda x, t=texel, origin=origin: t.cost(t.moved(origin, x)), np.zeros(len(widths)), method="L-BFGS-B",
+                bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-14, "gtol": 1e-10, "maxfun": 20000},
+            )  # fmt: skip
+            wanted = fit.fun
+        else:
+            fit = least_squares(
+                lambda x, t=texel, origin=origin, seen=seen: t.residuals(t.moved(origin, x))[seen].ravel(),
+                np.zeros(len(widths)), loss="cauchy", bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12,
+                max_nfev=400,
+            )  # fmt: skip
+            wanted = 2 * fit.cost / (3 * seen.sum())
         assert texel.cost(at(found, row, column)) < 1.001 * wanted
 
 
@@ -254,6 +267,61 @@ def test_starts_free_a_texel_from_a_wrong_optimum(polish):
         found = polish(model, domain, start, schedule, starts=starts).run()
         right.append(np.mean([np.abs(found[n] - truth[n]).max(axis=-1) < 0.01 for n in ("r1", "r2", "w")]))
     assert right[1] > 0.95 and right[1] > right[0] + 0.1, right
+
+
+def gold(shape):
+    """A smooth metal at every texel, normals within 30° of z."""
+    rng = np.random.default_rng(3)
+    values = {"base_color": (0.9, 0.7, 0.3), "roughness": 0.3, "metallic": 1.0, "specular": 0.5}
+    truth = {
+        name: np.broadcast_to(np.float32(v).reshape(-1), (*shape, np.size(v))).copy() for name, v in values.items()
+    }
+    return truth | {"normal": unit(rng.normal(size=(*shape, 3)) * 0.25 + (0, 0, 1)).astype(np.float32)}
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+@pytest.mark.parametrize("card", [True, False])
+def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(polish, card, entry):
+    model, shape = load_model("metallic_roughness"), (3, 4)
+    truth = gold(shape)
+    domain = observed(model, truth, shape, observations=30, **({} if card else {"card": False, "near": True}))
+    domain.stack[..., 3] = np.abs(domain.stack[..., 3])
+    schedule = schedule_of(starts=True, start_iterations=1)
+    bench = polish(model, domain, truth, schedule, starts=((("normal", ()),),), entry=entry)
+    for _ in bench.polish._open(bench.bands):
+        pass
+    for _ in bench.polish._begin(Track(0, 1), bench.bands, 0.25):
+        pass
+    packed = np.concatenate([textures.download(t) for t in bench.polish.work[:-1]], axis=-1)
+    at = model.offset("normal")
+    found = bench.pack.unpack(packed[..., at : at + 3], np.nan)
+    position, frame = domain.bake.position.astype(np.float64), frames(domain.bake)
+    irradiance, halves = [], []
+    for light, view, intensity in zip(domain.lights, domain.views, domain.intensities, strict=True):
+        (toward, squared), (eye, _) = direction_to(light, position), direction_to(view, position)
+        irradiance.append(intensity / squared)
+        halves.append(unit(turned(frame, toward) + turned(frame, eye)))
+    brightness = np.where(domain.stack[..., 3] > 0, (domain.stack[..., :3] / irradiance).mean(axis=-1), -1)
+    brightness = np.where(np.array(halves)[..., 2] > 0, brightness, -1)
+    wanted = np.take_along_axis(np.array(halves), brightness.argmax(axis=0)[None, ..., None], axis=0)[0]
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
+def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wide_delta(polish):
+    model, shape = load_model("metallic_roughness"), (8, 8)
+    truth = gold(shape)
+    domain = observed(model, truth, shape, observations=24, noise=0.003)
+    # As a fit of matt surfaces leaves them: dark dielectrics, normals some 20° off.
+    start = {name: v.copy() for name, v in truth.items()}
+    start["normal"] = unit(truth["normal"] + np.random.default_rng(8).normal(size=(*shape, 3)) * 0.3).astype(np.float32)
+    start["normal"][..., 2] = np.abs(start["normal"][..., 2])
+    start["metallic"][:], start["base_color"][:] = 0, 0.1
+    right = []
+    for starts, widening in (((), 1.0), (model.starts, 1.0), (model.starts, 30.0)):
+        schedule = schedule_of(iterations=10, starts=True, start_iterations=5, widening=widening, central=False)
+        found = polish(model, domain, start, schedule, starts=starts, scale=0.1).run()
+        right.append(float((found["metallic"] > 0.9).mean()))
+    assert right[0] < 0.1 < right[1] < right[2] - 0.05 and right[2] > 0.8, right
 
 
 @pytest.mark.parametrize("card", [True, False])

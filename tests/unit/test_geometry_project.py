@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry.footprint import texel_steps
 from irpso_addon.geometry.project import Projector
@@ -58,6 +59,24 @@ def test_a_clipped_pixel_takes_the_weight_of_all_texels_that_it_touches_and_is_n
     assert (sampled[touched] == 0).all()
     np.testing.assert_allclose(sampled[p.visible & ~touched][:, 3], 1, atol=1e-6)
     assert np.isfinite(sampled).all() and sampled.max() < 2
+
+
+@pytest.mark.parametrize("texels", [37, 5])  # smaller than a pixel, and means of several
+def test_a_texel_that_touches_a_clipped_pixel_is_a_lower_bound_in_its_channels(texels):
+    camera, mesh = Camera.orthographic(16, 16, 2.0, ABOVE), plane(2.0)
+    bake, p = projector(mesh, camera, (texels, texels), steps=texel_steps(mesh, texels, texels))
+    image = image_of(camera)
+    whole = p.sample(image)
+    image[8, 5, 3] = bounded(np.float32(image[8, 5, 3]), np.array([True, False, True]))
+    sampled = p.sample(image)
+    weight, clipped = weight_and_clipped(sampled[..., 3])
+    place = camera.project(bake.position.astype(np.float64))[0] - 0.5
+    reach = np.maximum(1, 16 / texels / 2 + 0.5)
+    near, at = (np.abs(place - (5, 8)) < reach).all(-1), (np.abs(place - (5, 8)) < 0.5).all(-1)
+    assert (clipped[p.visible & at] == (True, False, True)).all() and not clipped[~near].any()
+    assert clipped.any(axis=-1).sum() >= 1
+    np.testing.assert_array_equal(sampled[..., :3], whole[..., :3])
+    np.testing.assert_allclose(weight, whole[..., 3], atol=1e-6)
 
 
 @pytest.mark.parametrize("texels", [37, 5])  # smaller than a pixel, and means of several

@@ -20,6 +20,11 @@ def test_a_start_sets_some_parameters_by_name(tmp_path):
     assert starts == ((("roughness", (0.2,)),), (("specular", (1.0,)), ("base_color", (0.1, 0.2, 0.3))))
 
 
+def test_a_start_may_turn_the_normal_to_the_mirror_direction(tmp_path):
+    rows = '[[start]]\nroughness = 0.2\nnormal = "mirror"\n'
+    assert load_model(model_with(tmp_path, rows)).starts == ((("roughness", (0.2,)), ("normal", ())),)
+
+
 def test_a_model_need_not_have_starts(tmp_path):
     assert load_model(model_with(tmp_path, "")).starts == () == load_model("lambert").starts
 
@@ -29,8 +34,8 @@ def test_a_model_need_not_have_starts(tmp_path):
     [
         ("[start]\nroughness = 0.2\n", "starts are written .*two brackets"),
         ("[[start]]\n", "set at least one parameter"),
-        ("[[start]]\ngloss = 0.2\n", "'gloss' is no parameter, or a normal; set base_color, roughness, specular"),
-        ("[[start]]\nnormal = [0, 0, 1]\n", "'normal' is no parameter, or a normal"),
+        ("[[start]]\ngloss = 0.2\n", "'gloss' is no parameter; set base_color, normal, roughness, specular"),
+        ("[[start]]\nnormal = [0, 0, 1]\n", 'normal: a normal begins at "mirror"'),
         ("[[start]]\nroughness = 1.5\n", "roughness must be one number, or one a component, inside the range"),
         ("[[start]]\nbase_color = [0.1, 0.2]\n", "base_color must be one number, or one a component"),
     ],

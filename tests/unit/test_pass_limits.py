@@ -84,7 +84,7 @@ def test_no_pass_of_any_model_and_preset_asks_for_more_than_every_gpu_has(made, 
         schedule = load_schedule(preset).replaced(**VARIANTS[variant])
         for resolved in resolve(schedule, model, set(), observations=24):
             make_passes(resolved, model, schedule)
-    Confidence(model, (), DOMAIN)
+        Confidence(model, (), schedule.fitness, DOMAIN)
     for make in (kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass):
         make(model, DOMAIN)
     for kind in ("parameter", "error", "render", "reference", "confidence"):

@@ -223,6 +223,7 @@ damping = 0.01
 gain = 1e-5
 smallest_step = 1e-5
 central = false
+widening = 30.0
 """
 
 
