@@ -389,7 +389,7 @@ def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(polish, entry):
     truth = uniform((7, 7))
     start = {name: v.copy() for name, v in truth.items()}
     start["roughness"][3, 3], start["specular"][3, 3] = 0.9, 0.0
-    alone, crowd = (voted(polish, truth, start, votes, entry, (3, 3)) for votes in (0.0, 1.0))
+    alone, crowd = (voted(polish, truth, start, votes, entry, (3, 3)) for votes in (0.0, 6.0))
     for name, value in (("roughness", 0.3), ("specular", 0.5)):
         assert abs(alone[name][3, 3, 0] - value) > 0.2 > 2 * abs(crowd[name][3, 3, 0] - value)
 
@@ -397,7 +397,7 @@ def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(polish, entry):
 def test_a_texel_of_its_own_material_is_not_outvoted(polish):
     truth = uniform((7, 7))
     truth["roughness"][3, 3], truth["specular"][3, 3] = 0.7, 1.0
-    found = voted(polish, truth, truth, 1.0)
+    found = voted(polish, truth, truth, 6.0)
     assert found["roughness"][3, 3, 0] == pytest.approx(0.7, abs=0.05)
     assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.05
 
@@ -407,7 +407,7 @@ def test_a_line_and_a_checker_one_texel_wide_survive_the_votes(polish):
     for other in (rows == 3, (rows + columns) % 2 == 0):
         truth = uniform((8, 8))
         truth["roughness"][other] = 0.6
-        found = voted(polish, truth, truth, 1.0)
+        found = voted(polish, truth, truth, 6.0)
         assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.06
 
 
