@@ -78,7 +78,7 @@ def error(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
     result = np.where(seen, radiance(problem, s) - reference, 0)
     if settings.loss == "robust":
         brightness = domain.intensities.astype(np.float64).mean()
-        result = result / (settings.delta * brightness * problem.scale[..., None])
+        result = result / _expanded(swarm.delta_of(domain.stack, brightness * problem.scale, settings), s["normal"])
     return result
 
 
@@ -99,7 +99,14 @@ def sample_weights(problem: Generations, incumbent: dict[str, np.ndarray]) -> np
     """(K, H, W, 3): what each sample counts in the least squares, by the error of the incumbent there."""
     e = error(problem, incumbent)
     kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
-    return problem.domain.stack[..., 3:].astype(np.float64) * kinds[problem.schedule.fitness.loss]
+    weight = problem.domain.stack[..., 3:].astype(np.float64)
+    if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
+        level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
+        settings = problem.schedule.fitness
+        weight = (
+            weight * (settings.delta * level[..., None] / swarm.delta_of(problem.domain.stack, level, settings)) ** 2
+        )
+    return weight * kinds[problem.schedule.fitness.loss]
 
 
 def system(problem: Generations, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ import numpy as np
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 from irpso_addon.solver.resolve import ResolvedStage
-from irpso_addon.solver.schedule import Schedule
+from irpso_addon.solver.schedule import Fitness, Schedule
 from tests.swarm_numbers import random_bits, random_uniform
 
 UNFIT = 1e30
@@ -172,6 +172,12 @@ def direction_to(row: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.
     return toward / np.sqrt(squared), squared
 
 
+def delta_of(samples: np.ndarray, level: np.ndarray, settings: Fitness) -> np.ndarray:
+    """Return (…, 1): δ of samples (…, 4), at texels of the scale ``level`` in units of radiance."""
+    brightest = np.where(samples[..., 3] > 0, samples[..., :3].max(axis=-1), 0).astype(np.float64)
+    return (settings.delta * level * np.maximum(brightest / level, 1) ** settings.highlight_power)[..., None]
+
+
 def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Return (H, W): the mean loss of the render of places (H, W, D) over weighted samples and channels; Eq. 1."""
     domain, settings = problem.domain, problem.schedule.fitness
@@ -191,7 +197,8 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
             loss = error**2
         else:
             unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
-            loss = np.log1p((error / (settings.delta * unit * problem.scale[..., None])) ** 2)
+            unit = delta_of(domain.stack[k], unit * problem.scale, settings)
+            loss = np.log1p((error / unit) ** 2)
         total += weight * loss.sum(axis=-1)
         weights += weight
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), UNFIT)

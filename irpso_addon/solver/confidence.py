@@ -9,11 +9,20 @@ import numpy as np
 
 from ..gpu import textures
 from ..gpu.bands import Bands
+from ..gpu.passes import Pass
 from ..reflectance.model import ReflectanceModel
 from .kernels import confidence_pass
 from .schedule import Fitness
 from .state import DomainTextures, Estimates, loss_constants
 from .unknowns import build_unknowns
+
+
+def deviation_pass(
+    model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+) -> Pass:
+    """Return the pass of Confidence."""
+    unknowns = build_unknowns(model, known)
+    return confidence_pass(model, unknowns.source, fitness, {**domain_defines, **unknowns.defines})
 
 
 class Confidence:
@@ -33,8 +42,7 @@ class Confidence:
         self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
     ):
         self.model, self._known, self._fitness = model, frozenset(known), fitness
-        unknowns = build_unknowns(model, self._known)
-        self._pass = confidence_pass(model, unknowns.source, fitness, {**domain_defines, **unknowns.defines})
+        self._pass = deviation_pass(model, self._known, fitness, domain_defines)
         self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
 
     def deviations(

@@ -22,7 +22,6 @@ from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .pyramid import Pyramid
 from .recovery import Progress, Recovery
 from .state import kernel_defines
-from .unknowns import build_unknowns
 
 KEPT = 4  # pictures: two areas, each with two beside one another
 _SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
@@ -152,12 +151,14 @@ class Display:
 
     def _measure(self, kind: str) -> _Measure:
         if kind not in self._measures:
-            error = kind == "error"
-            work = _error_pass if error else _deviation_pass
-            made = work(self._recovery.model, self._defines, self._known)
-            count = 1 if error else kernels.estimate_defines(self._recovery.model)["ESTIMATES"]
-            observations = self._recovery.domain.observations
-            self._measures[kind] = _Measure(made, count, "R32F" if error else "RGBA32F", observations)
+            model = self._recovery.model
+            if kind == "error":
+                constants = {"u_observations": self._recovery.domain.observations}
+                self._measures[kind] = _Measure(kernels.residual_pass(model, self._defines), 1, "R32F", constants)
+            else:
+                made, constants = self._recovery.deviation_pass()
+                count = kernels.estimate_defines(model)["ESTIMATES"]
+                self._measures[kind] = _Measure(made, count, "RGBA32F", constants)
         return self._measures[kind]
 
     def _colors(self) -> Any:
@@ -170,9 +171,9 @@ class Display:
 class _Measure:
     """What takes long to tell of all texels, measured a few rows at a time; the last whole one is kept meanwhile."""
 
-    def __init__(self, made: Pass, count: int, texture_format: str, observations: int):
+    def __init__(self, made: Pass, count: int, texture_format: str, constants: dict[str, int | float]):
         self._pass, self._count, self._format = made, count, texture_format
-        self._constants = {"u_observations": observations}
+        self._constants = constants
         self._bands = Bands()
         self._whole: list[Any] = []
         self._coming: list[Any] = []
@@ -268,12 +269,3 @@ def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, 
     defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": measures}
     output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
     return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, defines, given))
-
-
-def _error_pass(model: ReflectanceModel, domain_defines: dict[str, int], known: Collection[str]) -> Pass:
-    return kernels.residual_pass(model, domain_defines)
-
-
-def _deviation_pass(model: ReflectanceModel, domain_defines: dict[str, int], known: Collection[str]) -> Pass:
-    unknowns = build_unknowns(model, known)
-    return kernels.confidence_pass(model, unknowns.source, {**domain_defines, **unknowns.defines})

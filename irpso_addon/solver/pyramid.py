@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..geometry.coarsen import coarser, coarser_map, finer_map
 from ..geometry.domain import Domain
 from ..gpu import probe
+from ..gpu.passes import Pass
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import checkpoint, prepare
@@ -121,6 +122,10 @@ class Pyramid:
     def confidence_view(self) -> AbstractContextManager[dict[str, Any]]:
         """Lend the deviations of the level that is being solved, as Recovery.confidence_view."""
         return self._live.confidence_view()
+
+    def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
+        """Return what Recovery.deviation_pass does."""
+        return self._live.deviation_pass()
 
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save."""

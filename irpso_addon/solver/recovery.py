@@ -17,10 +17,12 @@ from ..errors import InputError
 from ..geometry.domain import Domain
 from ..gpu import context, probe, textures
 from ..gpu.bands import Bands
+from ..gpu.passes import Pass
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from . import changes, checkpoint, portable, prepare
 from .checkpoint import Checkpoint, named
+from .confidence import deviation_pass
 from .findings import Findings
 from .generations import RunningGenerations
 from .known import full_map
@@ -33,7 +35,7 @@ from .progress import Progress
 from .resolve import Resolved, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
 from .schedule import Schedule
 from .stage import RunningStage
-from .state import SOLVED, DomainTextures, Estimates, packed_states, texel_states
+from .state import SOLVED, DomainTextures, Estimates, loss_constants, packed_states, texel_states
 from .survey import Judge, RunningSurvey
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
@@ -218,6 +220,12 @@ class Recovery:
         maps().
         """
         yield self._findings.deviations()
+
+    def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
+        """Return the pass that tells the deviations of what ``view`` lends, and its constants."""
+        known, fitness, defines = self._known, self.schedule.fitness, self._textures.defines
+        made = deviation_pass(self._believing(self.schedule), known, fitness, defines)
+        return made, loss_constants(self._textures, fitness.delta)
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n): what this tile's texels have found, which neighbouring tiles need; NaN elsewhere."""

@@ -15,6 +15,7 @@ from irpso_addon.solver.schedule import load_schedule
 from tests import confidence_oracle
 from tests import generation_oracle as oracle
 from tests.generation_bench import Case, benches
+from tests.swarm_oracle import delta_of
 from tests.swarm_subjects import make_domain, recoveries, unit
 
 SURVEY = str(SHADERS / "survey" / "falloff_lobe.toml")
@@ -177,8 +178,9 @@ def test_reweighting_from_the_best_finds_the_albedo_under_cast_shadow(recover, n
         basis = render / truth["base_color"]
         albedo = (basis * stack[..., :3]).sum(axis=0) / (basis**2).sum(axis=0)
         for _ in range(100):
-            e = (albedo * basis - stack[..., :3]) / (schedule.fitness.delta * scale[..., None])
-            weight = 1 / (1 + e**2)
+            delta = delta_of(stack, scale, schedule.fitness)
+            e = (albedo * basis - stack[..., :3]) / delta
+            weight = 1 / (1 + e**2) / delta**2
             albedo = (weight * basis * stack[..., :3]).sum(axis=0) / (weight * basis**2).sum(axis=0)
         np.testing.assert_allclose(found["base_color"], albedo, rtol=1e-4)
         assert error[0] > 0.01 > 4 * error[-1], error

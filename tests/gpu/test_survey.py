@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from irpso_addon.capture import read_capture, read_exr
+from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
@@ -81,6 +82,8 @@ def test_grey_samples_are_those_of_numpy(root, options):
     domain.intensities[2] = (0, 1.5, 0.5)
     domain.intensities[3] = (0, 0, 2)
     domain.intensities[4] = 0
+    clipped = np.random.default_rng(6).random((*domain.stack.shape[:3], 3)) < 0.1
+    domain.stack[..., 3] = bounded(domain.stack[..., 3], clipped)
     pack = Packing(domain.solvable)
     scale = np.random.default_rng(2).uniform(0.5, 2, domain.shape).astype(np.float32)
     told = grey(
@@ -88,7 +91,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
         STANDARD.replaced(survey_shadow=0.4),
     )
     assert told.brightness == 1
-    outputs = (Output("o_light"), Output("o_intensity"), Output("o_radiance"))
+    outputs = tuple(Output(name) for name in ("o_light", "o_intensity", "o_radiance", "o_clipped"))
     kernel = Kernel(
         str(root / "tests/gpu/kernels/observe.glsl"),
         outputs,
@@ -101,8 +104,9 @@ def test_grey_samples_are_those_of_numpy(root, options):
     dropped = 0
     for k in range(domain.observations):
         one.run(targets, {n: told.textures[n] for n in kernels.OBSERVATIONS}, {"u_observation": k})
-        light, intensity, radiance = (pack.unpack(textures.download(t)) for t in targets)
+        light, intensity, radiance, clipped = (pack.unpack(textures.download(t)) for t in targets)
         sample = domain.stack[k].astype(np.float64)
+        weight, bound = weight_and_clipped(domain.stack[k][..., 3])
         has = domain.intensities[k] > 0
         squared = 1.0
         if domain.lights[k, 3]:
@@ -110,12 +114,14 @@ def test_grey_samples_are_those_of_numpy(root, options):
         value = np.zeros(domain.shape)
         if has.any():
             value = (sample[..., :3][..., has] / domain.intensities[k][has]).mean(axis=-1) * squared
-        lit = (sample[..., 3] > 0) & domain.solvable & has.any() & (value >= 0.4 * scale)
+        lit = (weight > 0) & domain.solvable & has.any() & (value >= 0.4 * scale)
         clear = np.abs(value - 0.4 * scale) > 1e-5
-        np.testing.assert_array_equal(light[..., 3][clear], np.where(lit, sample[..., 3], 0)[clear])
+        np.testing.assert_array_equal(light[..., 3][clear], np.where(lit, weight, 0)[clear])
+        some = lit & clear
+        np.testing.assert_array_equal(clipped[some, :3], np.repeat(bound.any(axis=-1)[some][:, None], 3, axis=1))
         np.testing.assert_allclose(radiance[lit, :3], np.repeat(value[lit][:, None], 3, axis=1), rtol=1e-5)
         assert (intensity[lit, :3] == 1).all()
-        dropped += (~lit & (sample[..., 3] > 0) & domain.solvable).sum()
+        dropped += (~lit & (weight > 0) & domain.solvable).sum()
     one.close()
     assert dropped > 42  # more than the light that has no channel
 
@@ -205,7 +211,8 @@ def bounded_misfit(domain, model, values, settings, scale):
     white = replace(domain, intensities=np.ones_like(domain.intensities))
     render = confidence_oracle.radiance(white, model, {n: np.float64(v) for n, v in values.items()}).mean(axis=-1)
     weight = domain.stack[..., 3] * (grey_of >= settings.shadow * scale)
-    e = (render - grey_of) / (settings.judge_delta * scale)
+    # A highlight may be off in proportion to its brightness (Fitness.highlight_power).
+    e = (render - grey_of) / (settings.judge_delta * np.maximum(scale, grey_of))
     return (weight * e**2 / (1 + e**2)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
 
 

@@ -1,16 +1,15 @@
 // Writes what common/observation.glsl says of observation u_observation at a texel: o_light (direction, weight),
-// o_intensity and o_radiance.
+// o_intensity and o_radiance, with what is clipped in the channels of o_clipped.
 
 #include "common/observation.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
-    vec3 l;
-    vec3 intensity;
-    vec3 radiance;
-    float weight = observe(texel, frame_at(texel), u_observation, l, intensity, radiance);
-    o_light = vec4(l, weight);
-    o_intensity = vec4(intensity, 1.0);
-    o_radiance = vec4(radiance, 1.0);
+    Observation o;
+    bool told = observe(texel, frame_at(texel), u_observation, o);
+    o_light = vec4(o.l, told ? o.weight : 0.0);
+    o_intensity = vec4(o.intensity, 1.0);
+    o_radiance = vec4(o.radiance, 1.0);
+    o_clipped = vec4(o.clipped, 1.0);
     return true;
 }
