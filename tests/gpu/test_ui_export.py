@@ -10,6 +10,7 @@ import pytest
 
 import irpso_addon
 from irpso_addon.exports.result import read_result
+from irpso_addon.paths import DEFAULT_MODEL
 from tests import cli_maker
 from tests.gpu.test_ui_panels import Drawn
 
@@ -63,7 +64,7 @@ def test_what_is_ticked_lies_beside_the_maps_and_can_be_read_back(settings, tmp_
     assert {"normal_object.exr", "normal_directx.png", "height.png", "height.exr"} <= files
     assert not {"normal_world.exr", "normal_directx.exr"} & files
     described = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert described["height"]["unit"] == "texels" and described["settings"]["model"] == "principled"
+    assert described["height"]["unit"] == "texels" and described["settings"]["model"] == DEFAULT_MODEL
     assert read_result(tmp_path / "out").maps.covered.shape == SHAPE
 
 

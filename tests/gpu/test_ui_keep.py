@@ -14,7 +14,7 @@ from tests import cli_maker
 
 SHAPE = (18, 24)
 LIGHTS = cli_maker.dome_lights(16, widest=70)
-MAPS = ("base_color", "normal", "roughness", "specular")
+MAPS = ("base_color", "metallic", "normal", "roughness", "specular")
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def test_image_nodes_are_called_as_the_sockets_that_they_drive(recovered):
     bpy.ops.irpso.keep()
     nodes = bpy.data.materials["IRPSO leaf"].node_tree.nodes
     labels = {node.label for node in nodes if node.bl_idname == "ShaderNodeTexImage"}
-    assert labels == {"Base Color", "Normal", "Roughness", "Specular IOR Level"}
+    assert labels == {"Base Color", "Normal", "Roughness", "Metallic", "Specular IOR Level"}
 
 
 def test_the_standard_view_is_set_only_when_asked_for(recovered):

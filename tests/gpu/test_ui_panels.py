@@ -137,7 +137,7 @@ def test_a_fresh_scene_asks_for_a_capture_and_shows_nothing_that_needs_one(setti
 def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings):
     from irpso_addon.ui import upkeep
 
-    names = ["base_color", "normal", "roughness", "specular"]
+    names = ["base_color", "normal", "roughness", "metallic", "specular"]
     assert [item.name for item in settings.parameters] == names
     other = bpy.data.scenes.new("other")
     assert len(other.irpso.parameters) == 0
@@ -150,11 +150,11 @@ def test_what_is_given_is_asked_for_where_a_map_is_not_recovered(settings):
     items = settings.parameters
     items["base_color"].recover = items["roughness"].recover = items["normal"].recover = False
     found = drawn()
-    assert found.props.count("recover") == 4 and found.props.count("image") == 3
+    assert found.props.count("recover") == 5 and found.props.count("image") == 3
     assert found.props.count("color") == 1 and found.props.count("value") == 1
     items["roughness"].image = bpy.data.images.new("given", 4, 4)
     assert drawn().props.count("value") == 0
-    items["specular"].recover = False
+    items["metallic"].recover = items["specular"].recover = False
     settings.capture_path = "/somewhere"
     assert any("Nothing to recover" in text for text in drawn().texts)
 

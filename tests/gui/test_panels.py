@@ -57,7 +57,7 @@ def ready(window, tmp_path_factory):
 
 def test_a_fresh_file_has_the_list_of_its_parameters(ready):
     names = ready.run("[item.name for item in bpy.context.scene.irpso.parameters]")
-    assert names == ["base_color", "normal", "roughness", "specular"]
+    assert names == ["base_color", "normal", "roughness", "metallic", "specular"]
 
 
 def test_all_panels_together_are_drawn_in_a_blink(ready):
