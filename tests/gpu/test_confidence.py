@@ -117,6 +117,36 @@ def test_deviations_are_those_of_float64_where_the_samples_determine_everything(
         assert (np.abs(ratio - 1) < 0.03).mean() > 0.97 and (ratio > 0.9).mean() > 0.99, p.name
 
 
+def test_a_prior_counts_like_samples_of_its_own():
+    subject = make_subject("metallic_roughness", observations=60)
+    without = Subject(
+        subject.model.without_priors({"metallic", "roughness", "specular"}), subject.domain, subject.values
+    )
+    matrix, variance = oracle.normal_matrix(subject.domain, subject.model, subject.values)
+    place = (subject.values["roughness"][..., 0] - 0.02) / 0.98
+    # The slopes of their −2 log, halved, squared; of the Gaussian one 1 / σ².
+    precision = {
+        "specular": np.full(SHAPE, 1 / 0.1**2),
+        "metallic": ((1 - subject.values["metallic"][..., 0]) / (0.05 * np.maximum(1 - place**2, 0.02))) ** 2,
+        "roughness": (subject.values["roughness"][..., 0] - 0.02) ** 2 / (0.98 * 2.0) ** 2,
+    }
+    believed = matrix.copy()
+    for u, (p, _, wide) in enumerate(oracle.unknowns(subject.model)):
+        if p.name in precision:
+            believed[..., u, u] += np.nan_to_num(variance) * wide**2 * precision[p.name]
+    for made, normal in ((subject, believed), (without, matrix)):
+        got, wanted = deviations(made), oracle.deviations(subject.model, normal, variance)
+        determined = np.all([(wanted[p.name] < 0.4 * width(p)).all(axis=-1) for p in subject.model.parameters], axis=0)
+        determined &= subject.domain.solvable
+        assert determined.sum() > 35
+        for name in precision:
+            ratio = got[name][determined] / wanted[name][determined]
+            assert np.median(np.abs(ratio - 1)) < 1e-3, name
+            assert (np.abs(ratio - 1) < 0.03).mean() > 0.97, name
+    smaller = deviations(subject)["specular"] < 0.9 * deviations(without)["specular"]
+    assert smaller[subject.domain.solvable].mean() > 0.2
+
+
 def test_no_deviation_exceeds_its_range_and_all_are_finite():
     for name in (TWO_LOBES, "principled"):
         subject = make_subject(name, noise=0.1, observations=20, **MESH)
