@@ -16,7 +16,7 @@ from ..maps import material
 from ..maps.extra import ExtraMap
 from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
-from ..maps.report import build_report, limit_warnings
+from ..maps.report import build_report, limit_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..reflectance.model import shipped_models
@@ -66,6 +66,8 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
     warnings = [*limit_warnings(maps, job.given), *job.notes()]
     if lights is not None:
         warnings += lights.warnings(job.lights.intensities != "auto")
+    if job.schedule.fitness.priors and (shares := prior_shares(maps, job.given)):
+        report["priors_decided"] = shares
     return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
 
 

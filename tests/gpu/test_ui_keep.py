@@ -176,6 +176,7 @@ def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_pat
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert report["settings"]["preset"]["swarm"]["particles"] == 8
     assert report["texels"] == SHAPE[0] * SHAPE[1] and report["seed"] == 0
+    assert set(report["priors_decided"]) == {"roughness", "metallic", "specular"}
     assert report["residual"]["mean"] == pytest.approx(found.residual.mean(), rel=1e-5)
 
 
