@@ -18,10 +18,9 @@ OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
 FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
-    **_SIZE, "u_origin_x": "INT", "u_origin_y": "INT", "u_observations": "INT", "u_seed": "INT", "u_iteration": "INT",
+    **_SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
-    "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT", "u_delta": "FLOAT",
-    "u_brightness": "FLOAT",
+    "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
     "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
 LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/loss.glsl

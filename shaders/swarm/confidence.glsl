@@ -56,8 +56,9 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
             continue;
         }
         vec3 v = view_at(f, k);
-        vec3 render = o.intensity * reflectance(s, o.l, v);
-        vec3 error = error_of(o, reflectance(s, o.l, v));
+        vec3 rho = reflectance(s, o.l, v);
+        vec3 render = o.intensity * rho;
+        vec3 error = error_of(o, rho);
         float relative = relative_error(texel, o);
         vec3 weight = o.weight * relative * relative * draws(o, error);
         errors += dot(weight, error * error);
