@@ -17,6 +17,7 @@ from ..solver.checkpoint import Checkpoint
 from ..solver.known import full_map
 from ..solver.light_sample import with_lights
 from ..solver.meetings import Box, own_of, part_of, place_of, rectangle
+from ..solver.mixture import merged
 from ..solver.portable import digest_of_texels
 from ..solver.progress import Progress
 from ..solver.schedule import Schedule
@@ -138,6 +139,8 @@ class Member:
             made = 0
             while not recovery.progress.done and (iterations is None or made < iterations):
                 self._exchange.before_iteration(recovery)
+                if (sample := recovery.sample()) is not None:
+                    recovery.take_sample(merged(self._team.all(sample)))
                 recovery.reached = False
                 recovery.step(iterations=1)
                 made += 1

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from ..errors import InputError
 
 _FROM_ZERO = {"iterations", "neighbour_every", "survey_iterations", "survey_polish_iterations", "survey_observations",
-              "polish_iterations", "polish_rounds", "prior_rounds"}  # fmt: skip
+              "polish_iterations", "polish_rounds", "prior_rounds", "materials_rounds"}  # fmt: skip
 _ABOVE_ZERO = {"v_max", "delta", "percentile", "level_iterations", "survey_judge_delta", "polish_damping",
                "prior_likeness", "prior_likeness_color", "prior_spread", "prior_noise_freedom", "prior_share",
                "prior_tolerance"}  # fmt: skip

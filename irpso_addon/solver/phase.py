@@ -64,6 +64,16 @@ class Phase(Protocol):
     def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n), and (M, n) for the annex, of the texels that belong to other tiles; others are left alone."""
 
+    def sample(self) -> np.ndarray | None:
+        """Return this tile's part of the sample of the whole domain (solver/mixture.py) that the next iteration needs.
+
+        None where it needs none. An iteration that needs one has a ``reach`` too.
+        """
+        return None
+
+    def take_sample(self, sample: np.ndarray) -> None:
+        """Take the sample of the whole domain."""
+
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration, by name."""
 

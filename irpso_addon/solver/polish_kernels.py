@@ -20,7 +20,7 @@ from .kernels import (
     fitness_defines,
     model_includes,
 )
-from .resolve import ResolvedPolish
+from .resolve import ResolvedMaterials, ResolvedPolish
 from .schedule import Fitness, Polish
 from .unknowns import Unknowns, build_slopes, build_starts
 
@@ -60,6 +60,8 @@ def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int
     stepped = unknowns.defines["STEPPED"] * (2 if resolved.polish.central else 1)
     # The bases of the linear parameters make up another render.
     evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    if isinstance(resolved, ResolvedMaterials):
+        return evaluations, resolved.materials.count
     return evaluations, _OFFERS[unknowns.defines["SEARCHED"] > 0]
 
 
@@ -88,10 +90,15 @@ def build_polish_passes(
         **domain_defines, **unknowns.defines, **estimate_defines(model),
         **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
+    spread, materials = "polish_spread", {}
+    if isinstance(resolved, ResolvedMaterials):
+        spread, materials = "materials_offer", {"u_materials": FLOAT_2D}
+        defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
     given = {
         **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
+        "materials.glsl": SHADERS / "swarm" / f"{'shared' if materials else 'no'}_materials.glsl",
     }  # fmt: skip
     outputs = (*estimate_outputs(model), Output("o_status"))
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}
@@ -105,9 +112,9 @@ def build_polish_passes(
     return PolishPasses(
         begin=make("polish_begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("polish", OBSERVATIONS, STEP),
-        spread=make("polish_spread", {**OBSERVATIONS, **PACKING}, FITNESS),
+        spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
         keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
-        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **OBSERVATIONS, **PACKING}, FITNESS)
+        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **materials, **OBSERVATIONS, **PACKING}, FITNESS)
         if voted
         else None,
         evaluations=evaluations,

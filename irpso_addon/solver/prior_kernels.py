@@ -28,7 +28,7 @@ from .unknowns import build_slopes, build_unknowns
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # what the iterations of a prior are; the steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}
 # Of shaders/swarm/prior_pool.glsl.
-_KINDS = {"other": 0, "color": 1, "pooled": 2}
+_KINDS = {"other": 0, "color": 1, "scalar": 2}
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
     pooled = {p.name for p in resolved.pooled}
     lines = []
     for p in model.parameters:
-        kind = "pooled" if p.name in pooled else "other" if p.is_normal else "color"
+        kind = "scalar" if p.name in pooled else "other" if p.is_normal else "color"
         body = f"{{ width = {p.range[1] - p.range[0]!r}; kind = {_KINDS[kind]}; }}"
         lines += [f"    if (i == {model.offset(p.name) + i}) {body}" for i in range(p.components)]
     defines = [f"#define COMPONENT_{name.upper()} {value}" for name, value in _KINDS.items()]

@@ -26,13 +26,14 @@ from .confidence import deviation_pass
 from .findings import Findings
 from .generations import RunningGenerations
 from .known import full_map
+from .materials import RunningMaterials
 from .need import particle_tiles, work_of
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
 from .polish import RunningPolish
 from .prepare import Prepared
 from .prior import RunningPrior
 from .progress import Progress
-from .resolve import Resolved, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
+from .resolve import Resolved, ResolvedMaterials, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
 from .schedule import Schedule
 from .stage import RunningStage
 from .state import SOLVED, DomainTextures, Estimates, loss_constants, packed_states, texel_states
@@ -42,6 +43,7 @@ _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
 _FLAT = frozenset({"surveyed"})  # arrays of a state that have no channels
+_WHOLE = frozenset({_PHASE + "materials"})  # and no texels: who goes on without them finds them again
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _BANDS = 8  # that a long time budget is cut into
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
@@ -240,6 +242,16 @@ class Recovery:
         self._finish_iteration()
         self._running().take_halo(values, annex)
 
+    def sample(self) -> np.ndarray | None:
+        """Return this tile's part of the sample that the next iteration needs of the whole domain; None for none."""
+        self._finish_iteration()
+        return self._phase.sample() if self.reach else None
+
+    def take_sample(self, sample: np.ndarray) -> None:
+        """Take the sample of the whole domain, of ``solver.mixture.merged``."""
+        self._finish_iteration()
+        self._running().take_sample(sample)
+
     @property
     def reach(self) -> int:
         """How many texels away the next iteration reads what others have found; 0 where no halo is needed before it."""
@@ -292,7 +304,8 @@ class Recovery:
         state, packing = self.state(), self._packing
         own = packed_states(self.domain, packing).ravel()[: packing.count] == SOLVED
         size = packing.width, packing.height
-        rows = portable.rows_of(state.arrays, size, self._particle_tiles(state.stage), packing.count)
+        texels = {name: array for name, array in state.arrays.items() if name not in _WHOLE}
+        rows = portable.rows_of(texels, size, self._particle_tiles(state.stage), packing.count)
         return replace(state, arrays={name: value[own] for name, value in rows.items()})
 
     def take_rows(self, saved: Checkpoint) -> None:
@@ -353,7 +366,8 @@ class Recovery:
         domain, estimates = self._textures, self._estimates
         if isinstance(stage, ResolvedPolish):
             judge = self._judge() if any(p.is_normal for p in stage.parameters) else None
-            return RunningPolish(stage, model, schedule, domain, estimates, self.entry, judge)
+            kind = RunningMaterials if isinstance(stage, ResolvedMaterials) else RunningPolish
+            return kind(stage, model, schedule, domain, estimates, self.entry, judge)
         if isinstance(stage, ResolvedPrior):
             return RunningPrior(stage, model, schedule, domain, estimates, self.entry, self._judge())
         if isinstance(stage, ResolvedSurvey):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from ..errors import InputError
 from ..paths import SHADERS
 from ..reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .schedule import ALL, MAX_DIMENSIONS, REST, NormalSearch, Polish, Prior, Schedule, Stage, Survey
+from .schedule import ALL, MAX_DIMENSIONS, REST, Materials, NormalSearch, Polish, Prior, Schedule, Stage, Survey
 
 _ROUNDS = 2  # of the neighbours' offers, with the normals held
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
@@ -55,6 +55,13 @@ class ResolvedPolish:
         settings = self.polish
         from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
         return from_starts + settings.iterations + settings.rounds * settings.round_iterations
+
+
+@dataclass(frozen=True)
+class ResolvedMaterials(ResolvedPolish):
+    """The phase of the materials that the surface shares: a polish whose rounds begin with what those offer."""
+
+    materials: Materials = Materials()
 
 
 @dataclass(frozen=True)
@@ -135,6 +142,18 @@ def _resolve_polish_of_the_rest(
     return _resolve_polish(shorter, model, rest, "polish, normals held")
 
 
+def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedMaterials, ...]:
+    settings = schedule.materials
+    none = settings.rounds == 0 or schedule.polish.iterations == 0
+    if none or not any(p.kind == "search" and not p.is_normal for p in parameters):
+        return ()
+    # One step first: what is offered is held against a fitness that has to be known.
+    rounds = replace(
+        schedule.polish, starts=False, iterations=1, rounds=settings.rounds, round_iterations=settings.iterations
+    )
+    return (ResolvedMaterials(parameters, rounds, (), "shared materials", settings),)
+
+
 def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedPrior, ...]:
     prior, pooled = schedule.prior, tuple(p for p in parameters if p.components == 1)
     if prior.rounds == 0 or not pooled:
@@ -192,6 +211,7 @@ def resolve(
         resolved += _resolve_polish(schedule.polish, model, parameters)
         if surveyed:
             resolved += _resolve_polish_of_the_rest(schedule.polish, model, parameters)
+        resolved += _resolve_materials(schedule, parameters)
         resolved += _resolve_prior(schedule, parameters)
     if not resolved:
         raise InputError("search: nothing is left to find; every parameter searched is given as known")

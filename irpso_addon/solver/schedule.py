@@ -137,6 +137,22 @@ class Survey:
 
 
 @dataclass(frozen=True)
+class Materials:
+    """Materials that texels share, wherever on the surface they lie: a mixture of Gaussians over a sample of them.
+
+    rounds: how often every texel tries them, 0 for none of this: with its own normal at first, from then on with that
+    which mirrors its brightest sample; iterations: Levenberg–Marquardt steps after each, the polish's widening at
+    first. count: of materials, at most. weight: a material that the whole surface is of counts like so many votes of
+    neighbours (see Polish).
+    """
+
+    rounds: int = 0
+    iterations: int = 6
+    count: int = 16
+    weight: float = 1000.0
+
+
+@dataclass(frozen=True)
 class Prior:
     """What neighbours say of the numbers that a texel's own samples do not tell, after the polish.
 
@@ -192,6 +208,7 @@ class Schedule:
     level_iterations: float = 0.4
     survey: Survey = Survey()
     polish: Polish = Polish()
+    materials: Materials = Materials()
     prior: Prior = Prior()
 
     def settings(self) -> dict[str, Any]:
@@ -249,7 +266,12 @@ def refuse_levels(schedule: Schedule) -> None:
         )
 
 
-_OPTIONAL = {"survey": Survey, "polish": Polish, "prior": Prior}  # may be absent: there is none then
+_OPTIONAL = {
+    "survey": Survey,
+    "polish": Polish,
+    "materials": Materials,
+    "prior": Prior,
+}  # may be absent: there is none then
 
 
 def _prefix(part: str) -> str:

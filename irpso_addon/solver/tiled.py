@@ -22,6 +22,7 @@ from . import checkpoint, prepare
 from .checkpoint import Checkpoint, named
 from .known import full_map
 from .meetings import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, place_of, rectangle
+from .mixture import merged
 from .phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from .progress import Progress
 from .recovery import Recovery
@@ -60,6 +61,7 @@ class _Tile:
     domain: with its halo. solved: texels of its own. error: their mean when it was looked at last. state: of the
     recovery while that is not on the device; files: where it lies, if not in memory. strips: what other tiles have told
     of the texels of this one's halo and annex; coming: the same of the iteration that the burst under way leads to.
+    sample: this tile's part of what that iteration reads of the whole domain, if it does.
     """
 
     box: Box
@@ -75,6 +77,7 @@ class _Tile:
     files: dict[str, np.ndarray] = field(default_factory=dict)
     strips: dict[int, Told] = field(default_factory=dict)
     coming: dict[int, Told] = field(default_factory=dict)
+    sample: np.ndarray | None = None
 
     @property
     def own(self) -> Part:
@@ -119,6 +122,7 @@ class TiledRecovery:
         self._meetings = meetings_of([place_of(part.box, part.domain) for part in self._tiles])
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
         self._active = 0  # the tile that was used last
+        self._sample: np.ndarray | None = None  # of all tiles, for the iteration that they are at
         self._told = False  # whether strips are those of the iteration that all tiles are at
         self._made = 0  # iterations of the burst that was made last
         self._work: Iterator[None] | None = None
@@ -358,6 +362,7 @@ class TiledRecovery:
             return
         if recovery.reach > self._halo:
             raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
+        self._tiles[number].sample = recovery.sample()
         found = recovery.halo()
         for meeting in self._meetings[number]:
             self._tiles[meeting.other].coming[number] = meeting, found[meeting.here].copy(), found[meeting.seen]
@@ -365,12 +370,16 @@ class TiledRecovery:
     def _all_told(self) -> None:
         """Let what has been told be heard: every tile is at one iteration now."""
         self._told = bool(self._recovery(self._active).reach)
+        samples = [part.sample for part in self._tiles if part.sample is not None]
+        self._sample = merged(samples) if samples else None
         for part in self._tiles:
-            part.strips, part.coming = part.coming, {}
+            part.strips, part.coming, part.sample = part.coming, {}, None
 
     def _hear(self, number: int) -> None:
         """Give a tile what its neighbours have told, if its next iteration reads it."""
         part, recovery = self._tiles[number], self._recovery(number)
+        if recovery.reach and self._sample is not None:
+            recovery.take_sample(self._sample)
         if not (recovery.reach and part.strips):
             return
         size = next(iter(part.strips.values()))[1].shape[-1]

@@ -37,6 +37,7 @@ GROUPS = {  # panel → the settings in it, in order
         "polish_daring", "polish_votes", "polish_damping", "polish_gain", "polish_smallest_step", "polish_central",
         "polish_widening",
     ),
+    "Materials": ("materials_rounds", "materials_iterations", "materials_count", "materials_weight"),
     "Prior": (
         "prior_rounds", "prior_scales", "prior_iterations", "prior_likeness", "prior_likeness_color", "prior_spread",
         "prior_noise_freedom", "prior_share", "prior_tolerance", "prior_turn",
@@ -178,6 +179,14 @@ WORDS = {
     "polish_central": Words("Central Differences", "Differences to both sides instead of one: slower, more exact"),
     "polish_widening": Words(
         "Widening", "From the model's starts Delta is so many times as wide at first, and falls to its own", 100
+    ),
+    "materials_rounds": Words(
+        "Rounds", "How often every texel tries the materials that the surface shares; 0 for none of this", 8
+    ),
+    "materials_iterations": Words("Round Steps", "Levenberg–Marquardt steps after each round", 30),
+    "materials_count": Words("Materials", "How many materials there are, at most", 64),
+    "materials_weight": Words(
+        "Weight", "A material that the whole surface is of counts like so many neighbors' votes", 10000, precision=0
     ),
     "prior_rounds": Words("Rounds", "How often alike neighbors are asked; 0 for no prior", 8),
     "prior_scales": Words("Scales", "A round reaches 2 to this power texels"),

@@ -1,5 +1,6 @@
 // Over W×H texels: how well the survey's estimates explain a texel, on the judge's terms. A fit to fewer than
-// LEAST_SAMPLES meets whatever it is given, so that it is no measure for another: UNFIT, which every model is under.
+// LEAST_SAMPLES meets whatever it is given, noise and all, so that it is no measure for another: UNFIT, which every model
+// is under.
 
 #include "common/estimate.glsl"
 #include "swarm/fitness.glsl"

@@ -10,9 +10,6 @@
 #include "swarm/polish_state.glsl"
 #include "swarm/votes.glsl"
 
-// On rti_icon, near the mouth: 1 takes twice as many offers for a third fewer lone texels.
-#define CROWD 1.5
-
 // The four texels beside this one, and the four two away.
 #if SEARCHED > 0
 #define OFFERS 8

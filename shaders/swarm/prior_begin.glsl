@@ -28,7 +28,7 @@ bool texel_kernel(ivec2 texel)
             float width;
             int kind;
             component_at(i, width, kind);
-            if (kind == COMPONENT_POOLED && deviation[i] > 0.0) {
+            if (kind != COMPONENT_OTHER && deviation[i] > 0.0) {
                 float share = own[i] * own[i] / (own[i] * own[i] + deviation[i] * deviation[i]);
                 c[i] += share * (mean[i] - c[i]);
                 most = max(most, share);

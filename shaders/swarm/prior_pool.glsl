@@ -73,7 +73,7 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
             float width;
             int kind;
             component_at(i, width, kind);
-            if (kind != COMPONENT_POOLED || !(theirs[i] < TOLD * width)) {
+            if (kind == COMPONENT_OTHER || !(theirs[i] < TOLD * width)) {
                 continue;
             }
             float sigma = max(theirs[i], FINEST * width);
@@ -124,7 +124,7 @@ bool texel_kernel(ivec2 texel)
             deviation[i] = 0.0;
 #endif
             // 1e-6 of a neighbour: far below it weights are the tails of exp().
-            if (kind == COMPONENT_POOLED && p.count[i] > 1e-6) {
+            if (kind != COMPONENT_OTHER && p.count[i] > 1e-6) {
 #ifndef LAST
                 if (own[i] < TOLD * width) {
                     continue;

@@ -1,0 +1,30 @@
+// The normal that mirrors the brightest sample's light: there is the middle of a lobe that is most of what a texel
+// reflects. Reads the samples.
+
+#include "common/observation.glsl"
+
+#ifdef NORMAL_COMPONENT
+// Turns the normal in c to the half vector of the observation that is brightest for its light's intensity; leaves it where
+// there is none in front of the surface.
+void turn_to_mirror(ivec2 texel, inout float c[12])
+{
+    Frame f = frame_at(texel);
+    float most = 0.0;
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 has = vec3(greaterThan(o.intensity, vec3(0.0)));
+        float bright = dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / max(dot(has, vec3(1.0)), 1.0);
+        vec3 between = o.l + view_at(f, k);
+        if (bright > most && between.z > 0.0) {
+            most = bright;
+            vec3 n = normalize(between);
+            c[NORMAL_COMPONENT] = n.x;
+            c[NORMAL_COMPONENT + 1] = n.y;
+            c[NORMAL_COMPONENT + 2] = n.z;
+        }
+    }
+}
+#endif

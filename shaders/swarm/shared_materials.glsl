@@ -1,0 +1,68 @@
+// The materials that the surface shares (solver/mixture.py): Gaussians over the numbers of all unknowns but the normal.
+// Reads u_materials, a column each: means of 12 numbers in rows 0 to 2, their inverse variances in 3 to 5, in row 6 x how
+// much of the surface there is of it.
+
+#include "unknowns.glsl"
+
+// Searched numbers are alike that differ by this fraction of their range; linear ones whose roots do.
+#define ALIKE_SEARCHED 0.1
+#define ALIKE_LINEAR 0.15
+
+float material_number(int row, int k, int u)
+{
+    return texelFetch(u_materials, ivec2(k, row + u / 4), 0)[u % 4];
+}
+
+bool turns_normal(int u)
+{
+#if NORMAL_UNKNOWN >= 0
+    return u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1;
+#else
+    return false;
+#endif
+}
+
+// How much of the surface is of a material like this one, from 0 to 1.
+float share_of(inout float c[12])
+{
+    float share = 0.0;
+    int count = textureSize(u_materials, 0).x;
+    for (int k = 0; k < count; k++) {
+        float apart = 0.0;
+        for (int u = 0; u < UNKNOWNS; u++) {
+            if (turns_normal(u)) {
+                continue;
+            }
+            int at;
+            float low;
+            float width;
+            unknown_at(u, at, low, width);
+            float x = clamp((c[at] - low) / width, 0.0, 1.0);
+            float d = (searched(u) ? x / ALIKE_SEARCHED : sqrt(x) / ALIKE_LINEAR) - material_number(0, k, u);
+            apart += d * d * material_number(3, k, u);
+        }
+        share += texelFetch(u_materials, ivec2(k, 6), 0).x * exp(-0.5 * apart);
+    }
+    return share;
+}
+
+// Puts a material's numbers into c, all but the normal.
+void take_material(int k, inout float c[12])
+{
+    for (int u = 0; u < UNKNOWNS; u++) {
+        if (turns_normal(u)) {
+            continue;
+        }
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+        float x = material_number(0, k, u) * (searched(u) ? ALIKE_SEARCHED : ALIKE_LINEAR);
+        c[at] = low + width * clamp(searched(u) ? x : x * x, 0.0, 1.0);
+    }
+}
+
+float votes_of_materials(inout float c[12])
+{
+    return MATERIALS_WEIGHT * share_of(c);
+}
