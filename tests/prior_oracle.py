@@ -23,6 +23,12 @@ def around(shape, covered, row, column, scales):
     return rows[there], columns[there]
 
 
+def components(model):
+    """(component, width of its range) of all parameters but the normal."""
+    of = [(p, model.offset(p.name)) for p in model.parameters if not p.is_normal]
+    return [(at + i, p.range[1] - p.range[0]) for p, at in of for i in range(p.components)]
+
+
 def likeness(prior, model, x, own, y, theirs):
     """(n,) how alike n neighbours are to a texel; x, own: (C,), y, theirs: (n, C) over all components."""
     apart = np.zeros(len(y))
@@ -63,10 +69,9 @@ def pooled(prior, model, covered, estimates, own):
             rows, columns = around(covered.shape, covered, row, column, prior.scales)
             y, theirs = belief[rows, columns], deviation[rows, columns]
             s = likeness(prior, model, x, sigma, y, theirs)
-            for p in model.parameters:
-                c, width = model.offset(p.name), p.range[1] - p.range[0]
+            for c, width in components(model):
                 told = theirs[:, c] < TOLD * width
-                if p.components > 1 or s[told].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
+                if s[told].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
                     continue
                 known = np.maximum(theirs[told, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(

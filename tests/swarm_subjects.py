@@ -8,6 +8,7 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake, tile
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.mixture import merged
 from irpso_addon.solver.schedule import load_schedule
 from tests.swarm_oracle import MODELS, direction_to, frames, turned
 
@@ -135,6 +136,10 @@ def exchange_halos(domain, runs):
         x, y = recovery.domain.origin
         h, w = recovery.domain.shape
         recovery.set_halo(bests[y : y + h, x : x + w])
+    samples = [recovery.sample() for _, recovery in runs]
+    for _, recovery in runs:
+        if samples[0] is not None:
+            recovery.take_sample(merged(samples))
 
 
 def run_tiled(domain, model, schedule, recover, halo, entry="fragment"):

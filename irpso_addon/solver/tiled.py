@@ -378,9 +378,11 @@ class TiledRecovery:
     def _hear(self, number: int) -> None:
         """Give a tile what its neighbours have told, if its next iteration reads it."""
         part, recovery = self._tiles[number], self._recovery(number)
-        if recovery.reach and self._sample is not None:
+        if not recovery.reach:
+            return
+        if self._sample is not None:
             recovery.take_sample(self._sample)
-        if not (recovery.reach and part.strips):
+        if not part.strips:
             return
         size = next(iter(part.strips.values()))[1].shape[-1]
         values = np.full((*part.domain.shape, size), np.nan, np.float32)

@@ -72,8 +72,10 @@ class Bench:
     def tell(self, **deviations):
         """Say how well the samples tell numbers: name → (H, W)."""
         own = self.read(self.prior.textures.own)
+        components = {p.name: p.components for p in self.model.parameters}
         for name, value in deviations.items():
-            own[..., self.model.offset(name)] = value
+            at = self.model.offset(name)
+            own[..., at : at + components[name]] = value[..., None]
         held = self.prior.textures
         packed = self.pack.pack(own.astype(np.float32))
         held.own = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
@@ -141,14 +143,14 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
     mean, deviation = bench.belief()
     estimates, covered = components(TWO_LOBES, values), domain.solvable
     wanted, spread = prior_oracle.pooled(Prior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
-    scalars = [TWO_LOBES.offset(name) for name in ("r1", "r2", "w")]
-    assert (spread[covered][:, scalars] > 0).any(axis=0).all()
-    for c in scalars:
+    pooled = [c for c, _ in prior_oracle.components(TWO_LOBES)]
+    assert (spread[covered][:, pooled] > 0).any(axis=0).all()
+    for c in pooled:
         np.testing.assert_array_equal(deviation[covered][:, c] > 0, spread[covered][:, c] > 0)
         np.testing.assert_allclose(deviation[covered][:, c], spread[covered][:, c], rtol=2e-3, atol=1e-6)
         np.testing.assert_allclose(mean[covered][:, c], wanted[covered][:, c], atol=2e-4)
-    others = [c for c in range(TWO_LOBES.components) if c not in scalars]
-    assert not deviation[covered][:, others].any()  # neither colours nor normals are pooled
+    others = [c for c in range(TWO_LOBES.components) if c not in pooled]
+    assert not deviation[covered][:, others].any()  # normals are not pooled
 
 
 def test_the_noise_is_that_of_the_samples_and_of_the_neighbours(prior):
@@ -206,7 +208,7 @@ def test_texels_that_know_do_not_move_and_those_that_do_not_take_what_their_like
     bench = prior(TWO_LOBES, domain, values, schedule_of(scales=3, iterations=8, tolerance=1e3), entry=entry)
     bench.run(2)
     everywhere = np.where(ignorant, 0.75, 1e-3)
-    bench.tell(r1=everywhere, r2=everywhere, w=everywhere)
+    bench.tell(r1=everywhere, r2=everywhere, w=everywhere, base_color=everywhere / 100)
     bench.run(4)
     mean, _ = bench.belief()
     bench.run()

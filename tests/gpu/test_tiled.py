@@ -28,6 +28,14 @@ SCHEDULES = {
     "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
     "several stages": load_schedule("paper").replaced(iterations=6, cycles=2, particles=4, c3=0.3, search=["normal"]),
     "standard": load_schedule("standard").replaced(iterations=8, prior_rounds=0),
+    "materials": load_schedule("standard").replaced(
+        iterations=2,
+        survey_iterations=0,
+        prior_rounds=0,
+        polish_iterations=2,
+        polish_rounds=0,
+        materials_iterations=3,
+    ),
     "polish": load_schedule("standard").replaced(iterations=6, prior_rounds=0, polish=Polish(iterations=3, rounds=2)),
 }
 
@@ -162,6 +170,21 @@ def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
     with tiled(domain, schedule, FEW, **options) as third:
         third.load(tmp_path / "run.npz")
         assert third.progress.done and everything(third.maps()) == wanted
+
+
+@pytest.mark.parametrize("stop", [2, 5, 6, 8])
+@pytest.mark.parametrize("how", ["resident", "turns"])
+def test_tiles_go_on_within_a_round_of_shared_materials(how, stop, tmp_path):
+    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES["materials"]
+    wanted, progress = whole_of(domain, schedule)
+    with tiled(domain, schedule, FEW, resident=how == "resident") as first:
+        first.step(iterations=stop)
+        first.save(tmp_path / "run.npz")
+    with tiled(domain, schedule, FEW, resident=how == "resident") as second:
+        second.load(tmp_path / "run.npz")
+        while not second.progress.done:
+            second.step(iterations=1)
+        assert second.progress == progress and everything(second.maps()) == wanted
 
 
 def test_a_checkpoint_of_other_tiles_is_refused(tmp_path):

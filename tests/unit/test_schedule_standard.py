@@ -10,7 +10,7 @@ from irpso_addon.errors import InputError
 from irpso_addon.paths import PRESETS
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.generation_kernels import MAX_PARTICLES
-from irpso_addon.solver.resolve import ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve
+from irpso_addon.solver.resolve import ResolvedMaterials, ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve
 from irpso_addon.solver.schedule import load_schedule, shipped_presets
 from irpso_addon.solver.stage import particle_count
 
@@ -31,7 +31,9 @@ def test_the_standard_preset_moves_whole_swarms_solves_surveys_and_polishes():
     assert "standard" in shipped_presets() and standard.name == "standard"
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
-    assert [type(stage) for stage in stages] == [ResolvedSurvey, ResolvedStage, ResolvedPolish, ResolvedPolish]
+    assert [type(stage) for stage in stages] == [
+        ResolvedSurvey, ResolvedStage, ResolvedPolish, ResolvedPolish, ResolvedMaterials,
+    ]  # fmt: skip
     assert [p.name for p in stages[1].parameters] == ["roughness", "specular"]
     assert [p.name for p in stages[1].solved] == ["base_color"]
     assert particle_count(standard, stages[1].dimensions("hemisphere")) <= MAX_PARTICLES
@@ -104,7 +106,7 @@ def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
     stages = resolve(standard, load_model("principled"), set(), observations=standard.survey.observations)
     assert [stage.title for stage in stages] == [
         "survey of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "polish",
-        "polish, normals held",
+        "polish, normals held", "shared materials",
     ]  # fmt: skip
     assert stages[0].iterations == 11
     assert [p.name for p in stages[-2].parameters] == ["base_color", "normal", "roughness", "specular"]
