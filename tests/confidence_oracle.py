@@ -63,12 +63,14 @@ def jacobian(domain, model, values, known=()):
 
 
 def normal_matrix(domain, model, values, known=()):
-    """JᵀJ (H, W, n, n) per range, and the variance of the noise (H, W): Σ w e² / (3 Σ w − n)."""
+    """JᵀJ (H, W, n, n) per range, and the variance of the noise (H, W): a Σ w e² / (3 Σ w − n (1 + a) / 2)."""
     j = jacobian(domain, model, values, known)
     w = domain.stack[..., 3].astype(np.float64)
     error = np.where(w[..., None] > 0, radiance(domain, model.name, values) - domain.stack[..., :3], 0)
-    freedom = 3 * w.sum(axis=0) - len(j)
-    variance = np.einsum("khw,khwc->hw", w, error**2) / np.where(freedom > 0, freedom, np.nan)
+    errors = np.einsum("khw,khwc->hw", w, error**2)
+    alike = np.clip(np.einsum("khw,khw->hw", w, error.sum(axis=-1) ** 2) / np.where(errors > 0, errors, 1), 1, 3)
+    freedom = 3 * w.sum(axis=0) - (1 + alike) / 2 * len(j)
+    variance = alike * errors / np.where(freedom > 0, freedom, np.nan)
     return np.einsum("khw,akhwc,bkhwc->hwab", w, j, j), variance
 
 

@@ -80,7 +80,8 @@ def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
 def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
     """Return, for each parameter with a prior that is not ``given``, the share of the texels where that decided.
 
-    There it says more than the samples do: the variance that is left is more than half of its own.
+    There it says more than the samples do. The variance of the maps is that of the samples, with a normal prior's
+    precision in it already: such a one decides where more than half of its own variance is left.
     """
     model, shares = maps.model, {}
     for p in model.parameters:
@@ -91,7 +92,8 @@ def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
             other = model.parameter(p.prior.vanishes_with)
             place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
         variance = p.prior.variance(maps.values[p.name][maps.covered], p.range[1] - p.range[0], place)
-        decided = 2 * np.square(maps.confidence[p.name][maps.covered]) > variance
+        told = np.square(maps.confidence[p.name][maps.covered])
+        decided = (2 * told if p.prior.kind == "normal" else told) > variance
         shares[p.name] = round(float(decided.mean()), 4)
     return shares
 

@@ -31,7 +31,8 @@ def prior_declaration(model: ReflectanceModel) -> str:
 
     ``float prior_deviance(inout float c[12])`` is −2 log of their densities, up to a constant. ``void prior_slopes(
     inout float c[12], out float slope[12], out float curvature[12])`` gives half its first and half its second
-    derivatives, ``float prior_precision(inout float c[12], int component)`` 1 over its variance.
+    derivatives, ``float prior_precision(inout float c[12], int component)`` 1 over its variance; 0 for a concave one,
+    which chooses between what the samples leave open and makes none of it certain.
     """
     deviances, slopes, precisions = [], [], []
     for p in model.parameters:
@@ -46,12 +47,13 @@ def prior_declaration(model: ReflectanceModel) -> str:
                 lines.append(f"float x = (c[{at}] - {low!r}) * {1 / (high - low)!r};")
                 lines.append(f"w *= max(1.0 - x * x, {NARROWEST!r});")
             if p.prior.kind == "normal":
-                deviance, slope, curvature, precision = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)", "1.0"
+                deviance, slope, curvature = "d * d / (w * w)", "d / (w * w)", "1.0 / (w * w)"
+                precisions.append([*lines, f"if (component == {i}) {{ return {curvature}; }}"])
             else:
                 side = 1.0 if value == p.range[0] else -1.0
                 left = f"(1.0 - abs(d) * {1 / extent!r})"
                 deviance = f"2.0 * (abs(d) - d * d * {0.5 / extent!r}) / w"
-                slope, curvature, precision = f"{side!r} * {left} / w", "0.0", f"{left} * {left}"
+                slope, curvature = f"{side!r} * {left} / w", "0.0"
             deviances.append([*lines, f"sum += {deviance};"])
             found = [*lines, f"slope[{i}] += {slope};", f"curvature[{i}] += {curvature};"]
             if along is not None:  # d(1 / wᵏ) = k / wᵏ · 2 x / (1 − x²) dx
@@ -60,7 +62,6 @@ def prior_declaration(model: ReflectanceModel) -> str:
                     f"slope[{at}] += {power / (high - low)!r} * ({deviance}) * x / max(1.0 - x * x, {NARROWEST!r});"
                 )
             slopes.append(found)
-            precisions.append([*lines, f"if (component == {i}) {{ return {precision} / (w * w); }}"])
 
     def blocks(parts: list[list[str]]) -> list[str]:
         return [line for part in parts for line in ("    {", *(f"        {x}" for x in part), "    }")]

@@ -7,7 +7,7 @@
 #include "common/estimate.glsl"
 #include "model.glsl"
 #include "swarm/relative_error.glsl"
-#include "priors.glsl"
+#include "swarm/with_priors.glsl"
 #include "swarm/differences.glsl"
 
 // The normal matrix squares the condition of J: after hundreds of samples in float32, what is left of a diagonal below
@@ -36,12 +36,13 @@ vec2 steps_of(inout float c[12], int u)
 // Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights
 // of the channels. A bound that is met tells nothing of them.
 void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors,
-                out float energy, out float channels)
+                out float together, out float energy, out float channels)
 {
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
         a[i] = 0.0;
     }
     errors = 0.0;
+    together = 0.0;
     energy = 0.0;
     channels = 0.0;
     vec2 steps[UNKNOWNS];
@@ -62,6 +63,8 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
         float relative = relative_error(texel, o);
         vec3 weight = o.weight * relative * relative * draws(o, error);
         errors += dot(weight, error * error);
+        float sum = dot(sqrt(weight), error);
+        together += sum * sum;
         energy += dot(weight, render * render);
         channels += o.weight * dot(draws(o, error), vec3(1.0));
         vec3 j[UNKNOWNS];
@@ -170,13 +173,20 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
 }
 
 // The variance of the noise, below 0 where there are too few samples to tell.
-float variance_of(ivec2 texel, float errors, float channels)
+// What channels err together (shifts, shading, JPEG's luminance) is one error and not three: ``alike`` is from 1, where they
+// are independent, to 3. So many samples are fewer by it, and of the unknowns what is not colour is told by them alone.
+float variance_of(ivec2 texel, float errors, float together, float channels)
 {
 #ifdef NOISE_GIVEN
     return texelFetch(u_noise, texel, 0).z;
 #else
-    float freedom = channels - float(UNKNOWNS);
-    return freedom > 0.0 ? errors / freedom : -1.0;
+    float alike = errors > 0.0 ? clamp(together / errors, 1.0, 3.0) : 1.0;
+    float freedom = channels - 0.5 * (1.0 + alike) * float(UNKNOWNS);
+    float least = 0.0;
+#if FITNESS == FITNESS_ROBUST
+    least = NOISE_FLOOR / (loss_scale(texel) * loss_scale(texel));
+#endif
+    return freedom > 0.0 ? alike * errors / freedom + least : -1.0;
 #endif
 }
 
@@ -191,11 +201,12 @@ bool texel_kernel(ivec2 texel)
         material_to(estimate_at(texel), c);
         float a[UNKNOWNS * UNKNOWNS];
         float errors;
+        float together;
         float energy;
         float channels;
-        accumulate(texel, c, a, errors, energy, channels);
+        accumulate(texel, c, a, errors, together, energy, channels);
         float deviation[UNKNOWNS];
-        float variance = variance_of(texel, errors, channels);
+        float variance = variance_of(texel, errors, together, channels);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
 #endif

@@ -123,13 +123,7 @@ def test_a_prior_counts_like_samples_of_its_own():
         subject.model.without_priors({"metallic", "roughness", "specular"}), subject.domain, subject.values
     )
     matrix, variance = oracle.normal_matrix(subject.domain, subject.model, subject.values)
-    place = (subject.values["roughness"][..., 0] - 0.02) / 0.98
-    # The slopes of their −2 log, halved, squared; of the Gaussian one 1 / σ².
-    precision = {
-        "specular": np.full(SHAPE, 1 / 0.1**2),
-        "metallic": ((1 - subject.values["metallic"][..., 0]) / (0.05 * np.maximum(1 - place**2, 0.02))) ** 2,
-        "roughness": (subject.values["roughness"][..., 0] - 0.02) ** 2 / (0.98 * 2.0) ** 2,
-    }
+    precision = {"specular": np.full(SHAPE, 1 / 0.1**2)}  # the other two are concave
     believed = matrix.copy()
     for u, (p, _, wide) in enumerate(oracle.unknowns(subject.model)):
         if p.name in precision:

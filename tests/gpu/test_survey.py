@@ -26,7 +26,7 @@ from tests.cli_maker import dome_lights
 from tests.polish_oracle import Texel
 from tests.swarm_subjects import bits_of, make_domain, recoveries, unit
 
-STANDARD = load_schedule("standard").replaced(prior_rounds=0)
+STANDARD = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0)
 PRINCIPLED = load_model("principled")
 LAMBERT = load_model("lambert")
 DIRECTIONS = 40
