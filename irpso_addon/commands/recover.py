@@ -40,7 +40,7 @@ from ..solver.checkpoint import glance
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
-from ..solver.pictures import error_preview, relit_preview
+from ..solver.pictures import confidence_preview, error_preview, relit_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
     AnyRecovery,
@@ -187,7 +187,8 @@ def finish(
         report["lights"] = lights.report()
     names = [one.name + " (held out)" * (k in job.held_out) for k, one in enumerate(job.capture.observations)]
     preview = error_preview(domain, maps, job.truth, names)
-    pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | relit
+    pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | confidence_preview(maps)
+    pictures |= relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
     extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
     if height is not None:

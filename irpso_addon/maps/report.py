@@ -52,6 +52,8 @@ def build_report(
     }
     if maps.residual is not None:
         report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
+    if covered and (unknown := maps.unknown()):
+        report["unknown"] = {name: round(int(there.sum()) / covered, 4) for name, there in unknown.items()}
     if ground_truth is not None:
         report["ground_truth"] = ground_truth_errors(maps, ground_truth, texels)
     return report

@@ -9,6 +9,8 @@ import numpy as np
 from ..reflectance.model import ReflectanceModel
 from .udim import ONE_SQUARE
 
+UNKNOWN = 0.25  # of a parameter's range: who is uncertain by more than this does not know
+
 
 @dataclass(frozen=True)
 class Maps:
@@ -31,3 +33,11 @@ class Maps:
     tiles: tuple[int, ...] = ONE_SQUARE
     margin: np.ndarray | None = None
     wrapped: bool = False
+
+    def unknown(self) -> dict[str, np.ndarray]:
+        """Return, for each searched number, (H, W) bool: covered texels of which it is not known, by ``confidence``."""
+        return {
+            p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * (p.range[1] - p.range[0]))
+            for p in self.model.parameters
+            if self.confidence is not None and p.kind == "search" and p.components == 1
+        }

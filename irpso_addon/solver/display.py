@@ -27,7 +27,8 @@ KEPT = 4  # pictures: two areas, each with two beside one another
 _SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
 _UNMEASURED = -1.0
 _FRACTION, _COLOR, _NORMAL = range(3)  # u_encoding of shaders/view/show_parameter.glsl
-_PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT"}
+_PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT",
+              "u_unknown": "FLOAT"}  # fmt: skip
 _OBSERVATION = {"u_observation": "INT", "u_exposure": "FLOAT"}
 _MEASURE = {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}
 
@@ -38,7 +39,8 @@ class Shown:
 
     parameter: of kinds "parameter" and "confidence". observation: of "render" and "reference". limit: the error or
     standard deviation that is red, in radiance or the parameter's own unit (radians of a normal). exposure: a factor
-    on radiance.
+    on radiance. unknown: the deviation from which on a parameter of one number is not known, which alpha then says; 0
+    where that is not asked.
     """
 
     kind: Literal["parameter", "error", "render", "reference", "confidence"]
@@ -46,6 +48,14 @@ class Shown:
     observation: int = 0
     limit: float = 0.1
     exposure: float = 1.0
+    unknown: float = 0.0
+
+    @property
+    def measured(self) -> str:
+        """What has to be measured for it: "error", "confidence", or "" for nothing."""
+        if self.kind in ("error", "confidence"):
+            return self.kind
+        return "confidence" if self.unknown else ""
 
 
 class Display:
@@ -69,7 +79,8 @@ class Display:
 
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
         and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved;
-        of a reference 0.5 where the sample has no weight, and 0 where nothing was photographed.
+        of a parameter 0.5 where it is unknown, if that is asked; of a reference 0.5 where the sample has no weight, and
+        0 where nothing was photographed.
 
         time_budget_s: about how long measuring errors or deviations may take now; the last that were measured are
         shown until newer ones are whole, and only the first time is it shown as far as it has come. Without a budget
@@ -80,8 +91,8 @@ class Display:
             self._follow(lent)
             progress = self._recovery.progress
             version: Any = progress
-            if shown.kind in ("error", "confidence"):
-                version = self._measure(shown.kind).update(lent, progress, time_budget_s)
+            if shown.measured:
+                version = progress, self._measure(shown.measured).update(lent, progress, time_budget_s)
             picture, drawn = self._kept(shown)
             if drawn != version:
                 self._draw(shown, picture, lent)
@@ -90,8 +101,8 @@ class Display:
 
     def pending(self, shown: Shown) -> bool:
         """Return whether the picture lags behind the recovery: draw again soon, though nothing else changes."""
-        if shown.kind in ("error", "confidence"):
-            return self._measure(shown.kind).measured != self._recovery.progress
+        if shown.measured:
+            return self._measure(shown.measured).measured != self._recovery.progress
         kept = self._pictures.get(shown)
         return kept is None or kept[1] != self._recovery.progress
 
@@ -136,6 +147,7 @@ class Display:
         model, constants, inputs = self._recovery.model, {}, dict(lent)
         if shown.kind == "parameter":
             constants = _parameter_constants(model, model.parameter(shown.parameter))
+            constants["u_unknown"] = shown.unknown
         elif shown.kind in ("render", "reference"):
             constants = {"u_observation": shown.observation, "u_exposure": shown.exposure}
         else:
@@ -144,10 +156,13 @@ class Display:
                 parameter = model.parameter(shown.parameter)
                 components = 1 if parameter.is_normal else parameter.components
                 constants |= {"u_at": model.offset(parameter.name), "u_components": components}
-            inputs |= {"u_ramp": self._colors(), **self._measure(shown.kind).bindings()}
-        if shown.kind not in self._passes:
-            self._passes[shown.kind] = _picture_pass(model, shown.kind, self._defines)
-        self._passes[shown.kind].run([picture], inputs, constants)
+            inputs |= {"u_ramp": self._colors()}
+        if shown.measured:
+            inputs |= self._measure(shown.measured).bindings()
+        kind = "unknown" if shown.unknown else shown.kind
+        if kind not in self._passes:
+            self._passes[kind] = _picture_pass(model, kind, self._defines)
+        self._passes[kind].run([picture], inputs, constants)
 
     def _measure(self, kind: str) -> _Measure:
         if kind not in self._measures:
@@ -259,12 +274,13 @@ def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, 
     """Compile the pass that draws a kind of picture."""
     estimates, measures = kernels.estimate_samplers(model), 0
     name, samplers, constants = f"show_{kind}", {**estimates, **kernels.OBSERVATIONS}, _OBSERVATION
-    if kind == "parameter":
-        samplers, constants = estimates, _PARAMETER
-    elif kind in ("error", "confidence"):
+    if kind in ("error", "confidence", "unknown"):
         measures = 1 if kind == "error" else len(estimates)
-        name, constants = "show_measure", _MEASURE
-        samplers = {**{f"u_measure_{i}": kernels.FLOAT_2D for i in range(measures)}, "u_ramp": kernels.FLOAT_2D}
+    measured = {f"u_measure_{i}": kernels.FLOAT_2D for i in range(measures)}
+    if kind in ("parameter", "unknown"):
+        name, samplers, constants = "show_parameter", {**estimates, **measured}, _PARAMETER
+    elif measured:
+        name, samplers, constants = "show_measure", {**measured, "u_ramp": kernels.FLOAT_2D}, _MEASURE
     samplers = {**samplers, **kernels.PACKING}
     defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": measures}
     output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)

@@ -13,7 +13,7 @@ from ..maps.encode import srgb_from_linear
 from ..maps.false_color import false_color
 from ..maps.pictures import PreviewRow, default_maximum, display_image, gallery, preview
 from ..maps.report import error_unit, parameter_error
-from ..maps.result import Maps
+from ..maps.result import UNKNOWN, Maps
 from ..maps.tables import map_tables
 from ..reflectance.model import load_model
 from .forward import render_domain
@@ -21,6 +21,7 @@ from .forward import render_domain
 _HIGHLIGHT = 1.5  # a sample is one's that is brighter than the diffuse reflection by this factor …
 _DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
 _SHOWN = 3  # observations in a preview, the median one among them
+_STRIPE = (0.93, 0.45, 0.12)
 _WHITE = 99.5  # percentile of the reference that is shown as white
 
 
@@ -62,6 +63,34 @@ def relit_preview(
         },
     }
     return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, figures
+
+
+def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
+    """Return the picture "confidence": each searched number, striped where the photographs do not tell it, and its σ.
+
+    Nothing where the maps have no confidence, or the model no such number.
+    """
+    images, labels = [], []
+    for name, unknown in maps.unknown().items():
+        p = maps.model.parameter(name)
+        deviation = maps.confidence[name][..., 0]
+        red = UNKNOWN * (p.range[1] - p.range[0])
+        images += [
+            _striped(display_image([p], [maps.values[name]]), unknown),
+            false_color(deviation, red, maps.covered),
+        ]
+        labels += [_title(name), f"± one sigma (red: {red:.2g})"]
+    if not images:
+        return {}
+    return {"confidence": gallery("Striped: the photographs do not tell", images, labels, maps.covered)}
+
+
+def _striped(image: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return an image (H, W, 3) with diagonal stripes over some texels, of a colour that no grey map has."""
+    rows, columns = np.indices(where.shape)
+    period = max(4, max(where.shape) // 40)
+    stripe = where & ((rows + columns) % period < (period + 1) // 2)
+    return np.where(stripe[..., None], _STRIPE, image).astype(np.float32)
 
 
 def maps_so_far(maps: Maps, heading: str) -> np.ndarray:

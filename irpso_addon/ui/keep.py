@@ -20,7 +20,7 @@ from ..maps.report import build_report, limit_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..reflectance.model import shipped_models
-from ..solver.pictures import error_preview
+from ..solver.pictures import confidence_preview, error_preview
 from . import preferences, session, unkept
 from .card_place import put_card
 
@@ -74,7 +74,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
 def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
     """Return preview and, where there is a history, convergence: file stem → (H, W, 3) display values."""
     names = [observation.name for observation in running.job.capture.observations]
-    pictures = {"preview": error_preview(running.domain, maps, None, names)}
+    pictures = {"preview": error_preview(running.domain, maps, None, names)} | confidence_preview(maps)
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:

@@ -214,6 +214,10 @@ class ViewSettings(bpy.types.PropertyGroup):
         name="Mark Unused Pixels", description="Draw diagonal stripes over the photograph's pixels that have no weight:"
         " clipped ones, and those taken for shadow", default=True,
     )  # fmt: skip
+    mark_unknown: BoolProperty(
+        name="Mark Unknown", description="Draw diagonal stripes over the map where the photographs do not tell its"
+        " number: its standard deviation is over a quarter of its range. Shown once the recovery rests", default=True,
+    )  # fmt: skip
     opacity: FloatProperty(name="Opacity", subtype="FACTOR", min=0, max=1, default=1)
     show_lights: BoolProperty(name="Lights", description="Draw the dome of lights around the subject", default=True)
     show_cameras: BoolProperty(name="Cameras", description="Draw the capture's cameras", default=True)

@@ -23,6 +23,8 @@ def draw_shown(layout, context, running: session.Session) -> None:
     column.prop(view, "shown")
     if view.shown in _OF_A_MAP:
         column.prop(view, "parameter")
+    if view.shown == "PARAMETER":
+        column.prop(view, "mark_unknown")
     if view.shown in _IN_FALSE_COLORS:
         column.prop(view, _red_of(view, running))
     if view.shown in _OF_A_LIGHT:

@@ -1,5 +1,8 @@
 // Linear values to display values. IEC 61966-2-1.
 
+// Alpha of what is drawn with stripes: samples without weight, numbers that are unknown.
+const float UNUSED = 0.5;
+
 vec3 srgb_from_linear(vec3 linear)
 {
     // NaN, which weighs nothing in a stack, is drawn nowhere; max() keeps it from spreading.

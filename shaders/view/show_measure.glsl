@@ -1,20 +1,8 @@
 // Over the domain: a measure of every texel in false colours, u_ramp from 0 to u_limit.
-// Reads u_packed and u_measure_0 …, packed numbers, negative where none has been measured yet. Shown is the largest of
-// u_components numbers from u_at on. What is not a number has the last colour of u_ramp, which is beyond its end.
+// Reads u_packed and what was measured. Shown is the largest of u_components numbers from u_at on. What is not a number has the last colour of u_ramp, which is beyond its end.
 
 #include "common/packing.glsl"
-
-float measure_at(ivec2 texel, int number)
-{
-    vec4 four = texelFetch(u_measure_0, texel, 0);
-#if MEASURES > 1
-    four = number >= 4 ? texelFetch(u_measure_1, texel, 0) : four;
-#endif
-#if MEASURES > 2
-    four = number >= 8 ? texelFetch(u_measure_2, texel, 0) : four;
-#endif
-    return four[number % 4];
-}
+#include "view/measure.glsl"
 
 bool texel_kernel(ivec2 texel)
 {

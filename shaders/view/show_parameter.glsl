@@ -1,10 +1,12 @@
-// Over the domain: one parameter as a picture. Reads u_packed and the estimates.
+// Over the domain: one parameter as a picture. Reads u_packed and the estimates; with MEASURES the deviations, and alpha is
+// UNUSED where that of the number at u_at is over u_unknown.
 // u_at, u_components: which numbers of a material. u_encoding: 0 a fraction of the range from u_low, u_width wide;
 // 1 a colour; 2 a normal. A parameter of one number is grey, of two red and green, of four its first three.
 
 #include "common/estimate.glsl"
 #include "common/packing.glsl"
 #include "view/encode.glsl"
+#include "view/measure.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
@@ -35,6 +37,10 @@ bool texel_kernel(ivec2 texel)
             value.z = 0.0;
         }
     }
-    o_picture = vec4(value, 1.0);
+    float alpha = 1.0;
+#if MEASURES > 0
+    alpha = measure_at(at, u_at) > u_unknown ? UNUSED : 1.0;
+#endif
+    o_picture = vec4(value, alpha);
     return true;
 }

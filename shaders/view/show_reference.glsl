@@ -4,8 +4,6 @@
 #include "common/packing.glsl"
 #include "view/encode.glsl"
 
-const float UNUSED = 0.5;
-
 bool texel_kernel(ivec2 texel)
 {
     ivec2 at = packed_at(texel);

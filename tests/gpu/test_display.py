@@ -128,6 +128,18 @@ def test_the_confidence_is_the_deviation_of_the_largest_component_in_false_colou
         np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
 
 
+def test_a_number_that_is_not_known_is_half_transparent_where_that_is_asked(running, show):
+    maps = running.maps()
+    sigma = maps.confidence["r2"][..., 0]
+    limit = float(np.median(sigma[maps.covered]))
+    picture, plain = seen(show(running), "parameter", "r2", unknown=limit), seen(show(running), "parameter", "r2")
+    expected = np.where(maps.covered, np.where(sigma > limit, 0.5, 1.0), 0.0)
+    close = np.abs(sigma - limit) < 1e-3 * limit
+    np.testing.assert_array_equal(picture[~close, 3], expected[~close])
+    np.testing.assert_array_equal(picture[..., :3], plain[..., :3])
+    np.testing.assert_array_equal(plain[..., 3], maps.covered)
+
+
 def test_known_parameters_have_no_deviation(recover, show):
     domain, truth = subject(model=TWO_LOBES.name)
     recovery = recover(domain, TWO_LOBES, known={"normal": truth["normal"]})

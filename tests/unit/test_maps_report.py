@@ -1,6 +1,7 @@
 """Error measures and the report against numbers worked out by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from irpso_addon.maps.report import build_report, limit_warnings, parameter_error, plain, quantiles
 from irpso_addon.maps.result import Maps
-from irpso_addon.reflectance.model import Parameter, ReflectanceModel
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
+from irpso_addon.solver.pictures import confidence_preview
 
 NORMAL = Parameter("normal", 3, (-1, 1), (0, 0, 1), map="normal", is_normal=True)
 GLOSS = Parameter("gloss", 2, (0.0, 4.0), (1, 1), map="gloss")
@@ -96,3 +98,22 @@ def test_plain_data_hold_no_nan_and_no_paths():
         "b": "x",
         "c": [0.5, None],
     }
+
+
+def test_what_is_unknown_is_counted_and_striped_and_a_known_number_is_not():
+    model, shape = load_model("metallic_roughness"), (20, 30)
+    values = {p.name: np.full((*shape, p.components), 0.5, np.float32) for p in model.parameters}
+    sigma = {p.name: np.zeros((*shape, 1 if p.is_normal else p.components), np.float32) for p in model.parameters}
+    sigma["metallic"][:, :12] = 0.26  # of a range of 1
+    sigma["roughness"][:5] = 0.24  # of a range of 0.98
+    sigma["base_color"][:] = 0.9  # no searched number: an uncertain colour is that of a sure metal, too
+    covered = np.ones(shape, bool)
+    covered[:, 28:] = covered[:, :2] = False
+    maps = Maps(model, values, covered, np.zeros(shape, np.float32), sigma)
+    made = build_report(maps, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
+    assert made["unknown"] == {"roughness": 0.0, "metallic": round(10 / 26, 4), "specular": 0.0}
+    striped = confidence_preview(maps)["confidence"]
+    sure = confidence_preview(replace(maps, confidence={name: 0 * s for name, s in sigma.items()}))["confidence"]
+    orange = np.isclose(striped, (0.93, 0.45, 0.12), atol=0.02).all(axis=-1)
+    assert orange.mean() > 0.01 and not np.isclose(sure, (0.93, 0.45, 0.12), atol=0.02).all(axis=-1).any()
+    assert confidence_preview(replace(maps, confidence=None)) == {}

@@ -343,8 +343,8 @@ def _pair(view, pictures: list) -> tuple:
 
 
 def _stripes(view, scale: float) -> float:
-    """Return how many pixels apart the stripes over samples without weight are, 0 for none."""
-    return _STRIPES * scale if view.mark_unused else 0.0
+    """Return how many pixels apart the stripes are, over unknown numbers or samples without weight, 0 for none."""
+    return _STRIPES * scale if view.mark_unused or view.shown == "PARAMETER" else 0.0
 
 
 def _has_room(free: Rectangle, scale: float) -> bool:

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from ...gpu.viewport import Surface
+from ...maps.result import UNKNOWN
 from ...reflectance.model import ReflectanceModel
 from ...solver.display import Shown
 from ..session import Session
@@ -34,7 +35,7 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     parameter = view.parameter if view.parameter in names else names[0]
     observation = view.index(running.domain.observations)
     if view.shown == "PARAMETER":
-        return (Shown("parameter", parameter),)
+        return (Shown("parameter", parameter, unknown=_unknown_from(view, running, parameter)),)
     if view.shown == "ERROR":
         limit = view.red_error / PERCENT or steady_limit(_MEAN_TO_RED * (running.error or 0.0), former_limit)
         return (Shown("error", limit=limit),)
@@ -120,6 +121,14 @@ def is_in_scene(scene: bpy.types.Scene, running: Session, subject, home_scene: i
 def shows_itself(context, running: Session) -> bool:
     """Return whether the viewport renders the material that was kept, which is what there is to see then."""
     return running.kept and not running.active and context.space_data.shading.type in ("MATERIAL", "RENDERED")
+
+
+def _unknown_from(view, running: Session, name: str) -> float:
+    """Return the deviation from which on a map's number is marked as unknown; 0 for no marks, as while it is sought."""
+    p = running.job.model.parameter(name)
+    if not view.mark_unknown or running.active or p.kind != "search" or p.components > 1 or name in running.job.given:
+        return 0.0
+    return UNKNOWN * (p.range[1] - p.range[0])
 
 
 def _deviation_limit(view, model: ReflectanceModel, name: str) -> float:
