@@ -78,7 +78,9 @@ def error(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
     result = np.where(seen, radiance(problem, s) - reference, 0)
     if settings.loss == "robust":
         brightness = domain.intensities.astype(np.float64).mean()
-        result = result / _expanded(swarm.delta_of(domain.stack, brightness * problem.scale, settings), s["normal"])
+        result = result / _expanded(
+            swarm.delta_of(domain.stack, brightness * problem.scale, settings, domain.noise), s["normal"]
+        )
     return result
 
 
@@ -104,7 +106,13 @@ def sample_weights(problem: Generations, incumbent: dict[str, np.ndarray]) -> np
         level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
         settings = problem.schedule.fitness
         weight = (
-            weight * (settings.delta * level[..., None] / swarm.delta_of(problem.domain.stack, level, settings)) ** 2
+            weight
+            * (
+                settings.delta
+                * level[..., None]
+                / swarm.delta_of(problem.domain.stack, level, settings, problem.domain.noise)
+            )
+            ** 2
         )
     return weight * kinds[problem.schedule.fitness.loss]
 

@@ -172,10 +172,15 @@ def direction_to(row: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.
     return toward / np.sqrt(squared), squared
 
 
-def delta_of(samples: np.ndarray, level: np.ndarray, settings: Fitness) -> np.ndarray:
-    """Return (…, 1): δ of samples (…, 4), at texels of the scale ``level`` in units of radiance."""
+def delta_of(samples: np.ndarray, level: np.ndarray, settings: Fitness, noise: float = 0.0) -> np.ndarray:
+    """Return (…, 1): δ of samples (…, 4), at texels of the scale ``level`` in radiance; noise: of sRGB codes."""
     brightest = np.where(samples[..., 3] > 0, samples[..., :3].max(axis=-1), 0).astype(np.float64)
-    return (settings.delta * level * np.maximum(brightest / level, 1) ** settings.highlight_power)[..., None]
+    delta = settings.delta * level * np.maximum(brightest / level, 1) ** settings.highlight_power
+    y = np.clip(brightest, 0, 1)
+    code = np.where(y <= 0.0031308, 12.92 * y, 1.055 * np.maximum(y, 1e-9) ** (1 / 2.4) - 0.055)
+    step = 1e-6  # of a code: the slope by differences of the curve itself
+    ends = [np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) for c in (code - step, code + step)]
+    return np.hypot(delta, noise * (ends[1] - ends[0]) / (2 * step))[..., None]
 
 
 def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
@@ -197,7 +202,7 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
             loss = error**2
         else:
             unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
-            unit = delta_of(domain.stack[k], unit * problem.scale, settings)
+            unit = delta_of(domain.stack[k], unit * problem.scale, settings, domain.noise)
             loss = np.log1p((error / unit) ** 2)
         total += weight * loss.sum(axis=-1)
         weights += weight

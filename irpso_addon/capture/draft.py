@@ -102,7 +102,13 @@ def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None,
     ]
     encoding = encoding_of(tested, masks, store)
     observations = tuple(
-        Observation(shot.name, _Reader(shot.image, store, cameras[shot.camera], encoding), light, shot.camera)
+        Observation(
+            shot.name,
+            _Reader(shot.image, store, cameras[shot.camera], encoding),
+            light,
+            shot.camera,
+            store.coarse(shot.image),
+        )  # fmt: skip
         for shot, light in zip(draft.shots, lights, strict=True)
     )
     return Capture(

@@ -58,6 +58,12 @@ class ImageStore:
             return (header.states, "file") if header.states else ("srgb", "guess")
         return "linear", "depth" if header.bits == 16 else "format"
 
+    def coarse(self, image: ImageRef) -> bool:
+        """Return whether an image holds 8-bit sRGB codes, as far as that is stated. Raises CaptureError."""
+        space, known_by = self.encoding(image)
+        eight = known_by in ("file", "guess")
+        return eight and (space if image.colour_space == "auto" else image.colour_space) == "srgb"
+
     def _header(self, path: Path) -> ImageHeader:
         """Return the header of an image that is no EXR, which takes reading the whole file, once."""
         if path not in self._pictures:

@@ -59,13 +59,14 @@ class Observation:
 
     read: returns (H, W, 4) float32, row 0 at the bottom: linear Rec. 709 radiance, and in alpha the weight of the
     pixel, 0 where it is not a number, below 0 where it is clipped (capture/bounds.py). Reading is put off until it is
-    needed. camera: an index.
+    needed. camera: an index. coarse: whether its file holds 8-bit sRGB codes.
     """
 
     name: str
     read: Callable[[], np.ndarray]
     light: Light
     camera: int = 0
+    coarse: bool = False
 
 
 @dataclass(frozen=True)

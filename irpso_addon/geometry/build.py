@@ -30,6 +30,9 @@ from .shadows import ShadowCaster, texel_size
 
 Window = tuple[int, int, int, int]
 Surface = tuple[SurfaceBake, SeamMap]
+# Of the codes of 8-bit files: sensor, rounding and JPEG together. Under 16 lamps, of a rusty metal, normals are off by
+# 1.76° without it, by 1.62, 1.45 and 1.35° with 1, 2 and 3 codes; its metallic by 0.050, 0.047, 0.040 and 0.036.
+_NOISE = 2 / 255
 Bake = TypeVar("Bake", bound=GeometryBake)
 
 
@@ -71,7 +74,7 @@ def card_steps(
     if window is None:
         _check_seen(capture, stack, "the card")
     views = np.broadcast_to(_local(camera).view, (len(stack), 4))
-    return replace(_domain(capture.observations, bake, stack, views, inverse, card=True), origin=(x0, y0))
+    return replace(_domain(capture, bake, stack, views, inverse, card=True), origin=(x0, y0))
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
@@ -174,7 +177,7 @@ def mesh_steps(
     if window is None:
         _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
-    domain = _domain(capture.observations, bake, stack, views, np.eye(4), card=False)
+    domain = _domain(capture, bake, stack, views, np.eye(4), card=False)
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
 
 
@@ -320,13 +323,15 @@ def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
 
 
 def _domain(
-    observations: Sequence[Observation],
+    capture: Capture,
     bake: GeometryBake,
     stack: np.ndarray,
     views: np.ndarray,
     to_frame: np.ndarray,
     card: bool,
 ) -> Domain:
+    observations, encoding = capture.observations, capture.encoding
+    coarse = all(one.coarse for one in observations) and (encoding is None or encoding.colour_space == "srgb")
     return Domain(
         bake=bake,
         stack=stack,
@@ -334,6 +339,7 @@ def _domain(
         intensities=np.array([observation.light.intensity for observation in observations], np.float32),
         views=np.asarray(views, np.float32),
         card=card,
+        noise=_NOISE if coarse else 0.0,
     )
 
 

@@ -51,7 +51,8 @@ class Domain:
     random numbers are keyed by it, so that a tile of a domain is solved as the whole would be. halo: texels along each
     side of a tile that belong to its neighbours: they are read but never moved. card: whether the domain is the image
     itself rather than a UV square. seams: which texels are neighbours across UV seams; where None, as on a card, those
-    beside a texel are.
+    beside a texel are. noise: standard deviation of the photographs' sRGB codes, as a fraction of white; 0 where their
+    files are finer than that.
     """
 
     bake: GeometryBake
@@ -63,6 +64,7 @@ class Domain:
     halo: tuple[int, int, int, int] = (0, 0, 0, 0)  # left, right, bottom, top
     card: bool = True
     seams: SeamMap | None = None
+    noise: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:

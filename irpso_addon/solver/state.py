@@ -88,13 +88,15 @@ def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.n
     return textures.upload(np.stack([lights, np.pad(intensities, ((0, 0), (0, 1))), views]).astype(np.float32))
 
 
-def kernel_defines(domain: Domain) -> dict[str, int]:
-    """Return what kernels over a domain are compiled with: ``observation_defines``, and SEAMS where it has some."""
+def kernel_defines(domain: Domain) -> dict[str, str | int]:
+    """Return what kernels over a domain are compiled with: ``observation_defines``, its NOISE and SEAMS, if any."""
     defines = observation_defines(domain.lights, domain.views, domain.card)
+    if domain.noise:
+        defines["NOISE"] = f"{domain.noise:.9f}"
     return defines if domain.seams is None else {**defines, "SEAMS": domain.seams.reach}
 
 
-def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, int]:
+def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, str | int]:
     """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
     defines = {"CARD": 1} if card else {}
     if not lights[:, 3].any():

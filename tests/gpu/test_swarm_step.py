@@ -1,7 +1,7 @@
 """One step of the swarm on the GPU against the float64 oracle, and the two entries against each other."""
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -79,6 +79,7 @@ CASES = [
          settings={"normal": "cartesian", "neighbour_every": 1}),
     Case("the-whole-range-of-albedo", ("diffuse",), settings={"linear_reach": 0.0, "loss": "l1"}),
     Case("bounded-albedo", ("diffuse", "normal"), settings={"linear_reach": 0.7}),
+    Case("codes-of-8-bits", ("diffuse", "normal"), domain={"noise": 0.02}),
     Case("a-threshold-stops-swarms", ("diffuse",), settings={"threshold": 0.2, "loss": "l1"}),
 ]  # fmt: skip
 
@@ -90,7 +91,9 @@ class Bench:
         context.ensure()
         self.model = load_model(case.model)
         self.schedule = load_schedule("swarm").replaced(search=case.search, iterations=40, **case.settings)
-        self.domain = make_domain(*case.shape, **case.domain)
+        noise = case.domain.get("noise", 0.0)
+        made = {name: value for name, value in case.domain.items() if name != "noise"}
+        self.domain = replace(make_domain(*case.shape, **made), noise=noise)
         rng = np.random.default_rng(seed)
         scale = rng.uniform(0.5, 2, size=case.shape).astype(np.float32)
         estimates = {}
