@@ -13,10 +13,10 @@ from ..errors import InputError
 from ..maps.read import read_parameter
 from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
+from ..solver.held_out import spared
 from ..solver.schedule import Schedule, load_schedule
 
 LARGEST_SIDE = 16384
-_HELD_OUT_STEP, _MOST_HELD_OUT = 8, 6  # of --hold-out auto
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:
@@ -103,14 +103,10 @@ def _known_numbers(option: str, numbers: list[float], parameter: Parameter) -> n
 
 
 def held_out_list(text: str | None, count: int) -> list[int]:
-    """Return the indices that --hold-out asks for, of ``count`` observations. Raises InputError.
-
-    auto: one in eight, evenly spaced, and six at most: each is a photograph less for the fit.
-    """
+    """Return the indices that --hold-out asks for, of ``count`` observations. Raises InputError."""
     if text != "auto":
         return index_list("--hold-out", text, count)
-    step = max(_HELD_OUT_STEP, math.ceil(count / _MOST_HELD_OUT))
-    chosen = list(range(step // 2, count, step))
+    chosen = spared(count)
     if not chosen:
         raise InputError(f"--hold-out auto: of {count} observations none can be spared; leave it out, or name one")
     return chosen

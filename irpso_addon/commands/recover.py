@@ -37,15 +37,15 @@ from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.checkpoint import glance
+from ..solver.held_out import held_out_last, preview_names, relit_line, relit_preview
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
-from ..solver.pictures import confidence_preview, error_preview, relit_preview
+from ..solver.pictures import confidence_preview, error_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
     AnyRecovery,
     covered_texels,
-    held_out_last,
     make_plan,
     planned_recovery,
     scratch_folder,
@@ -185,8 +185,7 @@ def finish(
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
     if lights is not None:
         report["lights"] = lights.report()
-    names = [one.name + " (held out)" * (k in job.held_out) for k, one in enumerate(job.capture.observations)]
-    preview = error_preview(domain, maps, job.truth, names)
+    preview = error_preview(domain, maps, job.truth, preview_names(job.capture, job.held_out))
     pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | confidence_preview(maps)
     pictures |= relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
@@ -389,5 +388,6 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         told = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]
         told += [f"highlights {highlights:.2f} dB"] if highlights is not None else []
         lines.append(f"relit {name}: {', '.join(told)}")
+    lines += [line[0].lower() + line[1:]] if (line := relit_line(report)) else []
     lines += [f"warning: {text}" for text in report["warnings"]]
     return "\n".join(lines) + "\n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -77,7 +77,28 @@ def render_domain(
 
     A domain wider or higher than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
     """
+    return list(rendered(domain, model, values, observations))
+
+
+def rendered(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> Iterator[np.ndarray]:
+    """Yield the images of ``render_domain`` one by one. Blocks, where they are needed, are rendered all at once."""
     context.ensure()
+    if max(domain.shape) > context.max_texture_size():
+        yield from _rendered_in_blocks(domain, model, values, observations)
+        return
+    renderer = Renderer(domain.bake, model, values, domain.lights, domain.intensities, domain.views, domain.card)
+    try:
+        for observation in observations:
+            yield renderer.render(observation)
+    finally:
+        renderer.close()
+
+
+def _rendered_in_blocks(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> list[np.ndarray]:
     side = context.max_texture_size()
     height, width = domain.shape
     images = [np.zeros((height, width, 4), np.float32) for _ in observations]
@@ -86,12 +107,8 @@ def render_domain(
             part = tile(domain, x, y, min(side, width - x), min(side, height - y))
             block = slice(y, y + side), slice(x, x + side)
             held = {name: value[block] for name, value in values.items()}
-            renderer = Renderer(part.bake, model, held, part.lights, part.intensities, part.views, part.card)
-            try:
-                for image, observation in zip(images, observations, strict=True):
-                    image[block] = renderer.render(observation)
-            finally:
-                renderer.close()
+            for image, found in zip(images, rendered(part, model, held, observations), strict=True):
+                image[block] = found
     return images
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..capture.types import Capture
 from ..geometry.domain import Domain
 from ..maps.encode import srgb_from_linear
 from ..maps.false_color import false_color
@@ -15,14 +13,11 @@ from ..maps.pictures import PreviewRow, default_maximum, display_image, gallery,
 from ..maps.report import error_unit, parameter_error
 from ..maps.result import UNKNOWN, Maps
 from ..maps.tables import map_tables
-from ..reflectance.model import load_model
 from .forward import render_domain
 
-_HIGHLIGHT = 1.5  # a sample is one's that is brighter than the diffuse reflection by this factor …
-_DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
 _SHOWN = 3  # observations in a preview, the median one among them
 _STRIPE = (0.93, 0.45, 0.12)
-_WHITE = 99.5  # percentile of the reference that is shown as white
+SHOWN_WHITE = 99.5  # percentile of the reference that is shown as white
 
 
 def error_preview(
@@ -41,28 +36,6 @@ def error_preview(
         chosen = chosen[:1]
     rows += image_rows(domain, maps, chosen, [names[k] for k in chosen])
     return preview(rows, ("Reference", "Recovered", "Error"))
-
-
-def relit_preview(
-    domain: Domain, maps: Maps, held_out: Sequence[int], capture: Capture
-) -> tuple[dict[str, np.ndarray], dict]:
-    """Return the picture "relit" of observations that were left out of the fit, and figures for the report.
-
-    These are their PSNR, and that of their highlights alone, in dB; None where there is nothing to compare.
-    """
-    if not held_out:
-        return {}, {}
-    names = [capture.observations[k].name for k in held_out]
-    rows = image_rows(domain, maps, held_out, names)
-    bright = _highlights(domain, maps, held_out)
-    figures = {
-        "relighting_psnr_db": dict(zip(names, map(_decibels, rows), strict=True)),
-        "relighting_highlights_psnr_db": {
-            name: _decibels(replace(row, counted=row.judged & where))
-            for name, row, where in zip(names, rows, bright, strict=True)
-        },
-    }
-    return {"relit": preview(rows, ("Photograph", "Relit", "Error"))}, figures
 
 
 def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
@@ -122,44 +95,26 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
-    """Return a row for each observation: the photograph, as the maps render it, and the difference in % of white.
+    """Return a row for each observation: of ``image_row``."""
+    renders = render_domain(domain, maps.model, maps.values, observations)
+    found = zip(observations, labels, renders, strict=True)
+    return [image_row(domain, maps, k, label, render) for k, label, render in found]
+
+
+def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
+    """Return the photograph of an observation, its render (H, W, 4), and the difference in % of white.
 
     Samples without weight are shown as they were photographed; their difference is not. Clipped ones differ where the
     render is darker: both pictures end at white.
     """
-    rows = []
-    renders = render_domain(domain, maps.model, maps.values, observations)
-    for k, label, render in zip(observations, labels, renders, strict=True):
-        seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] != 0
-        # Texels that no light told anything of, as a black background, have no material to be rendered.
-        rendered = np.where(maps.covered[..., None], render[..., :3], 0)
-        white = float(np.percentile(seen[weight], _WHITE)) if weight.any() else 1.0
-        images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
-        error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
-        photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
-        rows.append(PreviewRow(label, *images, error, "%", photographed, maps.covered & weight))
-    return rows
-
-
-def _highlights(domain: Domain, maps: Maps, observations: Sequence[int]) -> Iterator[np.ndarray]:
-    """Yield (H, W) bool for each observation: where its photograph is far above what the maps reflect diffusely.
-
-    That is Lambert's law for the base colours as far as they are no metal's: no highlight that the fit has missed is
-    left out for being missed.
-    """
-    normal = next(p.name for p in maps.model.parameters if p.is_normal)
-    diffuse = np.zeros((*domain.shape, 3), np.float32)
-    for parameter in maps.model.parameters:
-        if parameter.is_albedo:
-            diffuse += maps.values[parameter.name]
-    for parameter in maps.model.parameters:
-        if parameter.socket == "Metallic":
-            diffuse *= 1 - maps.values[parameter.name]
-    values = {"base_color": diffuse, "normal": maps.values[normal]}
-    renders = render_domain(domain, load_model("lambert"), values, observations)
-    for k, render in zip(observations, renders, strict=True):
-        seen = np.nan_to_num(domain.stack[k, ..., :3]).mean(axis=-1)
-        yield seen > _HIGHLIGHT * render[..., :3].mean(axis=-1) + _DARK * np.percentile(seen[maps.covered], _WHITE)
+    seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] != 0
+    # Texels that no light told anything of, as a black background, have no material to be rendered.
+    rendered = np.where(maps.covered[..., None], render[..., :3], 0)
+    white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0
+    images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
+    error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
+    photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
+    return PreviewRow(label, *images, error, "%", photographed, maps.covered & weight)
 
 
 def _title(name: str) -> str:
@@ -170,8 +125,3 @@ def image_psnr(row: PreviewRow) -> float:
     """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, where the error counts."""
     difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")
-
-
-def _decibels(row: PreviewRow) -> float | None:
-    psnr = image_psnr(row)
-    return round(psnr, 3) if np.isfinite(psnr) else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -99,13 +98,6 @@ def scratch_folder(output: Path) -> Path:
     while not folder.is_dir():
         folder = folder.parent
     return folder
-
-
-def held_out_last(capture: Capture, held_out: list[int]) -> tuple[Capture, list[int]]:
-    """Return the capture with the observations held out at its end: what is fitted is then one piece of the stack."""
-    kept = [k for k in range(len(capture.observations)) if k not in held_out]
-    observations = tuple(capture.observations[k] for k in [*kept, *held_out])
-    return replace(capture, observations=observations), list(range(len(kept), len(observations)))
 
 
 def planned_recovery(
