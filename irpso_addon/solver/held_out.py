@@ -21,13 +21,13 @@ from .pictures import SHOWN_WHITE, image_psnr, image_row
 T = TypeVar("T")
 
 _STEP, _MOST = 8, 6  # of the automatic choice
-FEWEST = _STEP // 2 + 1  # observations of which one can be spared
+FEWEST_SPARING = _STEP // 2 + 1  # observations of which one can be spared
 HIGHLIGHT = 1.5  # a highlight's sample is brighter than the diffuse reflection by this factor …
 _DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
 
 
 def spared(count: int) -> list[int]:
-    """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST``.
+    """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST_SPARING``.
 
     One in eight, evenly spaced, and six at most: each is a photograph less for the fit.
     """

@@ -75,13 +75,14 @@ class Lights:
             parts.append(f"turned by {self.turned.mean():.1f}°")
         return ", ".join(parts) or "as given"
 
-    def report(self) -> dict[str, Any]:
-        """Return what a report says of them, as plain data."""
+    def report(self, numbers: Sequence[int] | None = None) -> dict[str, Any]:
+        """Return what a report says of them, as plain data. numbers: of the lights, in whose order they are told."""
+        order = np.argsort(numbers) if numbers is not None else slice(None)
         return {
-            "intensities": np.round(self.intensities, 6).tolist(),
-            "relative_deviation": np.round(self.deviations, 6).tolist(),
-            "lights": np.round(self.lights, 6).tolist(),
-            "turned_degrees": np.round(self.turned, 4).tolist(),
+            "intensities": np.round(self.intensities, 6)[order].tolist(),
+            "relative_deviation": np.round(self.deviations, 6)[order].tolist(),
+            "lights": np.round(self.lights, 6)[order].tolist(),
+            "turned_degrees": np.round(self.turned, 4)[order].tolist(),
             "rounds": self.rounds,
             "last_change": round(self.change, 6),
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.damage import naming_remedy
-from ..capture.enough import FEWEST, check_normal
+from ..capture.enough import FEWEST, check_normal, no_normal
 from ..capture.read import read_draft
 from ..capture.types import Capture
 from ..errors import InputError
@@ -24,6 +25,7 @@ from ..maps import material
 from ..maps.encode import linear_from_srgb, srgb_from_linear
 from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
+from ..solver.held_out import FEWEST_SPARING, held_out_last, order_of, spared
 from ..solver.light_sample import LightSample
 from ..solver.lights import Intensities, Lights, can_tell, chosen_steps
 from ..solver.plan import Plan
@@ -58,7 +60,8 @@ class Job:
     parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
     the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
     the mesh hides from a light is left out. known: as the solver takes them, of ``know``. asked: the
-    settings, of ``asked_of``. resumed: the checkpoint that it goes on from.
+    settings, of ``asked_of``. resumed: the checkpoint that it goes on from. held_out: the numbers, from 0, that
+    observations have in their files or scene that are not fitted; ``capture`` has these last.
     """
 
     capture: Capture
@@ -82,6 +85,27 @@ class Job:
     known: dict[str, np.ndarray] = field(default_factory=dict)
     asked: dict[str, Any] = field(default_factory=dict)
     resumed: Path | None = None
+    held_out: tuple[int, ...] = ()
+
+    @property
+    def fitted(self) -> range:
+        """The indices of the capture's observations that are fitted."""
+        return range(len(self.capture.observations) - len(self.held_out))
+
+    @property
+    def unseen(self) -> range:
+        """The indices of those that are not."""
+        return range(len(self.fitted), len(self.capture.observations))
+
+    @property
+    def numbers(self) -> list[int]:
+        """The number, from 0, that each of the capture's observations has in its files or scene."""
+        return order_of(len(self.capture.observations), self.held_out)
+
+    def fitted_at(self, number: int) -> int:
+        """Return the index of the observation of a number, or where it is held out of the next that is fitted."""
+        numbers = self.numbers[: len(self.fitted)]
+        return min(bisect_left(numbers, number), len(numbers) - 1)
 
     def loading(self) -> Generator[None, None, Domain]:
         """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
@@ -110,17 +134,24 @@ class Job:
     def asks_for_lights(self, domain: Domain) -> bool:
         """Return whether the lights of a domain are to be looked for."""
         wish = self.lights
-        return wish.intensities == "estimate" or wish.degrees != 0 or (wish.intensities == "auto" and can_tell(domain))
+        return (
+            wish.intensities == "estimate"
+            or wish.degrees != 0
+            or (wish.intensities == "auto" and can_tell(domain, np.asarray(self.fitted)))
+        )
 
     def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights | None]:
         """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
         return chosen_steps(
             domain, self.model, self.seed, self.known, intensities=self.lights.intensities,
-            refine_degrees=self.lights.degrees, entry=self.entry, sample=sample,
+            refine_degrees=self.lights.degrees, fitted=self.fitted, entry=self.entry, sample=sample,
         )  # fmt: skip
 
     def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
-        """Return the recovery that is planned, with what is ``known``. Raises InputError, ShaderError."""
+        """Return the recovery that is planned, with what is ``known``. Raises InputError, ShaderError.
+
+        domain: of the observations that are fitted.
+        """
         return planned_recovery(
             plan, domain, self.model, self.schedule, self.seed, self.known, self.entry,
             self.scratch, prepared,
@@ -129,7 +160,7 @@ class Job:
     def plan(self, coverage: np.ndarray) -> Plan:
         """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
         return make_plan(
-            coverage, self.model, self.schedule, self.given, len(self.capture.observations),
+            coverage, self.model, self.schedule, self.given, len(self.capture.observations), len(self.held_out),
             memory=self.memory, entry=self.entry, mesh=self.mesh, resumed=self.resumed,
         )  # fmt: skip
 
@@ -182,6 +213,8 @@ def make_job(context) -> Job:
     capture = capture_of(context.scene)
     if findings.wants_normal(settings):
         check_normal(f"capture '{capture.name}'", [one.light for one in capture.observations])
+    unseen = _held_out(settings, capture)
+    capture, _ = held_out_last(capture, unseen)
     obj = subject_object(context) if settings.subject == "MESH" else None
     mesh = slots = None
     if obj is not None:
@@ -200,10 +233,27 @@ def make_job(context) -> Job:
         capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
         schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
         scratch_folder((wanted.folder() or Path.home()) / "x"),
-        free_place(context, size[0] / size[1]), _source(settings, capture, mesh), settings.shadows,
+        free_place(context, size[0] / size[1]), _source(settings, capture, mesh, unseen), settings.shadows,
         LightWish(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
-        asked=asked_of(settings, obj, slots),
+        asked=asked_of(settings, obj, slots), held_out=unseen,
     )  # fmt: skip
+
+
+def _held_out(settings, capture: Capture) -> tuple[int, ...]:
+    """Return the observations that are not to be fitted, as ``--hold-out`` does. Raises InputError."""
+    if settings.hold_out == "OFF":
+        return ()
+    count = capture.listed
+    if not (chosen := spared(count)):
+        photographs = "1 photograph" if count == 1 else f"{count} photographs"
+        raise InputError(
+            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"
+        )
+    unseen = tuple(capture.numbers(chosen))
+    fitted = [one.light for k, one in enumerate(capture.observations) if k not in unseen]
+    if findings.wants_normal(settings) and (lack := no_normal(fitted)):
+        raise InputError(f"Hold Out: what is left to fit gives no normal: {lack.message}; or set it to Off")
+    return unseen
 
 
 def wanted_slots(settings, obj) -> tuple[int, ...] | None:
@@ -284,10 +334,11 @@ def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
     return np.where(np.abs(lengths - 1) < 1e-6, vectors, vectors / np.maximum(lengths, 1e-8))
 
 
-def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...] | None:
+def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int, ...]) -> tuple[Any, ...] | None:
     """Return what tells whether a domain is still the one of these settings: images with their times, lights, mesh.
 
-    Lights and cameras by their values: a folder's own time does not change with the lists that lie in it.
+    Lights and cameras by their values: a folder's own time does not change with the lists that lie in it. unseen: the
+    observations held out, which are read last.
     """
     if settings.source != "FILES":
         return None
@@ -307,4 +358,4 @@ def _source(settings, capture: Capture, mesh: MeshData | None) -> tuple[Any, ...
         solved = None if mesh.solved is None else mesh.solved.tobytes()
         made = (settings.resolution, settings.shadows, mesh.tiles, solved)
         shape = hash((*(array.tobytes() for array in arrays), *made))
-    return stamps, lights, cameras, shape
+    return stamps, lights, cameras, shape, unseen

@@ -20,6 +20,7 @@ from ..maps.report import build_report, limit_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..reflectance.model import shipped_models
+from ..solver.held_out import preview_names
 from ..solver.pictures import confidence_preview, error_preview
 from . import preferences, session, unkept
 from .card_place import put_card
@@ -55,6 +56,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         "object": None if running.mesh is None else job.name,
         "preset": asdict(job.schedule),
         "known": sorted(job.given),
+        "hold_out": "auto" if job.held_out else None,
         "entry": running.recovery.entry,
         "done": progress.done,
     }
@@ -68,13 +70,19 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         warnings += lights.warnings(job.lights.intensities != "auto")
     if job.schedule.fitness.priors and (shares := prior_shares(maps, job.given)):
         report["priors_decided"] = shares
-    return report | {"warnings": warnings} | ({} if lights is None else {"lights": lights.report()})
+    report |= running.relit()[1] | {"warnings": warnings}
+    return report | ({} if lights is None else {"lights": lights.report(job.numbers)})
 
 
 def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
-    """Return preview and, where there is a history, convergence: file stem → (H, W, 3) display values."""
-    names = [observation.name for observation in running.job.capture.observations]
+    """Return the pictures of a result: file stem → (H, W, 3) display values.
+
+    They are a preview and how sure the numbers are; with photographs held out relit; with a history convergence.
+    """
+    job = running.job
+    names = preview_names(job.capture, job.unseen)
     pictures = {"preview": error_preview(running.domain, maps, None, names)} | confidence_preview(maps)
+    pictures |= running.relit()[0]
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:

@@ -86,6 +86,7 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "light_strengths")
         column.prop(settings, "refine_directions")
+        column.prop(settings, "hold_out")
         _draw_check(layout, context, settings)
         if settings.source == "FILES":
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
@@ -330,6 +331,8 @@ def draw_result(layout, context, running: session.Session) -> None:
     if running.error is not None:
         drawing.fact(column, context, "Error", drawing.percent(running.error))
     drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
+    if running.unseen:
+        drawing.wrapped(layout, context, running.unseen, "HIDE_ON")
     if running.lights is not None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):

@@ -210,7 +210,9 @@ class IRPSO_OT_stop(bpy.types.Operator):
         """Keep, and end."""
         done = _keep(self)
         if done == {"FINISHED"}:
-            session.current().finish()
+            running = session.current()
+            running.finish()
+            _go_on_relighting(context, running)
         return done
 
 
@@ -242,6 +244,16 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         session.end()
         _redraw(context)
         return {"FINISHED"}
+
+
+def _go_on_relighting(context, running: session.Session) -> None:
+    """Have the photographs held out relit, where that has begun: in a window slice by slice, else at once."""
+    if not running.relighting:
+        return
+    if bpy.app.background or context.window is None:
+        running.run()
+    else:
+        bpy.ops.irpso.run("INVOKE_DEFAULT")
 
 
 def _keep(operator) -> set[str]:

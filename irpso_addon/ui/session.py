@@ -13,16 +13,17 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..capture.steps import told_as
+from ..capture.steps import run_steps, told_as
 from ..errors import InputError
 from ..geometry.build import loading_steps
-from ..geometry.domain import Domain
+from ..geometry.domain import Domain, subset
 from ..gpu import context
 from ..gpu.home import Home
 from ..maps.material import STAMP, find_card
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..solver.display import Display
+from ..solver.held_out import relit_line, relit_steps
 from ..solver.light_sample import draw
 from ..solver.lights import Lights
 from ..solver.memory import free_memory
@@ -77,7 +78,8 @@ class Probe:
 class Session:
     """One recovery under way or waiting to be kept. Nothing of the scene is changed by it.
 
-    state: "loading", "preparing", "running", "paused" or "done". title: what is being done, for people. history:
+    state: "loading", "preparing", "running", "paused" or "done"; it runs as well while photographs held out are relit.
+    title: what is being done, for people. domain: of all observations; fitted: of those that are not held out. history:
     (iteration, mean error) now and then. longest_stall_s: the longest that one tick took. failure: why it ended, ""
     while nothing is wrong.
     """
@@ -86,6 +88,7 @@ class Session:
         self.job = job
         self.state, self.title, self.failure = "loading", "Reading images", ""
         self.domain: Domain | None = None
+        self.fitted: Domain | None = None
         self.recovery: AnyRecovery | None = None
         self.display: Display | TiledDisplay | None = None
         self.lights: Lights | None = None  # where they were to be found
@@ -104,6 +107,8 @@ class Session:
         self._time_left, self._left = TimeLeft(), None
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
+        self._relighting: Generator[None, None, None] | None = None
+        self._relit: tuple[str, dict[str, np.ndarray], dict[str, Any]] = "", {}, {}  # of a stamp: pictures, figures
         self._opening: Generator[None, None, None] | None = self._open()
 
     @property
@@ -157,6 +162,21 @@ class Session:
         return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
 
     @property
+    def relighting(self) -> bool:
+        """Whether the recovery has ended, and the photographs held out are being relit."""
+        return self._relighting is not None
+
+    @property
+    def unseen(self) -> str:
+        """How well the maps relight the photographs held out, "" where that is not known of them as they are now."""
+        stamp, _, figures = self._relit
+        return relit_line(figures) if stamp == self.stamp else ""
+
+    def observation(self, view: Any) -> int:
+        """Return the index in the job's capture of the observation that a scene's ViewSettings show: a fitted one."""
+        return self.job.fitted_at(view.index(len(self.job.capture.observations)))
+
+    @property
     def at_home(self) -> bool:
         """Whether the recovery may be touched: in a window, its own graphics context is current."""
         return self._home is None or self._home.here()
@@ -177,7 +197,7 @@ class Session:
         """Work for about so long. Whatever fails ends the session, with ``failure`` set."""
         if not self.active or self.closed:
             return
-        started = time.perf_counter()
+        started, searching = time.perf_counter(), not self.relighting
         try:
             self._work(started + budget_s)
             self._look()
@@ -186,7 +206,7 @@ class Session:
             self.close()
         took = time.perf_counter() - started
         self.longest_stall_s = max(self.longest_stall_s, took)
-        if self.recovery is not None:
+        if self.recovery is not None and searching:
             self.seconds += took
             self._left = self._time_left.after(self.seconds, self.recovery.progress)
         _tell()
@@ -219,7 +239,16 @@ class Session:
         _tell()
 
     def finish(self) -> None:
-        """Go on no further; what has been found waits to be kept."""
+        """Go on no further; what has been found waits to be kept, once the photographs held out are relit.
+
+        A second call does not wait for these.
+        """
+        if self.job.held_out and not self.relighting and self._relit[0] != self.stamp:
+            self._relighting = self._relight()
+            self.state, self.title = "running", "Relighting unseen photographs"
+            _tell()
+            return
+        self._leave_relighting()
         self.state = "done"
         self.title = "Stopped" if self.stopped else "Done"
         _tell()
@@ -227,6 +256,16 @@ class Session:
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, in the solver's frames. confidence: as for a Recovery."""
         return self.recovery.maps(confidence)
+
+    def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return the picture of the photographs held out beside what the maps make of them, and the report's figures.
+
+        Both are {} where none were held out. They are found now where they are not known.
+        """
+        if self.job.held_out and self._relit[0] != self.stamp:
+            self._leave_relighting()
+            run_steps(self._relight())
+        return self._relit[1:]
 
     def add_probe(self, row: int, column: int) -> Probe | None:
         """Watch a texel. Return the oldest of four, which makes room for a fifth; None where there is room."""
@@ -250,12 +289,13 @@ class Session:
         global _current
         self.closed, self.state = True, "done"
         self._opening = None
+        self._leave_relighting()
         self._join()
         if self.display is not None:
             self.display.close()
         if self.recovery is not None:
             self.recovery.close()
-        self.display = self.recovery = self.domain = None
+        self.display = self.recovery = self.domain = self.fitted = None
         if _current is self:
             _current = None
         _tell()
@@ -269,6 +309,8 @@ class Session:
     def _work(self, deadline: float) -> None:
         if self._opening is not None:
             self._advance_opening(deadline)
+        elif self._relighting is not None:
+            self._advance_relighting(deadline)
         elif self.state == "running":
             progress = self.recovery.step(time_budget_s=max(0.001, deadline - time.perf_counter()))
             self.title = progress.title
@@ -283,6 +325,26 @@ class Session:
                 self._opening = None
             if time.perf_counter() >= deadline:
                 return
+
+    def _advance_relighting(self, deadline: float) -> None:
+        try:
+            for _ in self._relighting:
+                if time.perf_counter() >= deadline:
+                    return
+        except Exception as error:  # noqa: BLE001  what has been found must not be lost with a comparison
+            failures.tell("Relighting unseen photographs", error)
+        self.finish()
+
+    def _relight(self) -> Generator[None, None, None]:
+        """Relight the photographs held out from the maps of this moment, yielding often."""
+        stamp, maps = self.stamp, self.maps(confidence=False)
+        yield
+        job = self.job
+        self._relit = stamp, *(yield from relit_steps(self.domain, maps, job.unseen, job.capture, self._threaded))
+
+    def _leave_relighting(self) -> None:
+        self._join()
+        self._relighting = None
 
     def _open(self) -> Generator[None, None, None]:
         """Read, prepare, begin: the way to the first picture, yielding where a window may be drawn."""
@@ -303,10 +365,11 @@ class Session:
             self.domain = self.domain if self.lights is None else self.lights.applied(self.domain)
         self.title = "Fitting a first guess"
         plan, prepared = self.job.plan(self.domain.solvable), None
+        self.fitted = subset(self.domain, self.job.fitted)
         if self.job.schedule.levels == 1:
             prepared = yield from self._prepared(untiled(plan))
         yield
-        self.recovery = self.job.recovery(self.domain, plan, prepared)
+        self.recovery = self.job.recovery(self.fitted, plan, prepared)
         if self.job.resumed is not None:
             self._take(self.recovery.load(self.job.resumed))
         self._home = None if bpy.app.background else Home()
@@ -336,7 +399,7 @@ class Session:
         kept = _loaded if _loaded is not None and _loaded.domain is self.domain and not job.given else None
         if kept is not None and kept.wish == wish:
             return kept.lights
-        sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.arange(self.domain.observations)))
+        sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.asarray(job.fitted)))
         found = yield from told_as(job.lighting(self.domain, sample), self._note_part)
         self._part = 0.0
         if kept is not None:
@@ -352,7 +415,7 @@ class Session:
             return _loaded.prepared
         if known:
             _loaded.prepared = None
-        work = (self.domain, self.job.model, schedule, pack, self._note_part)
+        work = (self.fitted, self.job.model, schedule, pack, self._note_part)
         prepared = yield from self._threaded(lambda: prepare(*work))
         if known and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
             _loaded.basis, _loaded.prepared = basis, prepared
@@ -387,6 +450,8 @@ class Session:
         if schedule.levels != self.job.schedule.levels:
             raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
         changed = self.recovery.changed(schedule)
+        self._leave_relighting()
+        self._paused_in = "running"
         self.job = replace(self.job, schedule=schedule)
         self.display.close()
         self.recovery.close()
@@ -397,7 +462,7 @@ class Session:
     def _look(self) -> None:
         """Note the mean error now and then."""
         now = time.perf_counter()
-        if self.recovery is None or now - self._asked < _ERROR_EVERY and self.active:
+        if self.recovery is None or self.relighting or now - self._asked < _ERROR_EVERY and self.active:
             return
         progress = self.recovery.progress
         if progress.iteration < 0 and self.history:

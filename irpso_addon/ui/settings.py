@@ -43,6 +43,10 @@ _STRENGTHS = (
     ("GIVEN", "As Given", "Light intensities as the capture or the scene has them; 1 where it tells none"),
     ("ESTIMATE", "Estimate", "Find how strong each light was from the photographs, up to one scale, before the search"),
 )
+_HOLD_OUT = (
+    ("OFF", "Off", "Fit all photographs"),
+    ("AUTO", "Automatic", "Leave one photograph in eight out of the fit, evenly spaced and six at most"),
+)
 _SUBJECTS = (
     ("MESH", "Mesh", "Recover the maps of a mesh, in its UV map"),
     ("CARD", "Flat Card", "Recover the maps of a flat surface: the photographs' own pixels"),
@@ -270,6 +274,10 @@ class Settings(bpy.types.PropertyGroup):
         name="Refine Lights", description="How far off the lights' directions may be: they are corrected by the"
         " photographs before the search. 0 leaves them as they are", subtype="ANGLE", min=0,
         max=math.radians(MOST_DEGREES), default=0,
+    )  # fmt: skip
+    hold_out: EnumProperty(
+        name="Hold Out", description="Test the maps on photographs that they were not fitted to: some are left out of"
+        " the recovery, relit from its maps, and compared when it ends", items=_HOLD_OUT, default="OFF",
     )  # fmt: skip
     checked_path: StringProperty(description="The capture that the findings are of")
     summary: StringProperty(description="What the capture holds")

@@ -184,7 +184,7 @@ def test_lights_between_the_viewer_and_the_subject_are_told_from_those_around_it
 def test_observations_are_counted_from_one_in_the_legend():
     model = load_model("lambert")
     shown = surface.Shown("reference", observation=2)
-    assert legend.words(shown, model, ("a", "b", "c")) == "Photograph 3: c"
+    assert legend.words(shown, model, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
 
 
 @pytest.mark.parametrize(

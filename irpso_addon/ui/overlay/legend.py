@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -31,8 +32,8 @@ class Scale:
     top: float
 
 
-def words(shown: Shown, model: ReflectanceModel, names: tuple[str, ...]) -> str:
-    """Return what a picture shows, for people. names: of the observations."""
+def words(shown: Shown, model: ReflectanceModel, names: Sequence[str], numbers: Sequence[int]) -> str:
+    """Return what a picture shows, for people. names: of the observations. numbers: theirs, from 0."""
     if shown.kind == "parameter":
         return bpy.path.display_name(shown.parameter)
     if shown.kind == "error":
@@ -40,7 +41,7 @@ def words(shown: Shown, model: ReflectanceModel, names: tuple[str, ...]) -> str:
     if shown.kind == "confidence":
         return f"{bpy.path.display_name(shown.parameter)}, uncertainty"
     kind = "Render" if shown.kind == "render" else "Photograph"
-    return f"{kind} {shown.observation + 1}: {names[shown.observation]}"
+    return f"{kind} {numbers[shown.observation] + 1}: {names[shown.observation]}"
 
 
 def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:

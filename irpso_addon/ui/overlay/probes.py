@@ -28,7 +28,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
     def poll(cls, context):
         """Whether there are texels to probe."""
         running = session.current()
-        if running is None or running.domain is None:
+        if running is None or running.fitted is None:
             cls.poll_message_set("Nothing to probe: press Recover and wait until the images are read")
             return False
         return True
@@ -40,7 +40,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if not (0 <= self.row < height and 0 <= self.column < width):
             self.report({"ERROR"}, f"texel ({self.row}, {self.column}): there are {height} rows, {width} columns")
             return {"CANCELLED"}
-        if not running.domain.solvable[self.row, self.column]:
+        if not running.fitted.solvable[self.row, self.column]:
             self.report({"ERROR"}, f"texel ({self.row}, {self.column}) is seen by no photograph; choose another")
             return {"CANCELLED"}
         self._watch(running, self.row, self.column)
@@ -63,7 +63,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
     def _heed(self, context, event):
         running = session.current()
-        if running is None or running.domain is None:
+        if running is None or running.fitted is None:
             return self._leave(context)
         if event.value == "PRESS" and event.type in {"ESC", "RIGHTMOUSE"}:
             return self._leave(context)
@@ -72,7 +72,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         texel = _clicked(context, running, event.mouse_x, event.mouse_y)
         if texel is None:  # buttons, gizmos, other editors
             return {"PASS_THROUGH"}
-        found = nearest_texel(running.domain.solvable, *texel, _REACH)
+        found = nearest_texel(running.fitted.solvable, *texel, _REACH)
         if found is None:
             self.report({"INFO"}, "No photograph sees this texel; click another")
             return {"RUNNING_MODAL"}

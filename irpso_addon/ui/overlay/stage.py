@@ -229,7 +229,7 @@ class Stage:
         return dome.dome_of(domain.lights, domain.intensities, stand, view.dome_radius)
 
     def _observation(self, view) -> int:
-        return view.index(self.running.domain.observations)
+        return self.running.observation(view)
 
     def _cameras(self) -> list[Camera]:
         """Return the cameras in the domain's frame: that of a card is its only camera's own."""
@@ -267,16 +267,17 @@ class Stage:
         shown, _ = self._pictures_of(scene)
         if not shown:
             return None
-        model, names = self.running.job.model, tuple(o.name for o in self.running.job.capture.observations)
+        job = self.running.job
         item = shown[surface.blink_index() if scene.irpso.view.shown == "BLINK" else 0]
-        meaning = legend.scale_of(item, model)
+        meaning = legend.scale_of(item, job.model)
         if meaning is not None:
             area = free.corner(*legend.legend_size(painter.scale, free))
             legend.draw_legend(painter, area, meaning)
             return area
         if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has names of its own
             return None
-        text = legend.words(item, model, names)
+        names = [one.name for one in job.capture.observations]
+        text = legend.words(item, job.model, names, job.numbers)
         area = free.corner(*painter.chip_size(text))
         painter.chip(text, area.x, area.y)
         return area
@@ -329,7 +330,8 @@ class Stage:
         index = self._observation(view)
         place = self._dome(view, self._stand(subject)).places[index][None]
         (at,), (before,) = to_pixels(perspective, place, size)
-        text = f"{index + 1}  {self.running.job.capture.observations[index].name}"
+        job = self.running.job
+        text = f"{job.numbers[index] + 1}  {job.capture.observations[index].name}"
         area = beside(at, painter.chip_size(text), 12 * painter.scale, free, taken)
         if before and area is not None:
             painter.chip(text, area.x, area.y)

@@ -33,7 +33,7 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
     model = running.job.model
     names = [parameter.name for parameter in model.parameters]
     parameter = view.parameter if view.parameter in names else names[0]
-    observation = view.index(running.domain.observations)
+    observation = running.observation(view)
     if view.shown == "PARAMETER":
         return (Shown("parameter", parameter, unknown=_unknown_from(view, running, parameter)),)
     if view.shown == "ERROR":
