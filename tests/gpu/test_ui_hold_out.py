@@ -79,6 +79,7 @@ def test_the_window_finds_what_the_command_line_finds(settings, of_cli, tmp_path
     folder, wanted = of_cli
     report = exported(tmp_path / "out")
     assert tuple(report["relighting_psnr_db"]) == HELD_OUT
+    assert report["settings"]["hold_out"] == wanted["settings"]["hold_out"] == "auto"
     assert set(relighting(report)) == set(relighting(wanted))
     for key in ("relighting_psnr_db", "relighting_highlights_psnr_db"):
         assert report[key] == pytest.approx(wanted[key], abs=1e-6)
@@ -217,6 +218,7 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
         np.testing.assert_allclose(running.domain.lights[index, :3], LIGHTS[shown], atol=1e-6)
     assert "of 20" in drawn().texts
     np.testing.assert_array_equal(running.recovery.domain.lights, running.domain.lights[:18])
+    assert np.shares_memory(running.fitted.stack, running.domain.stack)  # a stack on a disk is not read into memory
 
 
 def test_photographs_held_out_belong_to_what_was_asked_and_make_another_domain(settings):
