@@ -37,7 +37,7 @@ from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
 from ..solver.checkpoint import glance
-from ..solver.held_out import held_out_last, preview_names, relit_line, relit_preview
+from ..solver.held_out import held_out_last, order_of, preview_names, relit_line, relit_preview
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
@@ -67,7 +67,10 @@ _RESOLUTION = "512"
 
 @dataclass
 class Job:
-    """What the options come down to, all checked before anything slow is begun."""
+    """What the options come down to, all checked before anything slow is begun.
+
+    numbers: what observations are numbered in their files, from 0, where ``capture`` has them in another order.
+    """
 
     capture: Capture
     model: ReflectanceModel
@@ -82,6 +85,7 @@ class Job:
     name: str
     extras: Extras
     seconds: dict[str, float] = field(default_factory=dict)
+    numbers: list[int] | None = None
 
 
 @dataclass
@@ -184,7 +188,7 @@ def finish(
         report["left_out"] = [asdict(one) for one in left_out]
     report["unseen_texels"] = int((domain.bake.coverage & ~maps.covered).sum())
     if lights is not None:
-        report["lights"] = lights.report()
+        report["lights"] = lights.report(job.numbers)
     preview = error_preview(domain, maps, job.truth, preview_names(job.capture, job.held_out))
     pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | confidence_preview(maps)
     pictures |= relit
@@ -326,6 +330,7 @@ def _plan(
 def _domain(options: Namespace, job: Job, mesh: MeshData | None, plan: Plan) -> Domain:
     scratch = scratch_folder(job.folder) if plan.stack_on == "scratch" else None
     if scratch is not None:
+        job.numbers = order_of(len(job.capture.observations), job.held_out)
         job.capture, job.held_out = held_out_last(job.capture, job.held_out)
     if mesh is None:
         steps = card_steps(job.capture, scratch=scratch)

@@ -86,6 +86,14 @@ def test_no_file_of_the_result_depends_on_the_memory(capture, whole, memory, tmp
     assert os.listdir(tmp_path) == ["out"]
 
 
+def test_a_stack_on_a_disk_keeps_the_lights_of_the_report_in_the_order_of_the_files(capture, tmp_path):
+    found = []
+    for name, memory in (("memory", ()), ("scratch", ("--memory", SCRATCH))):
+        recover(capture, tmp_path / name, "--intensities", "estimate", *memory)
+        found.append(json.loads((tmp_path / name / "report.json").read_text())["lights"])
+    assert found[0] == found[1]
+
+
 def test_tiles_that_are_interrupted_go_on_to_the_same_files(capture, whole, tmp_path, monkeypatch):
     options = [*options_of(capture, tmp_path / "out"), "--memory", TURNS]
     step, calls = TiledRecovery.step, []

@@ -1,9 +1,10 @@
-"""What --hold-out asks for."""
+"""What --hold-out asks for, the order in which what is held out is read, and the line that tells how it was relit."""
 
 import pytest
 
 from irpso_addon.commands.options import held_out_list
 from irpso_addon.errors import InputError
+from irpso_addon.solver.held_out import FEWEST_SPARING, order_of, relit_line, spared
 
 
 @pytest.mark.parametrize(
@@ -25,3 +26,24 @@ def test_anything_else_is_a_list_of_numbers(text):
     assert held_out_list(None, 16) == [] and held_out_list("3,0", 16) == [3, 0]
     with pytest.raises(InputError, match="--hold-out .*: give different numbers from 0 to 15"):
         held_out_list(text, 16)
+
+
+def test_the_fewest_of_which_one_is_spared_are_told_right():
+    assert spared(FEWEST_SPARING) and not spared(FEWEST_SPARING - 1)
+
+
+def test_what_is_held_out_is_read_last_in_the_order_in_which_it_was_named():
+    assert order_of(6, [4, 1]) == [0, 2, 3, 5, 4, 1] and order_of(3, []) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("psnr", "highlights", "line"),
+    [
+        (33.456, 30.149, "Unseen photographs: 33.5 dB, highlights 30.1 dB"),
+        (33.456, None, "Unseen photographs: 33.5 dB"),
+        (None, None, "Unseen photographs: nothing to compare"),
+    ],
+)
+def test_one_line_tells_the_means(psnr, highlights, line):
+    assert relit_line({"relighting_mean_psnr_db": psnr, "relighting_highlights_mean_psnr_db": highlights}) == line
+    assert relit_line({}) == ""
