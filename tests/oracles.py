@@ -67,13 +67,11 @@ def ior_from_f0(f0):
     return (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
 
 
-def specular_layer_albedo(cos_view, roughness, f0, steps=200):
-    """What Cycles' Principled takes from its base, of one view: A = F0 + (1 − F0) E[s], over visible normals.
+def visible_normals(cos_view, alpha, steps=200):
+    """Nodes over the normals that a view sees: v·h (S, S), n·l of the light that h reflects (S, S), and their mean.
 
-    s = (F(v·h) − F0) / (1 − F0) where the light that h reflects goes up, else 0. The visible normals are integrated
-    over uniform spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
+    They are uniform on spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
     """
-    alpha, ior = roughness**2, ior_from_f0(f0)
     view = np.array([np.sqrt(1 - cos_view**2), 0, cos_view])
     stretched = unit(view * [alpha, alpha, 1])
     nodes, weights = np.polynomial.legendre.leggauss(steps)
@@ -83,9 +81,17 @@ def specular_layer_albedo(cos_view, roughness, f0, steps=200):
     cap = np.stack([radius * np.cos(phi), radius * np.sin(phi), np.broadcast_to(z[:, None], (steps, steps))], axis=-1)
     half = unit((cap + stretched) * [alpha, alpha, 1])
     cosine = np.clip(half @ view, 0, 1)
-    up = 2 * cosine * half[..., 2] > cos_view
-    s = (dielectric(cosine, ior) - f0) / (1 - f0) * up
-    return f0 + (1 - f0) * (s.mean(axis=1) @ (weights / 2))
+    return cosine, 2 * cosine * half[..., 2] - cos_view, lambda value: value.mean(axis=1) @ (weights / 2)
+
+
+def specular_layer_albedo(cos_view, roughness, f0):
+    """What Cycles' Principled takes from its base, of one view: A = F0 + (1 − F0) E[s], over visible normals.
+
+    s = (F(v·h) − F0) / (1 − F0) where the light that h reflects goes up, else 0.
+    """
+    cosine, light, mean = visible_normals(cos_view, roughness**2)
+    s = (dielectric(cosine, ior_from_f0(f0)) - f0) / (1 - f0) * (light > 0)
+    return f0 + (1 - f0) * mean(s)
 
 
 def specular_layer_fit(cos_view, roughness, f0):
@@ -96,6 +102,42 @@ def specular_layer_fit(cos_view, roughness, f0):
     below = r + 3.508 * m + 3.157 * m**2 + 0.3903 * r * m + 0.7437 * r**2
     squared = m**2 + r**2 * above / below * (f0 + 0.004179) / (f0 + 0.007262)
     return dielectric(np.sqrt(np.clip(squared, 0, 1)), ior_from_f0(f0))
+
+
+def ggx_albedo(cos_view, roughness):
+    """∫ D V n·l dω of a GGX lobe without Fresnel: what one reflection returns."""
+    alpha = roughness**2
+    _, light, mean = visible_normals(cos_view, alpha)
+    up, seen = light > 0, smith_ggx(1.0, cos_view, alpha)
+    return mean(np.where(up, smith_ggx(np.where(up, light, 1), cos_view, alpha) / seen, 0))
+
+
+def coat_returned(roughness, lost=None):
+    """Fms of Kulla & Conty 2017 for IOR 1.5. lost: 1 − the cosine-weighted mean albedo; None integrates it."""
+    if lost is None:
+        nodes, weights = np.polynomial.legendre.leggauss(24)
+        cosines = (nodes + 1) / 2
+        lost = 1 - sum(w * c * ggx_albedo(c, roughness) for w, c in zip(weights, cosines, strict=True))
+    f = 0.5 / (4.08567 + 1.00071 * 1.5)
+    return f * (1 - lost) / (1 - f * lost)
+
+
+def coat_albedo(cos_view, roughness):
+    """Cycles' coat: (gain of its lobe by further reflections, what it takes from the base), integrated."""
+    albedo = ggx_albedo(cos_view, roughness)
+    gain = 1 + coat_returned(roughness) * (1 - albedo) / albedo
+    return gain, gain * albedo * specular_layer_albedo(cos_view, roughness, 0.04)
+
+
+def coat_fit(cos_view, roughness):
+    """The shader's fits to ``coat_albedo``: a rational function of n·v and α for E, a polynomial for its mean."""
+    m, r = np.asarray(cos_view), np.asarray(roughness)
+    a = r**2
+    lost = 0.1945 * a * m - 0.428 * a * m**2 + 0.1761 * a * m**3 + 0.0234 * a**2 + 0.9081 * a**2 * m
+    once = 1 - (lost + 0.77 * a**2 * m**2) / (m**2 - 0.2457 * a * m + 1.6195 * a**2)
+    returned = coat_returned(r, 0.5947 * r**3 + 1.0653 * r**4 - 1.486 * r**6)
+    gain = 1 + returned * (1 - once) / once
+    return gain, gain * once * specular_layer_fit(m, r, 0.04)
 
 
 class Configuration:
@@ -153,6 +195,61 @@ def metallic_roughness(p, light, view):
     fresnel = p["base_color"] + (1 - p["base_color"]) * ((1 - c.between) ** 5)[..., None]
     metal = np.where(c.seen[..., None], lobe[..., None] * fresnel, 0)
     return (1 - metallic) * dielectric_part + metallic * metal
+
+
+def clear_coat(p, light, view, coat=coat_fit):
+    """A coat over ``principled_metallic``: its parameters, coat_weight and coat_roughness.
+
+    coat: ``coat_fit``, as the shader has it, or any function like it.
+    """
+    c = Configuration(p["normal"], light, view)
+    weight, alpha = np.asarray(p["coat_weight"]), np.asarray(p["coat_roughness"]) ** 2
+    gain, albedo = coat(c.view, p["coat_roughness"])
+    lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) * dielectric(c.between, 1.5) / (4 * c.view)
+    base = principled_metallic(p, light, view) * (1 - weight * albedo)[..., None]
+    return base + np.where(c.seen, weight * gain * lobe, 0)[..., None]
+
+
+def grain(normal, rotation):
+    """Tangent and bitangent (…, 3) of a normal: x laid into its plane, turned about it by ``rotation`` full turns."""
+    normal = np.asarray(normal, np.float64)
+    x = np.array([1.0, 0, 0])
+    along = unit(x - dot(normal, x)[..., None] * normal)
+    across = np.cross(normal, along)
+    cosine, sine = np.cos(2 * np.pi * rotation)[..., None], np.sin(2 * np.pi * rotation)[..., None]
+    return cosine * along + sine * across, cosine * across - sine * along
+
+
+def brushed(p, light, view, anisotropic, rotation):
+    """Blender's Principled with distribution GGX by its own Anisotropic and Anisotropic Rotation.
+
+    base_color, normal, roughness, metallic. Burley 2012 for D; Λ of Heitz 2014 Eq. 72 with the roughness in the
+    direction's azimuth (Eq. 80), Eq. 99.
+    """
+    c = Configuration(p["normal"], light, view)
+    aspect, square = np.sqrt(1 - 0.9 * anisotropic), np.asarray(p["roughness"]) ** 2
+    wide, narrow = np.minimum(square / aspect, 1), square * aspect
+    along, across = grain(p["normal"], rotation)
+
+    def spread(direction, cosine):
+        squared = (wide * dot(along, direction)) ** 2 + (narrow * dot(across, direction)) ** 2
+        return (np.sqrt(1 + squared / cosine**2) - 1) / 2
+
+    azimuth = np.arctan2(dot(across, light + view), dot(along, light + view))
+    slope = np.tan(c.theta) ** 2 * ((np.cos(azimuth) / wide) ** 2 + (np.sin(azimuth) / narrow) ** 2)
+    d = 1 / (np.pi * wide * narrow * np.cos(c.theta) ** 4 * (1 + slope) ** 2)
+    lobe = np.pi * d / (1 + spread(light, c.light) + spread(view, c.view)) / (4 * c.view)
+    diffuse = c.light * (1 - specular_layer_fit(c.view, (wide * narrow) ** 0.25, 0.04))
+    metallic, colour = np.asarray(p["metallic"])[..., None], p["base_color"]
+    paint = colour * diffuse[..., None] + (lobe * dielectric(c.between, 1.5))[..., None]
+    metal = lobe[..., None] * (colour + (1 - colour) * ((1 - c.between) ** 5)[..., None])
+    return np.where(c.seen[..., None], (1 - metallic) * paint + metallic * metal, 0)
+
+
+def anisotropic(p, light, view):
+    """``brushed`` by the cosine and the sine of twice the grain's angle: stretch and slant."""
+    strength = np.minimum(np.hypot(p["stretch"], p["slant"]), 1)
+    return brushed(p, light, view, strength, np.arctan2(p["slant"], p["stretch"]) / (4 * np.pi))
 
 
 def cook_torrance_two_lobe(p, light, view):
@@ -225,6 +322,8 @@ MODELS = {
     "principled": principled,
     "principled_metallic": principled_metallic,
     "metallic_roughness": metallic_roughness,
+    "clear_coat": clear_coat,
+    "anisotropic": anisotropic,
     "cook_torrance_two_lobe": cook_torrance_two_lobe,
     "principled_two_lobe": principled_two_lobe,
     "ward": ward,

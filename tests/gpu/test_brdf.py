@@ -134,6 +134,26 @@ def test_the_fit_of_the_specular_layer_is_the_same_in_the_oracle(root):
     assert_close(got, oracles.specular_layer_fit(view, roughness, f0), 3e-5, 1e-7)
 
 
+def test_the_coat_takes_and_gives_what_the_integrals_say(root):
+    view, roughness, _ = grid([1e-3, 0.03, 0.09, 0.25, 0.55, 0.8, 1.0], [0.02, 0.1, 0.2, 0.3, 0.45, 0.6], [0.0])
+    integral = np.array([oracles.coat_albedo(*row) for row in zip(view, roughness, strict=True)])
+    gain = evaluate(root, "coat_gain(x.x, x.y)", view, roughness)
+    albedo = evaluate(root, "E_Coat(x.x, x.y)", view, roughness)
+    assert np.abs(gain - integral[:, 0]).max() < 0.002
+    error = np.abs(albedo - integral[:, 1])
+    assert error[view > 0.089].max() < 0.01
+    assert error.max() < 0.02
+    assert error.mean() < 0.003
+    print(error[view > 0.089].max(), error.max(), error.mean(), np.abs(gain - integral[:, 0]).max())
+
+
+def test_the_fit_of_the_coat_is_the_same_in_the_oracle(root):
+    view, roughness, _ = grid(np.linspace(1e-4, 1, 60), np.linspace(0.02, 0.6, 40), [0.0])
+    gain, albedo = oracles.coat_fit(view, roughness)
+    assert_close(evaluate(root, "coat_gain(x.x, x.y)", view, roughness), gain, 4 * EPS)
+    assert_close(evaluate(root, "E_Coat(x.x, x.y)", view, roughness), albedo, 3e-5, 1e-7)
+
+
 def test_the_specular_layer_takes_four_percent_head_on_and_a_quarter_to_a_half_at_grazing(root):
     view = np.cos(np.radians([0, 80]))
     smooth = evaluate(root, "E_SpecularLayer(x.x, x.y, x.z)", view, [0.05, 0.05], [0.04, 0.04])

@@ -2,6 +2,7 @@
 
 #include "brdf/d_beckmann.glsl"
 #include "brdf/d_ggx.glsl"
+#include "brdf/e_coat.glsl"
 #include "brdf/e_specular.glsl"
 #include "brdf/f_dielectric.glsl"
 #include "brdf/f_schlick.glsl"

@@ -1,0 +1,32 @@
+// Directions along and across the grain of an anisotropic surface.
+
+struct Grain {
+    vec3 along;
+    vec3 across; // n × along
+};
+
+// The x axis of the texel's frame, made perpendicular to n: the tangent of Blender's UV map on a mesh, the image's x on a
+// card. Where n is the x axis itself there is none, and y serves.
+Grain grain_of(vec3 n)
+{
+    // n × x, of which no digit is lost however near n is to x.
+    float squared = n.y * n.y + n.z * n.z;
+    vec3 across = squared > 1e-30 ? vec3(0.0, n.z, -n.y) * inversesqrt(squared) : vec3(0.0, 0.0, 1.0);
+    return Grain(cross(across, n), across);
+}
+
+// The grain turned about n by half the angle of the vector ``twice`` (cos 2θ, sin 2θ) of any length; not turned where that
+// is 0. A grain turned by half a turn is the same grain.
+Grain turned_grain(Grain g, vec2 twice)
+{
+    float squared = dot(twice, twice);
+    vec2 d = squared > 1e-30 ? twice * inversesqrt(squared) : vec2(1.0, 0.0);
+    // cos² θ = (1 + cos 2θ) / 2 and sin 2θ = 2 sin θ cos θ, from the one of them that is not small.
+    float large = sqrt(0.5 + 0.5 * abs(d.x));
+    float small = 0.5 * abs(d.y) / large;
+    vec2 half_turn = d.x >= 0.0 ? vec2(large, small) : vec2(small, large);
+    if (d.y < 0.0) {
+        half_turn.y = -half_turn.y;
+    }
+    return Grain(half_turn.x * g.along + half_turn.y * g.across, half_turn.x * g.across - half_turn.y * g.along);
+}

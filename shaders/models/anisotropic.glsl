@@ -1,0 +1,82 @@
+// Brushed surfaces: a metallic–roughness material of IOR 1.5 whose lobe is wider along its grain, as Blender's Principled
+// BSDF with distribution GGX, Anisotropic and Anisotropic Rotation renders it in Cycles. See ../README.md for the contract
+// of a model. Burley 2012, Physically-Based Shading at Disney. Given the lobe, radiance is linear in the base colour.
+//
+// stretch = a cos 4πρ and slant = a sin 4πρ stand for Anisotropic a and Anisotropic Rotation ρ (1 is a full turn). A grain
+// turned by half a turn is the same grain, so ρ has the period 1/2. Searched in a box, ρ would have a wall where its ends
+// are one and the same, and no meaning where a is 0. The pair has neither: radiance is smooth in both where a is 0, which
+// is their middle, and means of pairs are right. Beyond a = 1, in the corners of their square, a counts as 1, as Blender
+// counts it.
+
+#include "brdf/d_ggx_anisotropic.glsl"
+#include "brdf/principled_layers.glsl"
+#include "brdf/tangent.glsl"
+#include "brdf/v_smith_ggx_anisotropic.glsl"
+
+// F0 at Blender's Specular IOR Level of 0.5, and its IOR.
+#define ANISOTROPIC_F0 0.04
+#define ANISOTROPIC_IOR 1.5
+
+// αx and αy, along and across the grain. Burley 2012: αx = r² / aspect, αy = r² aspect, aspect = √(1 − 0.9 a). Cycles
+// takes no α above 1.
+vec2 anisotropic_widths(Material s)
+{
+    float a = min(length(vec2(s.stretch, s.slant)), 1.0);
+    float aspect = sqrt(1.0 - 0.9 * a);
+    float alpha = s.roughness * s.roughness;
+    return vec2(min(alpha / aspect, 1.0), alpha * aspect);
+}
+
+// π D V n·l.
+float anisotropic_lobe(Material s, Angles a, vec2 widths, vec3 l, vec3 v)
+{
+    Grain g = turned_grain(grain_of(s.normal), vec2(s.stretch, s.slant));
+    vec2 h = xy_of_half(s.normal, g.along, g.across, l, v);
+    float D = D_GGXAnisotropic(h.x, h.y, a.NoH, widths.x, widths.y);
+    vec3 light = vec3(dot(g.along, l), dot(g.across, l), a.NoL);
+    vec3 view = vec3(dot(g.along, v), dot(g.across, v), a.NoV);
+    return 3.14159265358979 * D * V_SmithGGXAnisotropic(light, view, widths.x, widths.y) * a.NoL;
+}
+
+// What one unit of base colour reflects, and what is reflected whatever the colour.
+void anisotropic_parts(Material s, vec3 l, vec3 v, out float base, out float fixed_part)
+{
+    base = 0.0;
+    fixed_part = 0.0;
+    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
+        return;
+    }
+    Angles a = angles_of(s.normal, l, v);
+    vec2 widths = anisotropic_widths(s);
+    float lobe = anisotropic_lobe(s, a, widths, l, v);
+    float edge = grazing(l, v, a.VoH);
+    // Cycles asks the layer's table with the roughness of an isotropic lobe of the same αx αy (measured on bpy 5.0.1).
+    float roughness = sqrt(sqrt(widths.x * widths.y));
+    float diffuse = layered_diffuse(a.NoL, a.NoV, roughness, ANISOTROPIC_F0);
+    base = mix(diffuse, lobe * (1.0 - edge), s.metallic);
+    fixed_part = lobe * mix(F_Dielectric(a.VoH, ANISOTROPIC_IOR), edge, s.metallic);
+}
+
+vec3 basis_base_color(Material s, vec3 l, vec3 v)
+{
+    float base;
+    float fixed_part;
+    anisotropic_parts(s, l, v, base, fixed_part);
+    return vec3(base);
+}
+
+vec3 basis_fixed(Material s, vec3 l, vec3 v)
+{
+    float base;
+    float fixed_part;
+    anisotropic_parts(s, l, v, base, fixed_part);
+    return vec3(fixed_part);
+}
+
+vec3 reflectance(Material s, vec3 l, vec3 v)
+{
+    float base;
+    float fixed_part;
+    anisotropic_parts(s, l, v, base, fixed_part);
+    return s.base_color * base + vec3(fixed_part);
+}
