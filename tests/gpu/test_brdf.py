@@ -144,7 +144,6 @@ def test_the_coat_takes_and_gives_what_the_integrals_say(root):
     assert error[view > 0.089].max() < 0.01
     assert error.max() < 0.02
     assert error.mean() < 0.003
-    print(error[view > 0.089].max(), error.max(), error.mean(), np.abs(gain - integral[:, 0]).max())
 
 
 def test_the_fit_of_the_coat_is_the_same_in_the_oracle(root):

@@ -181,7 +181,7 @@ def set_back(node):
         node.inputs[name].default_value = value
 
 
-@pytest.mark.parametrize(("coat_roughness", "worst"), [(0.1, 0.06), (0.3, 0.01), (0.45, 0.01), (0.6, 0.01)])
+@pytest.mark.parametrize(("coat_roughness", "worst"), [(0.1, 0.04), (0.3, 0.012), (0.45, 0.012), (0.6, 0.012)])
 @pytest.mark.parametrize("weight", [0.4, 1.0])
 @pytest.mark.parametrize(("roughness", "metallic"), [(0.3, 0.0), (0.6, 0.5), (0.9, 1.0)])
 def test_a_clear_coat_is_what_cycles_renders(
@@ -200,7 +200,8 @@ def test_a_clear_coat_is_what_cycles_renders(
     finally:
         set_back(node)
     print(f"\ncoat {weight} {coat_roughness} over {roughness} {metallic}: {error.mean():.2%}, max {error.max():.2%}")
-    # What a narrow coat takes at grazing views Cycles reads from 16 values a dimension: n·v of 0.06 is between two.
+    # The fits of what the coat and the base's own layer take add up. At grazing views Cycles reads what a narrow coat
+    # takes from a coarse table: at n·v = 0.06 and roughness 0.1, 0.665 in place of 0.684.
     assert error.max() < worst
     assert error.mean() < 0.0025
 
