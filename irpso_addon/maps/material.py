@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..files import replacing_file
 from ..reflectance.model import ReflectanceModel
 from . import two_lobe
+from .anisotropy import connect_grain
 from .displacement import METHOD, displacement, divide
 from .height import Height
 from .nodes import OwnNodes, set_input
@@ -51,14 +52,14 @@ def build_material(
     tables = map_tables(maps.model)
     former = _own_material(subject)
     material = former or _new_material(subject)
-    build = two_lobe.surface if maps.model.material.get("shader") == "two_lobe" else _principled
+    build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
     try:
         with OwnNodes(material.node_tree) as nodes:
-            surface, sockets = build(nodes, maps.model)
+            surface, sockets = build(nodes, maps.model, uv_map)
             folder = None if images_folder is None else Path(images_folder).resolve()
             images = material_images(maps, subject, folder)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
-            for name, socket in sockets.items():
+            for name, socket in sockets:
                 nodes.link(sources[name], socket)
             output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
             nodes.link(surface, output.inputs["Surface"])
@@ -318,8 +319,13 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
     return sources
 
 
-def _principled(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
-    """Make the Principled BSDF; return its output and parameter name → the socket it names, if there is one."""
+def _two_lobe(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:
+    output, sockets = two_lobe.surface(nodes, model)  # isotropic: it needs no tangent of the UV map
+    return output, list(sockets.items())
+
+
+def _principled(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:
+    """Make the Principled BSDF; return its output and pairs of a parameter's name and a socket that it drives."""
     table = model.material.get("settings", {})
     if not isinstance(table, dict):
         raise InputError(f"model {model.name}: settings is a table, written [material.settings], not {table!r}")
@@ -338,5 +344,7 @@ def _principled(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[
             set_input(node, name, value)
         except (TypeError, ValueError) as error:
             raise InputError(f"model {model.name}: [material.settings] '{name}' cannot be {value!r}") from error
-    sockets = {p.name: node.inputs[p.socket] for p in model.parameters if p.socket and p.socket in node.inputs}
-    return node.outputs["BSDF"], sockets
+    sockets = [(p.name, node.inputs[p.socket]) for p in model.parameters if p.socket and p.socket in node.inputs]
+    if "Coat Weight" in driven:  # left alone, a coat has the normal of the mesh
+        sockets += [(p.name, node.inputs["Coat Normal"]) for p in model.parameters if p.is_normal]
+    return node.outputs["BSDF"], sockets + list(connect_grain(nodes, model, node, uv_map).items())
