@@ -203,7 +203,7 @@ def resolve(
             if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
                 raise InputError(
                     f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
-                    " search fewer, give some as known, or search the normal on the hemisphere"
+                    ' search fewer, set linear = "solve", give some as known, or search the normal on the hemisphere'
                 )
             resolved.append(result)
     if found:
