@@ -92,14 +92,20 @@ def test_no_grain_is_found_where_there_is_none(metallic, color):
     within(found, truth, {"metallic": 0.02, "roughness": 0.02})
 
 
-def test_a_coat_of_a_material_without_highlights_is_none():
+def matt_paint():
     made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
     rng = np.random.default_rng(4)
     truth = {"normal": relief(*SHAPE, rng), "base_color": np.broadcast_to(PAINT, (*SHAPE, 3))}
     stack = np.ones((LIGHTS, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, "lambert", truth)
-    domain = photographed(replace(made, stack=stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
+    return photographed(replace(made, stack=stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
+
+
+def test_matt_paint_has_no_coat_and_no_grain():
+    domain = matt_paint()
     assert np.quantile(recovered(domain, COAT)["coat_weight"], 0.95) < 0.05
+    found = recovered(domain, GRAIN)
+    assert np.quantile(np.hypot(found["stretch"], found["slant"]), 0.9) < 0.3
 
 
 def material_of(model, **options):
