@@ -37,9 +37,10 @@ import numpy as np
 from benchmarks.scenes import card_captures, cards
 from benchmarks.scenes.card_captures import SHOOTINGS, Photographed
 from benchmarks.scenes.command import ROOT, recover
-from benchmarks.scenes.gloss_table import Row, one_run, read_rows, side_by_side
+from benchmarks.scenes.gloss_table import Row, coverage, one_run, read_rows, side_by_side
 from benchmarks.scenes.scores import angles, psnr
 from benchmarks.scenes.textured import TrueMaps
+from irpso_addon.capture.exr import read_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.maps.blender_images import decode, encode_png
@@ -65,7 +66,8 @@ def measure(name: str, kind: str, card: cards.Card, options: argparse.Namespace)
     found = recovered_maps(out, options.model)
     pictures = card_captures.relight(found, SHOOTINGS[kind].near, out / "relit")
     row = {"card": name, "capture": kind, **_how(options)}
-    row |= errors(found, shot.truth) | picture_errors(pictures, shot) | {"seconds": seconds}
+    row |= errors(found, shot.truth) | beyond(found, shot.truth, out)
+    row |= picture_errors(pictures, shot) | {"seconds": seconds}
     encode_png(options.out / f"{name}-{kind}.png", sheet(found, pictures, shot), bits=8)
     if not options.keep:
         shutil.rmtree(out)
@@ -107,6 +109,23 @@ def errors(found: TrueMaps, truth: dict[str, np.ndarray]) -> Row:
         "roughness_matt": _of(np.mean, rough[~glossy]),
         "roughness_matt_median": _of(np.median, rough[~glossy]),
     }
+
+
+def beyond(found: TrueMaps, truth: dict[str, np.ndarray], out: Path) -> Row:
+    """Return for each map the share of the texels whose error is above three of the deviations that were reported.
+
+    A color is wrong where one of its channels is.
+    """
+    layers = read_exr(out / "confidence.exr")
+    wrong = {"normal": np.radians(angles(found.normal, truth["normal"]))[..., None]}
+    for name in ("base_color", "metallic", "roughness"):
+        wrong[name] = np.abs(np.atleast_3d(getattr(found, name)) - np.atleast_3d(truth[name]))
+    shares = {}
+    for name, error in wrong.items():
+        deviation = layers.get(f"confidence_{name}")
+        over = None if deviation is None else (error > 3 * np.stack(list(deviation.values()), axis=-1)).any(axis=-1)
+        shares[f"beyond_{name}"] = None if over is None else float(over.mean())
+    return shares
 
 
 def _of(summary, values: np.ndarray) -> float | None:
@@ -221,7 +240,8 @@ def measure_all(names: list[str], kinds: list[str], table: dict, options: argpar
             rows[name, kind] = measure(name, kind, table[name](), options)
             sys.stderr.write(f"{one_run([rows[name, kind]]).splitlines()[-1]}\n")
             path.write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
-    (options.out / "gloss.md").write_text(one_run(list(rows.values())) + "\n", encoding="utf-8")
+    tables = f"{one_run(list(rows.values()))}\n\n{coverage(list(rows.values()))}\n"
+    (options.out / "gloss.md").write_text(tables, encoding="utf-8")
     return list(rows.values())
 
 

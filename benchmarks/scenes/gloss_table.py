@@ -38,6 +38,20 @@ COMPARED = {
 }
 
 
+# Of each map, per cent of the texels whose error is above three deviations.
+BEYOND = {f"beyond_{name}": name for name in ("normal", "base_color", "metallic", "roughness")}
+
+
+def coverage(rows: Sequence[Row]) -> str:
+    """Return the markdown table of how many texels are further off than three of their deviations, in per cent."""
+    lines = [_line(["card", "capture", *(f"{name} > 3 σ, %" for name in BEYOND.values())])]
+    lines.append("|---" * (len(BEYOND) + 2) + "|")
+    for row in rows:
+        shares = ("–" if row.get(key) is None else f"{100 * row[key]:.1f}" for key in BEYOND)
+        lines.append(_line([row["card"], row["capture"], *shares]))
+    return "\n".join(lines)
+
+
 def one_run(rows: Sequence[Row]) -> str:
     """Return the markdown table of rows, one a card and capture."""
     lines = [_line(["card", "capture", "label", *(heading for heading, _ in COLUMNS.values())])]

@@ -83,7 +83,7 @@ class ResolvedSurvey:
 class ResolvedPrior:
     """The spatial prior for one model.
 
-    parameters: all that is found. pooled: the scalars that neighbours say something of. step: what is then moved.
+    parameters: all that is found. pooled: the scalars among them; colours are pooled, too. step: what is then moved.
     """
 
     parameters: tuple[Parameter, ...]

@@ -156,12 +156,12 @@ class Materials:
 class Prior:
     """What neighbours say of the numbers that a texel's own samples do not tell, after the polish.
 
-    rounds: how often the scalars are pooled over neighbours, 0 for no prior; scales: a round reaches 2^scales texels.
-    iterations: Levenberg–Marquardt steps with the prior then, with the polish's damping. likeness: neighbours are alike
-    that differ by this fraction of a scalar's range, or by the fraction likeness_color of a colour. spread: scalars of
-    like texels are taken to differ by this fraction of the range or more. noise_freedom: for how many samples of a
-    texel's own the neighbours' noise counts with it. share: a texel is left alone of which the prior would have less.
-    tolerance: by how many σ of the noise the fit may become worse. turn: whether normals are moved too.
+    rounds: how often colours and scalars are pooled over neighbours, 0 for no prior; scales: a round reaches 2^scales
+    texels. iterations: Levenberg–Marquardt steps with the prior then, with the polish's damping. likeness: neighbours
+    are alike that differ by this fraction of a scalar's range, or by the fraction likeness_color of a colour. spread:
+    numbers of like texels are taken to differ by this fraction of the range or more. noise_freedom: for how many
+    samples of a texel's own the neighbours' noise counts with it. share: a texel is left alone of which the prior would
+    have less. tolerance: by how many σ of the noise the fit may become worse. turn: whether normals are moved too.
     """
 
     rounds: int = 0

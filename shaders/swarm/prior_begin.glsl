@@ -1,4 +1,4 @@
-// Over W×H texels: where the fit with a prior begins, with every pooled number at the mean of what a texel's own samples
+// Over W×H texels: where the fit with a prior begins, with every colour and scalar at the mean of what a texel's own samples
 // and the prior say, each weighed by its precision. A texel of which the prior would have less than LEAST_SHARE in every
 // number is left as it is. Reads the estimates, their own deviations, the prior (prior_belief.glsl) and u_noise.
 // Writes o_estimate_0 …, o_status (polish_state.glsl) and o_penalty: the penalty of the estimates as they were.

@@ -1,5 +1,5 @@
-// Over W×H texels: what the neighbours that are like a texel say of its pooled numbers. A neighbour weighs
-// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), over colours and pooled numbers alike: what is not told makes no
+// Over W×H texels: what the neighbours that are like a texel say of its colours and scalars. A neighbour weighs
+// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), over all of them: what is not told makes no
 // difference. Then the mean and the spread over neighbours, each of its own precision, by random effects (DerSimonian &
 // Laird 1986, Meta-analysis in Clinical Trials), with s for how often a neighbour counts:
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
