@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from ..gpu import textures
 from ..gpu.bands import Bands
-from ..gpu.passes import Entry
-from ..reflectance.model import ReflectanceModel
 from .mixture import features_of, material_table, sampled
-from .polish import BEST, SPREAD, Judge, RunningPolish, Track
+from .polish import BEST, SPREAD, RunningPolish, Track
 from .polish_kernels import SPREAD_REACH
-from .resolve import ResolvedMaterials
-from .schedule import Schedule
-from .state import SOLVED, DomainTextures, Estimates, texel_states
+from .state import SOLVED, texel_states
 
 _TABLE = "materials"  # in a state
 
@@ -27,19 +24,7 @@ class RunningMaterials(RunningPolish):
     0; without, its own stands for the whole.
     """
 
-    def __init__(
-        self,
-        resolved: ResolvedMaterials,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-        judge: Judge | None = None,
-    ):
-        super().__init__(resolved, model, schedule, domain, estimates, entry, judge)
-        self._model, self._resolved = model, resolved
-        self._table: Any = None
+    _table: Any = None
 
     @property
     def reach(self) -> int:
@@ -60,7 +45,7 @@ class RunningMaterials(RunningPolish):
         features = features_of(self._model, self._resolved.parameters, sample)
         self._table = textures.upload(material_table(features, self._resolved.materials.count))
 
-    def advance(self, bands: Bands, seconds: float) -> Any:
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RunningPolish does."""
         yield from self._open(bands)
         if self._in_round and self._table is None:

@@ -58,11 +58,13 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
 def material_table(features: np.ndarray, count: int) -> np.ndarray:
     """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/swarm/shared_materials.glsl.
 
-    features: (n, d) numbers, d ≤ 12, that are alike where they differ by less than 1. Expectation maximisation
+    features: (n, d) numbers, d ≤ 12, that are alike where they differ by less than 1; rows that are not finite are left
+    out. Expectation maximisation
     (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of k-means++ (Arthur and
     Vassilvitskii 2007).
     """
-    share, mean, variance = mixture(features, count)
+    finite = features[np.isfinite(features).all(axis=1)]
+    share, mean, variance = mixture(finite if len(finite) else np.zeros((1, features.shape[1])), count)
     inverse = 1.0 / (1.0 + variance)
     table = np.zeros((_ROWS, len(share), 4), np.float32)
     for row, values in ((0, mean), (3, inverse)):

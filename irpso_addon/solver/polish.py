@@ -86,6 +86,7 @@ class RunningPolish(Phase):
         self._judge = judge
         self.title, self.iterations = resolved.title, resolved.iterations
         self.iteration = 0
+        self._resolved, self._model = resolved, model
         self._schedule, self._domain, self._estimates = schedule, domain, estimates
         self._components = model.components
         self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)

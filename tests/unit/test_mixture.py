@@ -46,6 +46,13 @@ def test_a_surface_of_one_material_has_one(texels):
     assert share_at(table, np.array([2.0, 5.0, 0.0, 1.0])) == pytest.approx(1 / 1.25**2)  # of the least variance
 
 
+def test_texels_that_hold_no_numbers_are_no_material(groups):
+    x = np.concatenate(groups)
+    spoilt = np.concatenate([x[:1000], np.full((5, 3), np.nan), x[1000:]])
+    np.testing.assert_array_equal(material_table(spoilt, 4), material_table(x, 4))
+    assert np.isfinite(material_table(np.full((3, 3), np.nan), 4)).all()
+
+
 def test_the_sample_is_that_of_the_whole_whatever_the_parts_and_their_order():
     rng = np.random.default_rng(5)
     rows, columns = (a.ravel() for a in np.mgrid[100:250, 7:97])
