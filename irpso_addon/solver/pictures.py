@@ -55,7 +55,8 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
         labels += [_title(name), f"± one sigma (red: {red:.2g})"]
     if not images:
         return {}
-    return {"confidence": gallery("Striped: the photographs do not tell", images, labels, maps.covered)}
+    heading = "Striped: the photographs do not tell, and what the model believes stands"
+    return {"confidence": gallery(heading, images, labels, maps.covered)}
 
 
 def _striped(image: np.ndarray, where: np.ndarray) -> np.ndarray:
