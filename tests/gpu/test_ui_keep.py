@@ -168,7 +168,8 @@ def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_pat
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {
         *(f"{name}.{kind}" for name in MAPS for kind in ("png", "exr")),
-        "maps.exr", "residual.exr", "confidence.exr", "report.json", "preview.png", "convergence.png",
+        "maps.exr", "residual.exr", "confidence.exr", "confidence.png", "report.json", "preview.png",
+        "convergence.png",
     }  # fmt: skip
     found = recovered.maps()
     written = read_exr(tmp_path / "out" / "roughness.exr")["roughness"]["Y"]

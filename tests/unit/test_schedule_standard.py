@@ -109,9 +109,10 @@ def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
         "polish, normals held", "shared materials",
     ]  # fmt: skip
     assert stages[0].iterations == 11
-    assert [p.name for p in stages[-2].parameters] == ["base_color", "normal", "roughness", "specular"]
-    assert [p.name for p in stages[-1].parameters] == ["base_color", "roughness", "specular"]
-    assert stages[-1].iterations == 5 + 2 * 4 and stages[-1].starts == ()
+    assert [p.name for p in stages[-3].parameters] == ["base_color", "normal", "roughness", "specular"]
+    assert [p.name for p in stages[-2].parameters] == ["base_color", "roughness", "specular"]
+    assert stages[-2].iterations == 5 + 2 * 4 and stages[-2].starts == ()
+    assert [p.name for p in stages[-1].parameters] == ["base_color", "normal", "roughness", "specular"]
     matt = resolve(standard, load_model("lambert"), set(), observations=50)
     assert [stage.title for stage in matt][-2:] == ["base_color", "polish"]
     alone = resolve(standard.replaced(search=["normal"]), load_model("lambert"), set(), observations=50)
