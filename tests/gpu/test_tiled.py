@@ -27,7 +27,7 @@ SCHEDULES = {
     "one particle at a time": SHORT.replaced(neighbour_every=3),
     "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
     "several stages": load_schedule("paper").replaced(iterations=6, cycles=2, particles=4, c3=0.3, search=["normal"]),
-    "standard": load_schedule("standard").replaced(iterations=8, prior_rounds=0),
+    "standard": load_schedule("standard").replaced(iterations=8, materials_rounds=0, prior_rounds=0),
     "materials": load_schedule("standard").replaced(
         iterations=2,
         survey_iterations=0,
@@ -36,7 +36,9 @@ SCHEDULES = {
         polish_rounds=0,
         materials_iterations=3,
     ),
-    "polish": load_schedule("standard").replaced(iterations=6, prior_rounds=0, polish=Polish(iterations=3, rounds=2)),
+    "polish": load_schedule("standard").replaced(
+        iterations=6, materials_rounds=0, prior_rounds=0, polish=Polish(iterations=3, rounds=2)
+    ),
 }
 
 
@@ -172,8 +174,7 @@ def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
         assert third.progress.done and everything(third.maps()) == wanted
 
 
-@pytest.mark.parametrize("stop", [2, 5, 6, 8])
-@pytest.mark.parametrize("how", ["resident", "turns"])
+@pytest.mark.parametrize(("how", "stop"), [("resident", 5), ("turns", 6), ("turns", 8)])
 def test_tiles_go_on_within_a_round_of_shared_materials(how, stop, tmp_path):
     domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES["materials"]
     wanted, progress = whole_of(domain, schedule)
