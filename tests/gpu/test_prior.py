@@ -28,7 +28,13 @@ recover = pytest.fixture(recoveries)
 def schedule_of(swarm=8, loss="robust", **settings):
     """Few iterations of swarms and polish, and a prior."""
     schedule = load_schedule("standard").replaced(
-        iterations=swarm, polish_iterations=3, polish_rounds=0, survey_iterations=0, loss=loss, shadow=0.0
+        iterations=swarm,
+        polish_iterations=3,
+        polish_rounds=0,
+        survey_iterations=0,
+        loss=loss,
+        shadow=0.0,
+        materials_rounds=0,
     )
     return schedule.replaced(prior=replace(PRIOR, **settings))
 
@@ -294,7 +300,7 @@ def test_tiles_with_a_halo_of_its_reach_give_the_same_bits(recover, card):
 @pytest.mark.parametrize("on_device", [None, 1])
 def test_tiles_that_are_exchanged_by_the_program_do_so_too(recover, on_device):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
-    schedule = schedule_of()
+    schedule = schedule_of().replaced(materials_rounds=1, materials_iterations=2)
     whole = recover(domain, TWO_LOBES, schedule)
     whole.step()
     boxes = [(0, 0, 7, 13), (7, 0, 10, 4), (7, 4, 10, 9)]
