@@ -193,7 +193,7 @@ def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
     from irpso_addon.ui.keep import pictures_of
 
     maps = recovered.maps()
-    assert set(pictures_of(recovered, maps)) == {"preview"}
+    assert set(pictures_of(recovered, maps)) == {"preview", "confidence"}
     recovered.add_probe(3, 5)
     recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]
     assert set(pictures_of(recovered, maps)) == {"preview", "convergence"}
