@@ -86,7 +86,6 @@ class IRPSO_PT_capture(_BeforeRun, bpy.types.Panel):
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "light_strengths")
         column.prop(settings, "refine_directions")
-        column.prop(settings, "hold_out")
         _draw_check(layout, context, settings)
         if settings.source == "FILES":
             layout.operator("irpso.create_scene", icon="OUTLINER_OB_LIGHT")
@@ -281,6 +280,9 @@ def _draw_start(layout, context, text: str) -> None:
     row = layout.row()
     row.scale_y = 2
     row.operator("irpso.recover", text=text, icon="PLAY")
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(context.scene.irpso, "hold_out")  # below the button, which a row above would push out of sight
     if wanting := missing(context):
         drawing.wrapped(layout, context, wanting, "INFO")
 

@@ -196,7 +196,7 @@ def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
     assert set(pictures_of(recovered, maps)) == {"preview", "confidence"}
     recovered.add_probe(3, 5)
     recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]
-    assert set(pictures_of(recovered, maps)) == {"preview", "convergence"}
+    assert set(pictures_of(recovered, maps)) == {"preview", "confidence", "convergence"}
 
 
 def test_a_fifth_probe_takes_the_place_and_the_number_of_the_oldest_which_is_told(recovered, capfd):
