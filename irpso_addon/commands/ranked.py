@@ -140,9 +140,9 @@ def _share(
 
     window = ranks.agreed(read)
     bake, seams = surface
-    of_all = ranks.given(window and (window.lights, window.intensities, window.views))
+    *of_all, noise = ranks.given(window and (window.lights, window.intensities, window.views, window.noise))
     stack = np.zeros((len(of_all[0]), 0, 0, 4), np.float32)
-    whole = Domain(bake, stack, *of_all, card=job.mesh is None, seams=seams)
+    whole = Domain(bake, stack, *of_all, card=job.mesh is None, seams=seams, noise=noise)
     return Share(whole, found.boxes, found.halo, window)
 
 

@@ -29,6 +29,7 @@ def coarser(domain: Domain) -> Domain:
     return Domain(
         _coarser_bake(domain.bake), stack, domain.lights, domain.intensities, domain.views, (x // 2, y // 2),
         card=domain.card, seams=None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage),
+        noise=domain.noise,
     )  # fmt: skip
 
 

@@ -12,6 +12,8 @@ import time
 import numpy as np
 import pytest
 
+from irpso_addon.maps.blender_images import encode_png
+from irpso_addon.maps.encode import srgb_from_linear
 from tests import cli_maker, mpi_maker
 from tests.cli_maker import run_cli
 
@@ -181,3 +183,18 @@ def test_processes_that_cannot_find_one_another_are_refused(card, tmp_path, monk
     code, out, _ = run_cli(*options_of([card], WIDE, tmp_path / "out"))
     assert code == 2 and "mpi4py" in json.loads(out)["error"]
     assert not (tmp_path / "out").exists()
+
+
+def test_ranks_know_of_the_noise_of_8_bit_files_too(tmp_path):
+    (tmp_path / "card").mkdir()
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps(SHAPE, {}, seed=5), LIGHTS)
+    for number, image in enumerate(images):
+        encode_png(tmp_path / "card" / f"{number:02}.png", srgb_from_linear(np.clip(image, 0, 1)), bits=8)
+    lines = [f"{number:02}.png {x} {y} {z}" for number, (x, y, z) in enumerate(LIGHTS)]
+    (tmp_path / "card" / "dirs.lp").write_text("\n".join([str(len(lines)), *lines]) + "\n")
+    options = [[tmp_path / "card"], ["--model", "lambert", "--iterations", 2, "--colour-space", "srgb"]]
+    code, _, err = run_cli(*options_of(*options, tmp_path / "alone"))
+    assert (code, err) == (0, "")
+    code, _, err = mpi_maker.run(2, *options_of(*options, tmp_path / "ranks"))
+    assert code == 0, err
+    assert files_of(tmp_path / "ranks") == files_of(tmp_path / "alone")
