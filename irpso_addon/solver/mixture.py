@@ -13,7 +13,7 @@ ALIKE_SEARCHED, ALIKE_LINEAR = 0.1, 0.15  # as in shaders/swarm/shared_materials
 _ROWS = 7  # of the table: means of 12 numbers, inverse variances of 12, and how much there is of a material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
-_LEAST_VARIANCE = 0.25  # of a material, of numbers that are told apart where they are 1 apart
+_LEAST_VARIANCE = 0.25  # of a material, of numbers that differ where they are 1 apart
 _LEAST_TEXELS = 4.0  # of the sample: fewer are no material
 _MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix64 (Steele, Lea and Flood 2014)
 

@@ -24,7 +24,7 @@ from .schedule import Schedule
 from .state import DomainTextures, Estimates, loss_constants
 from .unknowns import build_unknowns
 
-# A survey of fewer samples than so many for each of its unknowns judges nobody. Under 16 near lamps it would turn the
+# With fewer samples for each of its unknowns the survey is no acceptance test. Under 16 near lamps it would turn the
 # normals of metals by noise alone (metallic of a gilding 0.056 for 0.042); hollows of bunny_specular that few of its 50
 # lights reach go from 0.82 to 0.69° of mean error.
 _SAMPLES_AN_UNKNOWN = 3

@@ -174,7 +174,7 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
 
 // The variance of the noise, below 0 where there are too few samples to tell.
 // What channels err together (shifts, shading, JPEG's luminance) is one error and not three: ``alike`` is from 1, where they
-// are independent, to 3. So many samples are fewer by it, and of the unknowns what is not colour is told by them alone.
+// are independent, to 3. It divides the number of samples, and those that remain have to determine all but the colours.
 float variance_of(ivec2 texel, float errors, float together, float channels)
 {
 #ifdef NOISE_GIVEN
