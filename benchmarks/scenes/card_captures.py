@@ -143,7 +143,7 @@ def _write(name: str, shooting: Shooting, folder: Path) -> None:
     sensor = Sensor(gain=float(1 / np.quantile(brightest, 1 - _CLIPPED)), **_NOISE)
     with new_folder(folder / CAPTURE) as partly:
         for number, picture in enumerate(pictures):
-            _write_jpeg(partly / f"{number:03d}.jpg", srgb_from_linear(sensor.expose(picture, number)))
+            write_jpeg(partly / f"{number:03d}.jpg", srgb_from_linear(sensor.expose(picture, number)))
         (partly / TABLE).write_text("\n".join(_table(name, shooting.lights, sensor.gain)) + "\n", encoding="utf-8")
 
 
@@ -160,12 +160,12 @@ def _table(name: str, places: np.ndarray, gain: float) -> Iterator[str]:
         yield f"light_intensity = {toml_value(float(gain * place @ place))}"
 
 
-def _write_jpeg(path: Path, codes: np.ndarray) -> None:
+def write_jpeg(path: Path, codes: np.ndarray, quality: int = _QUALITY) -> None:
     """Write (H, W, 3) sRGB values in 0…1, row 0 at the bottom, by Blender, whose loader reads them again."""
     image = bpy.data.images.new(path.stem, codes.shape[1], codes.shape[0])
     try:
         image.pixels.foreach_set(opaque(codes.astype(np.float32)).ravel())
         image.filepath_raw, image.file_format = str(path), "JPEG"
-        image.save(quality=_QUALITY)
+        image.save(quality=quality)
     finally:
         bpy.data.images.remove(image)
