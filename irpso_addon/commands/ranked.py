@@ -6,8 +6,7 @@ import signal
 import sys
 import time
 from argparse import Namespace
-
-import numpy as np
+from dataclasses import fields
 
 from ..capture.damage import naming_remedy
 from ..cluster.job import check_alike, choose_device, going_down_together
@@ -17,7 +16,7 @@ from ..cluster.recovery import Crew, RankedRecovery, serve
 from ..cluster.split import Split, check_fits, check_gathered, split
 from ..errors import InputError, IrpsoError
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
-from ..geometry.domain import Domain, GeometryBake
+from ..geometry.domain import Domain, GeometryBake, laid_on
 from ..geometry.seams import SeamMap
 from ..gpu import context, probe
 from ..solver.memory import machine_memory
@@ -140,10 +139,15 @@ def _share(
 
     window = ranks.agreed(read)
     bake, seams = surface
-    *of_all, noise = ranks.given(window and (window.lights, window.intensities, window.views, window.noise))
-    stack = np.zeros((len(of_all[0]), 0, 0, 4), np.float32)
-    whole = Domain(bake, stack, *of_all, card=job.mesh is None, seams=seams, noise=noise)
+    of_all = ranks.given(window and _without_texels(window))
+    whole = laid_on(of_all, bake, of_all.stack, seams)
     return Share(whole, found.boxes, found.halo, window)
+
+
+def _without_texels(domain: Domain) -> Domain:
+    """Return what all ranks have in common of a domain, to be sent to them: 0 × 0 texels."""
+    bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[:0, :0] for item in fields(GeometryBake)})
+    return laid_on(domain, bake, domain.stack[:, :0, :0])
 
 
 def _check_lit(member: Member, job: Job) -> None:

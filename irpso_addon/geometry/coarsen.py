@@ -6,10 +6,11 @@ A coarse texel stands for the 2 × 2 texels under it that are covered; an odd ro
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from .domain import Domain, GeometryBake
+from .domain import Domain, GeometryBake, laid_on
 from .seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # of a mean of unit vectors: shorter ones point nowhere, as of two sides of a thin wall
@@ -26,11 +27,8 @@ def coarser(domain: Domain) -> Domain:
         raise ValueError("a tile with a halo has no coarser domain: its cells would be others than the whole domain's")
     x, y = domain.origin
     stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack])
-    return Domain(
-        _coarser_bake(domain.bake), stack, domain.lights, domain.intensities, domain.views, (x // 2, y // 2),
-        card=domain.card, seams=None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage),
-        noise=domain.noise,
-    )  # fmt: skip
+    seams = None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage)
+    return replace(laid_on(domain, _coarser_bake(domain.bake), stack, seams), origin=(x // 2, y // 2))
 
 
 def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool = False) -> np.ndarray:

@@ -51,8 +51,8 @@ class Domain:
     random numbers are keyed by it, so that a tile of a domain is solved as the whole would be. halo: texels along each
     side of a tile that belong to its neighbours: they are read but never moved. card: whether the domain is the image
     itself rather than a UV square. seams: which texels are neighbours across UV seams; where None, as on a card, those
-    beside a texel are. noise: standard deviation of the photographs' sRGB codes, as a fraction of white; 0 where their
-    files are finer than that.
+    beside a texel are. noise: standard deviation of the photographs' sRGB codes, as a fraction of white
+    (capture/noise.py); 0 where their files are finer than that.
     """
 
     bake: GeometryBake
@@ -110,6 +110,11 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
     )
+
+
+def laid_on(domain: Domain, bake: GeometryBake, stack: np.ndarray, seams: SeamMap | None = None) -> Domain:
+    """Return a domain of other texels, whole and at the origin; lights, views and noise are those of the domain."""
+    return replace(domain, bake=bake, stack=stack, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0))
 
 
 def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 0) -> Domain:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..capture.bounds import without_bounds
-from ..geometry.domain import Domain, GeometryBake
+from ..geometry.domain import Domain, GeometryBake, laid_on
 from .prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
@@ -109,7 +109,7 @@ def _gathered(domain: Domain, stack: np.ndarray, rows: np.ndarray, columns: np.n
         **{item.name: _grid(getattr(domain.bake, item.name)[rows, columns], shape) for item in fields(GeometryBake)}
     )
     layers = np.stack([_grid(layer, shape) for layer in stack])
-    return Domain(bake, layers, domain.lights, domain.intensities, domain.views, card=domain.card)
+    return laid_on(domain, bake, layers)
 
 
 def _grid(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

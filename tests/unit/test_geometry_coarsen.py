@@ -21,9 +21,10 @@ def cell_of(domain, y, x):
 @pytest.mark.parametrize(("height", "width"), [(8, 6), (7, 9)])
 @pytest.mark.parametrize("card", [True, False])
 def test_a_coarse_texel_is_the_weighted_mean_of_the_covered_ones_under_it(height, width, card):
-    domain = make_domain(height, width, card=card, perspective=True)
+    domain = replace(make_domain(height, width, card=card, perspective=True), origin=(6, 2), noise=0.01)
     coarse = coarser(domain)
     assert coarse.shape == (-(-height // 2), -(-width // 2)) and coarse.card == card
+    assert coarse.origin == (3, 1) and coarse.noise == 0.01
     for y, x in np.ndindex(coarse.shape):
         under = cell_of(domain, y, x)
         assert coarse.bake.coverage[y, x] == bool(under)

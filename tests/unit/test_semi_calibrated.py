@@ -80,3 +80,10 @@ def test_a_domain_under_other_lights_keeps_what_was_found_of_its_stack():
     assert other.solvable is solvable
     np.testing.assert_array_equal(other.lights, domain.lights[::-1])
     np.testing.assert_array_equal(other.intensities, 2)
+
+
+def test_the_texels_that_lights_are_told_by_have_the_noise_of_the_whole():
+    rng = np.random.default_rng(4)
+    domain, _ = subject("lambert", 12)
+    domain = replace(photographed(domain, gains(12, rng), rng), noise=0.01)
+    assert draw(domain, 0, np.arange(12)).domain.noise == 0.01
