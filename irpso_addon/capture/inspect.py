@@ -16,6 +16,7 @@ from .damage import sound_steps
 from .draft import Draft, build_steps, written_lights
 from .encoding import Encoding
 from .images import ImageStore
+from .noise import images_read, noise_of
 from .picture import Decoder, Samples
 from .problems import CaptureError
 from .read import read_draft
@@ -146,6 +147,9 @@ def inspect_steps(
         facts.append(("encoding", _encoding(capture.encoding)))
         if message := capture.encoding.message():
             findings.append(Finding("warning", "encoding", message))
+    noise = yield from _told("Estimating the noise", images_read(capture), noise_of(capture))
+    if noise:
+        facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
     groups = {camera: _frames_of(capture, camera) for camera in range(len(capture.cameras))}
     for index, observation in enumerate(capture.observations):
         yield f"Checking images: {index + 1} of {len(capture.observations)}"

@@ -172,6 +172,7 @@ def finish(
         maps, settings={**_settings(options), "preset": asdict(job.schedule), **solved.settings}, seed=options.seed,
         gpu=context.describe()["renderer"], iterations=solved.progress.iterations_in_all,
         evaluations=solved.progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
+        noise=domain.noise,
     )  # fmt: skip
     warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []

@@ -71,7 +71,9 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
         masks.append(_mask(camera, cameras[-1], store))
     photographs = {obj.name: (names.index(name), p) for name, pairs in seen_by.items() for obj, p in pairs}
     observations = tuple(
-        Observation(name, _reader(photographs[name][1]), light, photographs[name][0]) for name, light in vectors.items()
+        Observation(name, _reader(photograph), light, camera, photograph.coarse)
+        for name, light in vectors.items()
+        for camera, photograph in (photographs[name],)
     )
     return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks), left_out=left_out)
 

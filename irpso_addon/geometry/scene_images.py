@@ -29,11 +29,13 @@ _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a s
 class Photograph:
     """An image of the open file as a capture needs it. size: (width, height). where: what it is called in errors.
 
+    coarse: whether it holds 8-bit sRGB codes.
     read: returns its Samples; mask: returns it as a mask, (H, W) bool. Both raise InputError.
     """
 
     size: tuple[int, int]
     where: str
+    coarse: bool
     read: Callable[[], Samples]
     mask: Callable[[], np.ndarray]
 
@@ -61,8 +63,8 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
         message = f"{where} is not there: {reference.path}; choose it again, or use File > External Data"
         raise CaptureError(message, "missing")
     with _told(where):
-        size = store.size(reference)
-    return Photograph(size, where, lambda: store.samples(reference), lambda: store.mask(reference))
+        size, coarse = store.size(reference), store.coarse(reference)
+    return Photograph(size, where, coarse, lambda: store.samples(reference), lambda: store.mask(reference))
 
 
 def file_of(image: Any) -> Path:
@@ -102,7 +104,7 @@ def _in_memory(image, where: str, space: str) -> Photograph:
         # Blender keeps floats in linear light, whatever the color space of their file: what "auto" takes them for.
         return samples_of_picture(picture(), space)
 
-    return Photograph(size, where, read, lambda: mask_of_picture(picture()))
+    return Photograph(size, where, not image.is_float and space != "linear", read, lambda: mask_of_picture(picture()))
 
 
 def _packed(image, where: str, space: str) -> Photograph:
@@ -112,8 +114,9 @@ def _packed(image, where: str, space: str) -> Photograph:
         with _unpacked(_image_of(uid, where), where) as path, _told(where, path):
             return work(ImageStore(decode), ImageRef(path, part, layer, space))
 
-    size = through_file(ImageStore.size)
-    return Photograph(size, where, lambda: through_file(ImageStore.samples), lambda: through_file(ImageStore.mask))
+    size, coarse = through_file(lambda store, packed: (store.size(packed), store.coarse(packed)))
+    read, mask = (lambda: through_file(ImageStore.samples)), (lambda: through_file(ImageStore.mask))
+    return Photograph(size, where, coarse, read, mask)
 
 
 @contextmanager

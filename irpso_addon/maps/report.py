@@ -28,12 +28,13 @@ def build_report(
     seconds: Mapping[str, float],
     ground_truth: Mapping[str, np.ndarray] | None = None,
     evaluated: np.ndarray | None = None,
+    noise: float = 0.0,
 ) -> dict[str, Any]:
     """Return the report as plain data, ready for JSON.
 
     gpu: the renderer's own name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
     parameter's units, row 0 at the bottom. evaluated: (H, W) bool, the texels that errors are taken over, by default
-    all covered ones; the excluded fraction is stated.
+    all covered ones; the excluded fraction is stated. noise: the domain's, stated in codes of 8 bits where it is known.
     """
     texels = maps.covered if evaluated is None else maps.covered & evaluated
     covered = int(maps.covered.sum())
@@ -50,6 +51,8 @@ def build_report(
         "evaluations": int(evaluations),
         "seconds": {phase: round(float(value), 3) for phase, value in seconds.items()},
     }
+    if noise:
+        report["noise_codes"] = round(255 * noise, 2)
     if maps.residual is not None:
         report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
     if covered and (unknown := maps.unknown()):

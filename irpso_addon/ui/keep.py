@@ -63,6 +63,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
     report = build_report(
         maps, settings=settings, seed=job.seed, gpu=gpu_context.describe()["renderer"],
         iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
+        noise=running.domain.noise,
     )  # fmt: skip
     lights = running.lights
     warnings = [*limit_warnings(maps, job.given), *job.notes()]

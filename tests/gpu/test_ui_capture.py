@@ -8,8 +8,10 @@ import pytest
 
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture, write_exr
 from irpso_addon.capture.inspect import inspect_steps
+from irpso_addon.capture.noise import USUAL
 from irpso_addon.errors import InputError
 from irpso_addon.geometry import scene_lights
+from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import capture_import, findings, scene_capture, scene_setup
@@ -422,7 +424,20 @@ def test_an_eight_bit_image_that_is_set_to_non_color_is_linear(scene, tmp_path):
     codes = RNG.integers(0, 255, (7, 9, 3))
     image = image_of(tmp_path / "a.png", codes)
     image.colorspace_settings.name = "Non-Color"
-    np.testing.assert_allclose(photographed(scene, image).read()[::-1, :, :3], codes / 255, atol=1e-7)
+    observation = photographed(scene, image)
+    np.testing.assert_allclose(observation.read()[::-1, :, :3], codes / 255, atol=1e-7)
+    assert not observation.coarse
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("packed", [False, True])
+def test_only_images_of_eight_bits_have_the_noise_of_their_codes(scene, tmp_path, bits, packed):
+    image = image_of(tmp_path / "a.png", RNG.integers(0, 255, (7, 9, 3)), bits)
+    if packed:
+        image.pack()
+        (tmp_path / "a.png").unlink()
+    assert photographed(scene, image).coarse == (bits == 8)
+    assert domain_from_card(scene_capture.capture_from_scene(scene)).noise == (USUAL if bits == 8 else 0)
 
 
 def test_the_color_space_of_files_says_nothing_of_the_scenes_own_images(scene, tmp_path):
@@ -441,6 +456,7 @@ def test_an_image_made_in_blender_is_taken_as_it_is(scene, is_float):
     values[..., 3] = 1
     image.pixels.foreach_set(values.astype(np.float32).ravel())
     observation = photographed(scene, image)
+    assert observation.coarse == (not is_float)
     encoded = values[..., :3]
     expected = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(observation.read()[..., :3], encoded if is_float else expected, rtol=1e-5, atol=1e-7)

@@ -71,12 +71,13 @@ def report():
     truth = {"gloss": np.full((4, 5, 2), 1.4), "unknown": np.zeros((4, 5, 1))}
     return build_report(
         maps, settings={"preset": "swarm", "lights": np.arange(3)}, seed=7, gpu="a GPU", iterations=10,
-        evaluations=1000, seconds={"solve": 1.23456}, ground_truth=truth, evaluated=evaluated,
+        evaluations=1000, seconds={"solve": 1.23456}, ground_truth=truth, evaluated=evaluated, noise=2.5 / 255,
     )  # fmt: skip
 
 
 def test_errors_are_taken_over_evaluated_texels_and_the_excluded_fraction_is_stated(report):
     assert report["residual"]["max"] == 0.25
+    assert report["noise_codes"] == 2.5
     assert report["residual"]["count"] == 12
     assert report["excluded_fraction"] == pytest.approx(3 / 15)
     assert report["ground_truth"]["gloss"]["unit"] == "%"
@@ -111,6 +112,7 @@ def test_what_is_unknown_is_counted_and_striped_and_a_known_number_is_not():
     covered[:, 28:] = covered[:, :2] = False
     maps = Maps(model, values, covered, np.zeros(shape, np.float32), sigma)
     made = build_report(maps, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
+    assert "noise_codes" not in made
     assert made["unknown"] == {"roughness": 0.0, "metallic": round(10 / 26, 4), "specular": 0.0}
     striped = confidence_preview(maps)["confidence"]
     sure = confidence_preview(replace(maps, confidence={name: 0 * s for name, s in sigma.items()}))["confidence"]
