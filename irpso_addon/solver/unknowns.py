@@ -13,7 +13,10 @@ NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The numbers that a model leaves to be found. count: a normal is two. source: their table, as GLSL."""
+    """The numbers that a model leaves to be found. count: a normal is two.
+
+    source: their table, and which of them are searched, as GLSL.
+    """
 
     count: int
     source: str
@@ -21,8 +24,12 @@ class Unknowns:
 
 
 def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
-    """Return the unknowns of a model of which the parameters named ``known`` are given."""
+    """Return the unknowns of a model of which the parameters named ``known`` are given.
+
+    ``bool searched(int u)`` says which are neither a normal nor linear; SEARCHED is how many.
+    """
     rows: list[tuple[int, float, float]] = []
+    searched: list[int] = []
     defines = {"NORMAL_UNKNOWN": -1}
     for p in _unknown(model, known):
         at = model.offset(p.name)
@@ -30,32 +37,34 @@ def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
             defines = {"NORMAL_UNKNOWN": len(rows), "NORMAL_COMPONENT": at}
             rows += [(at, 0.0, NORMAL_RANGE)] * 2
         else:
+            searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
             rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
     cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
              for u, (at, low, width) in enumerate(rows)]  # fmt: skip
     source = "\n".join(
         ["void unknown_at(int u, out int component, out float low, out float width)", "{",
-         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", ""]
+         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", "bool searched(int u)", "{",
+         f"    return {' || '.join(f'u == {u}' for u in searched) or 'false'};", "}", ""]
     )  # fmt: skip
-    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows)})
+    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows), "SEARCHED": len(searched)})
 
 
 def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool) -> tuple[Unknowns, str]:
-    """Return the unknowns with ``searched(u)`` beside their table, and slopes.glsl: sums of the normal equations.
+    """Return the unknowns, and slopes.glsl: sums of the normal equations.
 
-    STEPPED unknowns have no derivative but by differences; SEARCHED are those of them that are no normal. The others'
-    derivative is their basis. central: differences to both sides, else to one. LOBE_… name the components of
+    STEPPED unknowns have no derivative but by differences: normals and what is searched. The others' derivative is
+    their basis. central: differences to both sides, else to one. LOBE_… name the components of
     interchangeable lobes.
 
     slopes.glsl is written out, number by number: in loops over arrays a compiler that does not unroll them copies whole
     arrays at every observation, which took half of a step's time.
     """
     unknowns = build_unknowns(model, known)
-    stepped, searched, channels = [], [], []
+    stepped, channels = [], []
     lines = ["vec3 basis = vec3(0.0);"]
     for p in _unknown(model, known):
         u, count = len(channels), 2 if p.is_normal else p.components
-        if p.kind == "linear" and p.name in model.bases and p.components in (1, 3):
+        if has_basis(p, model):
             lines.append(f"basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
             lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
             # A colour's number has a slope in its own channel alone.
@@ -65,18 +74,15 @@ def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool)
                 other = f"reflectance(p.behind_{i}, l, v)" if central else "render"
                 lines.append(f"vec3 slope_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
             stepped += range(u, u + count)
-            searched += [] if p.is_normal else range(u, u + count)
             channels += [""] * count
-    is_searched = " || ".join(f"u == {u}" for u in searched) or "false"
-    source = "\n".join([unknowns.source, "bool searched(int u)", "{", f"    return {is_searched};", "}", ""])
-    defines = unknowns.defines | {"STEPPED": len(stepped), "SEARCHED": len(searched)}
+    defines = unknowns.defines | {"STEPPED": len(stepped)}
     names = (*model.ordered, *model.complement)
     if model.ordered and not set(names) & set(known):
         first, second = (model.offset(name) for name in model.ordered)
         defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
         if model.complement:
             defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
-    return Unknowns(unknowns.count, source, defines), _slopes(stepped, central, lines, channels)
+    return Unknowns(unknowns.count, unknowns.source, defines), _slopes(stepped, central, lines, channels)
 
 
 def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channels: Sequence[str]) -> str:
@@ -144,6 +150,11 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
         ["void take_start(int start, inout float c[12])", "{", *lines, "}",
          "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
     )  # fmt: skip
+
+
+def has_basis(p: Parameter, model: ReflectanceModel) -> bool:
+    """Whether the derivative of a parameter is a basis function, and its optimum one of linear least squares."""
+    return p.kind == "linear" and p.name in model.bases and p.components in (1, 3)
 
 
 def _unknown(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:

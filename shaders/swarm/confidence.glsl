@@ -9,6 +9,7 @@
 #include "swarm/relative_error.glsl"
 #include "swarm/with_priors.glsl"
 #include "swarm/differences.glsl"
+#include "swarm/freedom.glsl"
 
 // The normal matrix squares the condition of J: after hundreds of samples in float32, what is left of a diagonal below
 // 2⁻¹⁸ of it is not told from nothing. Against float64, on random two-lobe and principled materials: at noise of 1e-3
@@ -33,18 +34,15 @@ vec2 steps_of(inout float c[12], int u)
     return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
 }
 
-// Adds up JᵀJ (upper triangle; J per range), the squared errors, the squared radiances and the weights
-// of the channels. A bound that is met tells nothing of them.
-void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float errors,
-                out float together, out float energy, out float channels)
+// Adds up JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met tells nothing of
+// them.
+void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out ErrorSums told, out float energy)
 {
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
         a[i] = 0.0;
     }
-    errors = 0.0;
-    together = 0.0;
+    clear_errors(told);
     energy = 0.0;
-    channels = 0.0;
     vec2 steps[UNKNOWNS];
     for (int u = 0; u < UNKNOWNS; u++) {
         steps[u] = steps_of(c, u);
@@ -61,12 +59,10 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
         vec3 render = o.intensity * rho;
         vec3 error = error_of(o, rho);
         float relative = relative_error(texel, o);
-        vec3 weight = o.weight * relative * relative * draws(o, error);
-        errors += dot(weight, error * error);
-        float sum = dot(sqrt(weight), error);
-        together += sum * sum;
+        vec3 counted = o.weight * draws(o, error);
+        vec3 weight = relative * relative * counted;
+        add_error(told, error, weight, counted);
         energy += dot(weight, render * render);
-        channels += o.weight * dot(draws(o, error), vec3(1.0));
         vec3 j[UNKNOWNS];
         for (int u = 0; u < UNKNOWNS; u++) {
             vec2 by = steps[u];
@@ -173,20 +169,17 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
 }
 
 // The variance of the noise, below 0 where there are too few samples to tell.
-// What channels err together (shifts, shading, JPEG's luminance) is one error and not three: ``alike`` is from 1, where they
-// are independent, to 3. It divides the number of samples, and those that remain have to determine all but the colours.
-float variance_of(ivec2 texel, float errors, float together, float channels)
+float variance_of(ivec2 texel, ErrorSums told)
 {
 #ifdef NOISE_GIVEN
     return texelFetch(u_noise, texel, 0).z;
 #else
-    float alike = errors > 0.0 ? clamp(together / errors, 1.0, 3.0) : 1.0;
-    float freedom = channels - 0.5 * (1.0 + alike) * float(UNKNOWNS);
+    float freedom = freedom_of(told);
     float least = 0.0;
 #if FITNESS == FITNESS_ROBUST
     least = NOISE_FLOOR / (loss_scale(texel) * loss_scale(texel));
 #endif
-    return freedom > 0.0 ? alike * errors / freedom + least : -1.0;
+    return freedom > 0.0 ? alike_of(told) * told.errors / freedom + least : -1.0;
 #endif
 }
 
@@ -200,13 +193,11 @@ bool texel_kernel(ivec2 texel)
         float c[12];
         material_to(estimate_at(texel), c);
         float a[UNKNOWNS * UNKNOWNS];
-        float errors;
-        float together;
+        ErrorSums told;
         float energy;
-        float channels;
-        accumulate(texel, c, a, errors, together, energy, channels);
+        accumulate(texel, c, a, told, energy);
         float deviation[UNKNOWNS];
-        float variance = variance_of(texel, errors, together, channels);
+        float variance = variance_of(texel, told);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
 #endif
