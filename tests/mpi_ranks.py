@@ -63,7 +63,7 @@ def digest(maps, progress):
     """Return what tells one result from another."""
     found = hashlib.sha256(repr(progress).encode())
     arrays = {**maps.values, "residual": maps.residual, "covered": maps.covered}
-    for array in [*arrays.values(), *(maps.confidence or {}).values()]:
+    for array in [*arrays.values(), *(maps.confidence or {}).values(), *(maps.alternatives or {}).values()]:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
 

@@ -13,7 +13,7 @@ from ..gpu import context
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
 from ..solver import prepare
-from ..solver.checkpoint import Checkpoint
+from ..solver.checkpoint import Checkpoint, named
 from ..solver.known import full_map
 from ..solver.light_sample import with_lights
 from ..solver.meetings import Box, own_of, part_of, place_of, rectangle
@@ -157,6 +157,7 @@ class Member:
             parts = {"residual": found.residual[own]}
             parts |= {f"value {name}": value[own] for name, value in found.values.items()}
             parts |= {f"deviation {name}": value[own] for name, value in (found.confidence or {}).items()}
+            parts |= {f"alternative {name}": value[own] for name, value in (found.alternatives or {}).items()}
         whole = self._pasted(parts)
         if not self.ranks.leads:
             return None
@@ -166,8 +167,10 @@ class Member:
             covered[part_of(self.share.boxes[rank])] = True
         for p in self.model.parameters:
             values[p.name][~covered] = p.default
-        deviations = {n.removeprefix("deviation "): v for n, v in whole.items() if n.startswith("deviation ")}
-        return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations if confidence else None)
+        deviations = alternatives = None
+        if confidence:
+            deviations, alternatives = named(whole, "deviation "), named(whole, "alternative ")
+        return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations, alternatives=alternatives)
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""

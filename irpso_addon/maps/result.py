@@ -23,6 +23,9 @@ class Maps:
     one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
     bool, texels past UV seams whose values are those of the seam's other side, or None. wrapped: whether what lies past
     one border of the UV square may be what lies within the opposite one, as where a mesh is unwrapped all around.
+    alternatives: parameter name → (H, W, 1), how much worse materials far from the estimate in that number fit, as a
+    deviance from −9 to 9 (solver/alternatives.py); measured with the confidence, else None. two_modes: parameter name →
+    (H, W) bool, the covered texels whose material leaves that number open; {} before solver.modes.with_modes.
     """
 
     model: ReflectanceModel
@@ -33,11 +36,17 @@ class Maps:
     tiles: tuple[int, ...] = ONE_SQUARE
     margin: np.ndarray | None = None
     wrapped: bool = False
+    alternatives: dict[str, np.ndarray] | None = None
+    two_modes: dict[str, np.ndarray] = field(default_factory=dict)
 
     def unknown(self) -> dict[str, np.ndarray]:
-        """Return, for each searched number, (H, W) bool: covered texels of which it is not known, by ``confidence``."""
+        """Return, for each searched number, (H, W) bool: covered texels of which it is not known.
+
+        ``confidence`` is wide there, or it has two modes.
+        """
         return {
             p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * (p.range[1] - p.range[0]))
+            | self.two_modes.get(p.name, False)
             for p in self.model.parameters
             if self.confidence is not None and p.kind == "search" and p.components == 1
         }

@@ -66,6 +66,8 @@ def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
                 confidence=maps.confidence and {name: part(value) for name, value in maps.confidence.items()},
                 tiles=(number,),
                 margin=None if maps.margin is None else part(maps.margin),
+                alternatives=maps.alternatives and {name: part(value) for name, value in maps.alternatives.items()},
+                two_modes={name: part(value) for name, value in maps.two_modes.items()},
             ),
         )
 

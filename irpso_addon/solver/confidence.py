@@ -28,16 +28,16 @@ def deviation_pass(
 class Confidence:
     """The pass that tells the standard deviation of every parameter at every texel.
 
-    It linearises the render around the estimates and takes the noise from what is left of the samples there:
-    σ² = variance · (JᵀJ)⁻¹, over all n numbers that are not ``known`` jointly. Its variance is a Σ w e² / (3 Σ w −
-    n (1 + a) / 2), over weighted samples and three channels, with a = Σ w (e_r + e_g + e_b)² / Σ w e² for how much
-    channels err together (1 to 3: shifts, shading and JPEG's luminance are one error and not three), and where the loss
-    is robust no less than 0.3 % of the texel's scale. It does not see a model that is wrong in itself, nor another
-    optimum. A number that the samples do not determine has its range for σ:
-    one whose column of J is lost in rounding, that is a mixture of others, or that noise moves by more than its range
-    when all others may move with it. Numbers that can be traded for it take their share, up to their own range: two
-    lobes of one width leave r1, r2 and w open (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than
-    numbers all have their range.
+    It linearises the render around the estimates and takes the noise from what is left of the samples there: σ² =
+    variance · (JᵀJ)⁻¹, over all n numbers that are not ``known`` jointly. Its variance is a Σ w e² / (3 Σ w − n (1 + a)
+    / 2), over weighted samples and three channels, with a = Σ w (e_r + e_g + e_b)² / Σ w e² for how much channels err
+    together (1 to 3: shifts, shading and JPEG's luminance are one error and not three), and where the loss is robust no
+    less than 0.3 % of the texel's scale. It does not see a model that is wrong in itself. Another optimum is told by
+    solver/alternatives.py and solver/modes.py. A number that the samples do not determine has its range for σ: one
+    whose column of J is lost in rounding, that is a mixture of others, or that noise moves by more than its range when
+    all others may move with it. Numbers that can be traded for it take their share, up to their own range: two lobes of
+    one width leave r1, r2 and w open (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than numbers all
+    have their range.
     """
 
     def __init__(

@@ -11,6 +11,7 @@ from ..gpu import textures
 from ..gpu.bands import Bands
 from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
+from .alternatives import Alternatives
 from .confidence import Confidence
 from .kernels import residual_pass, sampled_residual_pass
 from .phase import Phase
@@ -40,6 +41,7 @@ class Findings:
         self._residual = residual_pass(model, domain.defines).compile()
         self._error: Any = textures.empty(*estimates.size)
         self._confidence: Confidence | None = None
+        self._alternatives: Alternatives | None = None
         self._bands = Bands()
         self._resolved = False  # whether the estimates to look at are the resolved ones
         self._sample: tuple[Any, Any] | None = None  # which texels, and their residuals
@@ -48,7 +50,7 @@ class Findings:
     def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
         """Resolve what a phase has found so far and measure it, in bands of about ``seconds``; yields after each.
 
-        phase: None where all are done. confidence: whether to find the deviations too. paced: as in Bands.
+        phase: None where all are done. confidence: whether to find deviations and alternatives too. paced: as in Bands.
         """
         self._bands.paced = paced
         self._resolved = phase is not None and phase.placed
@@ -62,10 +64,10 @@ class Findings:
         )  # fmt: skip
         if confidence:
             if self._confidence is None:
-                self._confidence = Confidence(self._model, self._known, self._fitness, self._domain.defines)
-            yield from self._confidence.measuring(
-                self._domain, self._estimates, self._resolved, self._bands, seconds
-            )  # fmt: skip
+                told = self._model, self._known, self._fitness, self._domain.defines
+                self._confidence, self._alternatives = Confidence(*told), Alternatives(*told)
+            for measured in (self._confidence, self._alternatives):
+                yield from measured.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
         """Return what ``finding`` has found last."""
@@ -75,10 +77,11 @@ class Findings:
             for name, value in self._estimates.values(self._resolved).items()
         }
         error = packing.unpack(textures.download(self._error)[..., 0])
-        deviations = None
+        deviations = alternatives = None
         if confidence:
             deviations = {name: packing.unpack(value) for name, value in self._confidence.read().items()}
-        return Maps(self._model, values, solvable, error, deviations)
+            alternatives = {name: packing.unpack(value) for name, value in self._alternatives.read().items()}
+        return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
     def deviations(self) -> dict[str, Any]:
         """Return the textures of the deviations by sampler name, none where they were never found."""
@@ -104,7 +107,8 @@ class Findings:
         self._sampled.close()
         if self._confidence is not None:
             self._confidence.close()
-        self._error = self._confidence = self._sample = None
+            self._alternatives.close()
+        self._error = self._confidence = self._alternatives = self._sample = None
 
     def _drawn(self) -> tuple[Any, Any]:
         """Which packed texels are looked at, −1 in places left over, and where their residuals go."""

@@ -8,7 +8,9 @@ from ..gpu.passes import Entry, Kernel, Output, Pass
 from ..reflectance.glsl import material_declaration, prior_declaration
 from ..reflectance.model import ReflectanceModel
 from .codec import Codec
+from .linear import LinearWeights
 from .schedule import Fitness, Schedule
+from .unknowns import Unknowns
 
 FLOAT_2D = "FLOAT_2D"
 LAYERS = "FLOAT_2D_ARRAY"
@@ -146,6 +148,19 @@ def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, de
     given = {**model_includes(model), "unknowns.glsl": unknowns}
     defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
     return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, FITNESS, defines, given))
+
+
+def alternatives_pass(
+    model: ReflectanceModel, unknowns: Unknowns, linear: LinearWeights, fitness: Fitness, domain_defines: dict[str, int]
+) -> Pass:
+    """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
+    outputs = tuple(Output(f"o_alternative_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    given = {**model_includes(model), "unknowns.glsl": unknowns.source, "basis.glsl": linear.source}
+    defines = {
+        **domain_defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
+    }  # fmt: skip
+    return Pass(Kernel("swarm/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def copy_pass() -> Pass:

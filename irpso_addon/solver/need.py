@@ -88,8 +88,9 @@ class Need:
     @property
     def device(self) -> int:
         """Bytes a texel of all textures but those of the domain's rectangle."""
-        # Position, normal, tangent, place; estimates before and after a stage, their deviations; the residual.
-        each = FLOAT4 * (self.observations + 4 + 3 * self.estimates + 1)
+        # Position, normal, tangent, place; estimates before and after a stage, their deviations and alternatives;
+        # the residual.
+        each = FLOAT4 * (self.observations + 4 + 4 * self.estimates + 1)
         copies = FLOAT4 * (1 + max(phase.atlas for phase in self.phases)) if self.compute else 0
         return each + copies + max(phase.textures for phase in self.phases)
 

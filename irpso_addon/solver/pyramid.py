@@ -196,8 +196,11 @@ class Pyramid:
             for p in self.model.parameters
         }
         residual = finer_map(coarse, domain, maps.residual[..., None], 0.0)[..., 0]
-        deviations = {name: finer_map(coarse, domain, d, 0.0) for name, d in (maps.confidence or {}).items()}
-        return Maps(self.model, values, domain.solvable, residual, None if maps.confidence is None else deviations)
+        deviations, alternatives = (
+            told and {name: finer_map(coarse, domain, one, 0.0) for name, one in told.items()}
+            for told in (maps.confidence, maps.alternatives)
+        )
+        return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
 
     @property
     def _identity(self) -> dict[str, Any]:

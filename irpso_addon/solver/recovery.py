@@ -170,7 +170,8 @@ class Recovery:
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, with the mean absolute error of its render.
 
-        confidence: whether to tell the standard deviations too, which takes as long as three to five iterations.
+        confidence: whether to tell standard deviations and alternatives too, which takes as long as ten to fifteen
+        iterations.
         """
         at = self._at
         if self._work is not None or self._found != at or (confidence and self._trusted != at):

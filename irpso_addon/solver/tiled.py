@@ -179,17 +179,19 @@ class TiledRecovery:
         for p in self.model.parameters:
             values[p.name][:] = p.default
         residual = np.zeros(shape, np.float32)
-        deviations: dict[str, np.ndarray] = {}
+        told: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
         for number in self._order():
             part, found = self._tiles[number], self._recovery(number).maps(confidence)
             texels = part_of(part.box)
             residual[texels] = found.residual[part.own]
             for name, value in found.values.items():
                 values[name][texels] = value[part.own]
-            for name, value in (found.confidence or {}).items():
-                whole = deviations.setdefault(name, np.zeros((*shape, value.shape[-1]), np.float32))
-                whole[texels] = value[part.own]
-        return Maps(self.model, values, self.domain.solvable, residual, deviations if confidence else None)
+            for wholes, parts in zip(told, (found.confidence, found.alternatives), strict=True):
+                for name, value in (parts or {}).items():
+                    whole = wholes.setdefault(name, np.zeros((*shape, value.shape[-1]), np.float32))
+                    whole[texels] = value[part.own]
+        deviations, alternatives = told if confidence else (None, None)
+        return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
 
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
         """Write a checkpoint, as Recovery.save, from which the same tiles go on to the same maps bit for bit."""

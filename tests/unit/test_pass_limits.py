@@ -12,6 +12,7 @@ from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model, shipped_models
 from irpso_addon.solver import display, generation_kernels, kernels, polish_kernels, prior_kernels, survey
+from irpso_addon.solver.alternatives import Alternatives
 from irpso_addon.solver.codec import build_codec
 from irpso_addon.solver.confidence import Confidence
 from irpso_addon.solver.linear import linear_weights
@@ -92,6 +93,7 @@ def test_no_pass_of_any_model_and_preset_asks_for_more_than_every_gpu_has(made, 
         for resolved in resolve(schedule, model, set(), observations=24):
             make_passes(resolved, model, schedule)
         Confidence(model, (), schedule.fitness, DOMAIN)
+        Alternatives(model, (), schedule.fitness, DOMAIN)
     for make in (kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass):
         make(model, DOMAIN)
     for kind in ("parameter", "error", "render", "reference", "confidence"):

@@ -91,8 +91,9 @@ def test_maps_are_split_into_their_tiles_and_numbers_stay_numbers():
     values = {"base_color": np.arange(2 * 6 * 3).reshape(2, 6, 3).astype(np.float32), "normal": np.float32((0, 0, 1))}
     covered = np.arange(12).reshape(2, 6) % 2 == 0
     maps = Maps(
-        load_model("lambert"), values, covered, covered * 1.0, {"base_color": values["base_color"]}, (1001, 1004)
-    )
+        load_model("lambert"), values, covered, covered * 1.0, {"base_color": values["base_color"]}, (1001, 1004),
+        alternatives={"roughness": values["base_color"][..., :1]}, two_modes={"roughness": covered},
+    )  # fmt: skip
     (one, left), (two, right) = split_maps(maps)
     assert (one, two) == (1001, 1004) and left.tiles == (1001,)
     for part, columns in ((left, slice(0, 3)), (right, slice(3, 6))):
@@ -100,6 +101,8 @@ def test_maps_are_split_into_their_tiles_and_numbers_stay_numbers():
         np.testing.assert_array_equal(part.covered, covered[:, columns])
         np.testing.assert_array_equal(part.residual, covered[:, columns])
         np.testing.assert_array_equal(part.confidence["base_color"], values["base_color"][:, columns])
+        np.testing.assert_array_equal(part.alternatives["roughness"], values["base_color"][:, columns, :1])
+        np.testing.assert_array_equal(part.two_modes["roughness"], covered[:, columns])
         assert part.values["normal"].shape == (3,)
 
 
