@@ -31,7 +31,7 @@ from ..maps import material
 from ..maps.blender_images import decode
 from ..maps.height import Height
 from ..maps.read import read_maps
-from ..maps.report import build_report, limit_warnings, prior_shares
+from ..maps.report import build_report, limit_warnings, mode_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.udim import ONE_SQUARE
 from ..maps.write import check_output_folder, write_maps
@@ -41,6 +41,7 @@ from ..solver.held_out import held_out_last, order_of, preview_names, relit_line
 from ..solver.history import History
 from ..solver.lights import Lights
 from ..solver.memory import parse_memory
+from ..solver.modes import with_modes
 from ..solver.pictures import confidence_preview, error_preview
 from ..solver.plan import Plan
 from ..solver.planning import (
@@ -166,7 +167,7 @@ def finish(
 ) -> dict:
     """Write everything and return the report. domain: of all observations. lights: where they were looked for."""
     started = time.perf_counter()
-    maps, mesh = solved.maps, job.mesh
+    maps, mesh = with_modes(solved.maps), job.mesh
     relit, relighting = relit_preview(domain, maps, job.held_out, job.capture)
     report = build_report(
         maps, settings={**_settings(options), "preset": asdict(job.schedule), **solved.settings}, seed=options.seed,
@@ -182,7 +183,8 @@ def finish(
     if encoding is not None and encoding.known_by != "format":
         report["colour_space"] = encoding.colour_space
         warnings += [text] if (text := encoding.message()) else []
-    report |= relighting | {"warnings": [*limit_warnings(maps, job.known), *warnings, *solved.warnings]}
+    warnings = [*limit_warnings(maps, job.known), *mode_warnings(maps, job.schedule.fitness.priors), *warnings]
+    report |= relighting | {"warnings": [*warnings, *solved.warnings]}
     if job.schedule.fitness.priors and (shares := prior_shares(maps, job.known)):
         report["priors_decided"] = shares
     if left_out:

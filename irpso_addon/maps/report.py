@@ -15,6 +15,7 @@ from ..reflectance.model import Parameter
 from .result import Maps
 
 _LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative; of the covered texels
+_MODES_SHARE = 0.05  # of the covered texels
 
 
 def build_report(
@@ -57,6 +58,8 @@ def build_report(
         report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
     if covered and (unknown := maps.unknown()):
         report["unknown"] = {name: round(int(there.sum()) / covered, 4) for name, there in unknown.items()}
+    if maps.two_modes:
+        report["two_modes"] = mode_shares(maps)
     if ground_truth is not None:
         report["ground_truth"] = ground_truth_errors(maps, ground_truth, texels)
     return report
@@ -78,6 +81,25 @@ def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
             lines.append(
                 f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
                 " the lights allow, and normals suffer; give the lights greater intensities"
+            )
+    return lines
+
+
+def mode_shares(maps: Maps) -> dict[str, float]:
+    """Return, for each number that was asked, the share of the texels whose material leaves it two modes."""
+    return {name: round(float(there[maps.covered].mean()), 4) for name, there in maps.two_modes.items()}
+
+
+def mode_warnings(maps: Maps, priors: bool) -> list[str]:
+    """Return a line for each number that has two modes on many of the texels. priors: whether priors were believed."""
+    lines = []
+    for name, share in mode_shares(maps).items():
+        if share > _MODES_SHARE:
+            decided = priors and maps.model.parameter(name).prior is not None
+            lines.append(
+                f"{name} of {share:.0%} of the texels could as well be far from what the map holds: no photograph shows"
+                f" a highlight that tells, and {'the prior decided' if decided else 'the map has one of the two'}."
+                " Lamps from more directions would tell"
             )
     return lines
 

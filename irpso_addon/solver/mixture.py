@@ -80,11 +80,7 @@ def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     variance = np.ones_like(mean)
     share = np.full(len(mean), 1.0 / len(mean))
     for _ in range(_ROUNDS):
-        inverse = 1.0 / variance
-        apart = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
-        log = np.log(share) - 0.5 * (apart + np.log(variance).sum(axis=1))
-        weight = np.exp(log - log.max(axis=1, keepdims=True))
-        weight /= weight.sum(axis=1, keepdims=True)
+        weight = belonging(x, share, mean, variance)
         texels = weight.sum(axis=0)
         kept = texels >= min(_LEAST_TEXELS, texels.max())
         weight, texels = weight[:, kept], texels[kept]
@@ -92,6 +88,15 @@ def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
         variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
         share = texels / texels.sum()
     return share, mean, variance
+
+
+def belonging(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return (n, K): the probability with which each of (n, d) numbers is of each Gaussian of ``mixture``."""
+    inverse = 1.0 / variance
+    apart = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
+    log = np.log(share) - 0.5 * (apart + np.log(variance).sum(axis=1))
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    return weight / weight.sum(axis=1, keepdims=True)
 
 
 def _seeds(x: np.ndarray, count: int) -> np.ndarray:

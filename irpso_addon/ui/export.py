@@ -16,6 +16,7 @@ from ..exports.result import Result
 from ..exports.textures import CONVENTIONS
 from ..geometry.extras import Extras
 from ..maps.extra import NORMAL_SPACES
+from ..maps.report import mode_warnings
 from ..maps.write import write_maps
 from . import session
 from .file_paths import absolute
@@ -111,7 +112,7 @@ class IRPSO_OT_export(bpy.types.Operator):
         extras, height = extras_of(running, Extras(spaces, self.height), maps, written)
         report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
         files = write_maps(written, folder, report, pictures_of(running, maps), extras)
-        return f"{len(files)} files written to {folder}", []
+        return f"{len(files)} files written to {folder}", mode_warnings(maps, running.job.schedule.fitness.priors)
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         found, written = found_maps(running, confidence=False)

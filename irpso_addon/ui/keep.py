@@ -16,11 +16,12 @@ from ..maps import material
 from ..maps.extra import ExtraMap
 from ..maps.height import Height
 from ..maps.pictures import Curves, convergence, display_image
-from ..maps.report import build_report, limit_warnings, prior_shares
+from ..maps.report import build_report, limit_warnings, mode_warnings, prior_shares
 from ..maps.result import Maps
 from ..maps.tables import map_tables
 from ..reflectance.model import shipped_models
 from ..solver.held_out import preview_names
+from ..solver.modes import with_modes
 from ..solver.pictures import confidence_preview, error_preview
 from . import preferences, session, unkept
 from .card_place import put_card
@@ -31,7 +32,7 @@ _STANDARD = "Standard"
 
 def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     """Return what was found, in the solver's frames, and with normals in those of Blender's normal maps."""
-    maps = running.maps(confidence)
+    maps = with_modes(running.maps(confidence))
     if running.mesh is None:
         return maps, maps
     return maps, blender_maps(maps, running.mesh, running.domain.bake, running.domain.seams)
@@ -66,7 +67,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         noise=running.domain.noise,
     )  # fmt: skip
     lights = running.lights
-    warnings = [*limit_warnings(maps, job.given), *job.notes()]
+    warnings = [*limit_warnings(maps, job.given), *mode_warnings(maps, job.schedule.fitness.priors), *job.notes()]
     if lights is not None:
         warnings += lights.warnings(job.lights.intensities != "auto")
     if job.schedule.fitness.priors and (shares := prior_shares(maps, job.given)):
