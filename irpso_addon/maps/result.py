@@ -23,9 +23,10 @@ class Maps:
     one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
     bool, texels past UV seams whose values are those of the seam's other side, or None. wrapped: whether what lies past
     one border of the UV square may be what lies within the opposite one, as where a mesh is unwrapped all around.
-    alternatives: parameter name → (H, W, 1), how much worse materials far from the estimate in that number fit, as a
-    deviance from −9 to 9 (solver/alternatives.py); measured with the confidence, else None. two_modes: parameter name →
-    (H, W) bool, the covered texels whose material leaves that number open; {} before solver.modes.with_modes.
+    alternatives: parameter name → (H, W, components), how much worse materials fit that are far from the estimate in
+    that number, as a deviance from −9 to 9 (solver/alternatives.py); measured with the confidence, else None.
+    two_modes: parameter name → (H, W) bool, the covered texels whose material leaves that number open; {} before
+    solver.modes.with_modes.
     """
 
     model: ReflectanceModel

@@ -24,7 +24,7 @@ class Alternatives:
     weights found anew. The measure is n log((F + ε) / (F₀ + ε)), F the fitness of the alternative, F₀ of the estimate,
     ε the NOISE_FLOOR of shaders/swarm/with_priors.glsl, n the samples that are independent: profile likelihood (Venzon
     and Moolgavkar 1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values, between
-    −9 and 9. Only searched scalars without a normal prior, which would choose between optima by itself, are looked at,
+    −9 and 9. Only searched numbers without a normal prior, which would choose between optima by itself, are looked at,
     and only with a robust loss: ε is in its units. Of one texel it tells little: a highlight that falls between the
     lamps makes a mirror of matt paint (solver/modes.py).
     """
@@ -32,12 +32,13 @@ class Alternatives:
     def __init__(
         self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
     ):
-        self._model, self._fitness = model, fitness
-        self.asked = _asked(model, known) if fitness.loss == "robust" else ()
+        self._fitness = fitness
+        self._asked = asked(model, known, fitness)
         self._pass = None
-        if self.asked:
+        if self._asked:
             solved = linear_weights(model, _solved(model, known))
-            self._pass = alternatives_pass(model, build_unknowns(model, known), solved, fitness, domain_defines)
+            defines = {**domain_defines, "ALTERNATIVES": sum(p.components for p in self._asked)}
+            self._pass = alternatives_pass(model, build_unknowns(model, known), solved, fitness, defines)
         self._targets: list[Any] = []
 
     def measuring(
@@ -47,7 +48,7 @@ class Alternatives:
         if self._pass is None:
             return
         if not self._targets:
-            self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+            self._targets = [textures.empty(*estimates.size) for _ in self._pass.kernel.outputs]
         targets = self._targets
         inputs = {**domain.textures, **estimates.bindings(resolved)}
         constants = loss_constants(domain, self._fitness.delta)
@@ -60,12 +61,12 @@ class Alternatives:
         )
 
     def read(self) -> dict[str, np.ndarray]:
-        """Return what was measured last: parameter name → (h, w, 1) float32, packed; 0 where none is solved."""
+        """Return what was measured last: name → (h, w, components) float32, packed; 0 where none is solved."""
         if self._pass is None:
             return {}
         packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
-        offsets = {p.name: self._model.offset(p.name) for p in self.asked}
-        return {name: packed[..., at : at + 1] for name, at in offsets.items()}
+        ends = np.cumsum([p.components for p in self._asked])
+        return {p.name: packed[..., end - p.components : end] for p, end in zip(self._asked, ends, strict=True)}
 
     def close(self) -> None:
         """Free the shader and its targets."""
@@ -74,10 +75,11 @@ class Alternatives:
         self._targets = []
 
 
-def _asked(model: ReflectanceModel, known: Collection[str]) -> tuple[Parameter, ...]:
+def asked(model: ReflectanceModel, known: Collection[str], fitness: Fitness) -> tuple[Parameter, ...]:
+    """Return the parameters of which alternatives are tried."""
     return tuple(
         p for p in model.parameters
-        if p.name not in known and p.components == 1 and not p.is_normal and not has_basis(p, model)
+        if fitness.loss == "robust" and p.name not in known and not p.is_normal and not has_basis(p, model)
         and (p.prior is None or p.prior.kind != "normal")
     )  # fmt: skip
 

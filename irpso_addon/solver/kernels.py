@@ -151,14 +151,14 @@ def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, de
 
 
 def alternatives_pass(
-    model: ReflectanceModel, unknowns: Unknowns, linear: LinearWeights, fitness: Fitness, domain_defines: dict[str, int]
+    model: ReflectanceModel, unknowns: Unknowns, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
 ) -> Pass:
     """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
-    outputs = tuple(Output(f"o_alternative_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
+    outputs = tuple(Output(f"o_alternative_{i}") for i in range(-(-defines["ALTERNATIVES"] // 4)))
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
     given = {**model_includes(model), "unknowns.glsl": unknowns.source, "basis.glsl": linear.source}
     defines = {
-        **domain_defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
+        **defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
     }  # fmt: skip
     return Pass(Kernel("swarm/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 

@@ -41,7 +41,7 @@ def with_modes(maps: Maps) -> Maps:
     for rows, columns, values in _texels(maps):
         weight = belonging(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
         material[rows, columns] = weight.argmax(axis=1)
-        told = np.column_stack([maps.alternatives[name][rows, columns, 0] for name in names])
+        told = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
         weights += weight.sum(axis=0)
         worse += weight.T @ told.astype(np.float64)
     mean = worse / np.maximum(weights, 1e-9)[:, None]

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from ..reflectance.model import ReflectanceModel
+from .alternatives import asked
 from .polish_kernels import SPREAD_REACH, renders
 from .prior_kernels import FIRST_ROUND, evaluations_of, reach_of, taps_of
 from .resolve import (
@@ -51,7 +52,7 @@ class Need:
     """What a recovery asks for at every texel.
 
     observations: that are fitted; observed: with those held out. components: of the model. compute: whether passes are
-    compute dispatches, which are read back through copies.
+    compute dispatches, which are read back through copies. alternatives: RGBA textures of the alternatives, at most.
     """
 
     observations: int
@@ -59,6 +60,7 @@ class Need:
     components: int
     phases: tuple[PhaseNeed, ...]
     compute: bool = False
+    alternatives: int = 0
 
     @property
     def estimates(self) -> int:
@@ -88,9 +90,8 @@ class Need:
     @property
     def device(self) -> int:
         """Bytes a texel of all textures but those of the domain's rectangle."""
-        # Position, normal, tangent, place; estimates before and after a stage, their deviations and alternatives;
-        # the residual.
-        each = FLOAT4 * (self.observations + 4 + 4 * self.estimates + 1)
+        # Position, normal, tangent, place; estimates before and after a stage, their deviations; the residual.
+        each = FLOAT4 * (self.observations + 4 + 3 * self.estimates + self.alternatives + 1)
         copies = FLOAT4 * (1 + max(phase.atlas for phase in self.phases)) if self.compute else 0
         return each + copies + max(phase.textures for phase in self.phases)
 
@@ -106,7 +107,9 @@ def recovery_need(
     """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
     stages = resolve(schedule, model, set(known), observations - held_out)
     phases = tuple(phase_need(stage, model, schedule) for stage in stages)
-    return Need(observations - held_out, observations, model.components, phases, compute)
+    free = model.without_priors({p.name for p in model.parameters})
+    numbers = sum(p.components for p in asked(free, known, schedule.fitness))
+    return Need(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4))
 
 
 def phase_need(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseNeed:

@@ -1,8 +1,9 @@
 // Over W×H texels: how much worse the photographs are met by the best of the materials far from the estimate, for every
 // searched number without a normal prior. The number takes TRIALS values of its range; the linear weights are found anew
 // for each (swarm/linear.glsl), everything else is held.
-// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative_0 …, packed as the
-// estimates are: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative fits better.
+// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative_0 …, four of the
+// ALTERNATIVES such numbers each: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
+// fits better.
 
 #include "common/estimate.glsl"
 #include "swarm/fitness.glsl"
@@ -67,7 +68,7 @@ void refit(ivec2 texel, Frame f, Material best, inout Material s)
 
 bool texel_kernel(ivec2 texel)
 {
-    float worse[12];
+    float worse[12];  // with room for all that a model can have
     for (int i = 0; i < 12; i++) {
         worse[i] = 0.0;
     }
@@ -79,6 +80,7 @@ bool texel_kernel(ivec2 texel)
         float left = samples_left(texel, f, best);
         float weights;
         float fitness = fitness_of(texel, f, best, weights);
+        int place = 0;
         for (int u = 0; u < UNKNOWNS; u++) {
             int at;
             float low;
@@ -100,14 +102,15 @@ bool texel_kernel(ivec2 texel)
                 lowest = min(lowest, fitness_of(texel, f, s, weights));
             }
             c[at] = own;
-            worse[at] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
+            worse[place] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
+            place++;
         }
     }
     o_alternative_0 = vec4(worse[0], worse[1], worse[2], worse[3]);
-#if ESTIMATES > 1
+#if ALTERNATIVES > 4
     o_alternative_1 = vec4(worse[4], worse[5], worse[6], worse[7]);
 #endif
-#if ESTIMATES > 2
+#if ALTERNATIVES > 8
     o_alternative_2 = vec4(worse[8], worse[9], worse[10], worse[11]);
 #endif
     return true;
