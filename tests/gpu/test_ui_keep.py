@@ -178,6 +178,7 @@ def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_pat
     assert report["settings"]["preset"]["swarm"]["particles"] == 8
     assert report["texels"] == SHAPE[0] * SHAPE[1] and report["seed"] == 0
     assert set(report["priors_decided"]) == {"roughness", "metallic", "specular"}
+    assert set(report["two_modes"]) == {"roughness", "metallic"}
     assert report["residual"]["mean"] == pytest.approx(found.residual.mean(), rel=1e-5)
 
 
