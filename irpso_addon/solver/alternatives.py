@@ -26,8 +26,8 @@ class Alternatives:
     and Moolgavkar 1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values, between
     −9 and 9. Only searched numbers without a normal prior, which would choose between optima by itself, are looked at,
     and only with a robust loss: ε is in its units. Of one texel it tells little: a highlight that falls between the
-    lamps makes a mirror of matt paint (solver/modes.py). What is held is not found anew, so that an alternative may look
-    worse than its best.
+    lamps makes a mirror of matt paint (solver/modes.py). What is held is not found anew, so that an alternative may
+    look worse than its best.
     """
 
     def __init__(
