@@ -1,4 +1,4 @@
-"""How well gloss and metal are recovered from Cycles renders of flat cards: a table, and a sheet of pictures a card.
+"""How well gloss and metal are recovered from Cycles renders of flat cards and a head: a table, and sheets of pictures.
 
 Usage: python -m benchmarks.gloss [--tune | --report] [--captures lamps,distant,shadows] [--model M] [--set NAME=VALUE]
        [--label L] [--cache .cache/scenes/gloss] [-o OUT] [--keep] [NAME …]
@@ -6,21 +6,24 @@ Usage: python -m benchmarks.gloss [--tune | --report] [--captures lamps,distant,
        python -m benchmarks.gloss --check [NAME …]
 
 Cards are 128 × 128 texels, one a pixel, with true base colour, roughness, metallic and a relief that is real geometry.
-Four are for choosing settings by (--tune), four only for reporting (--report). Each is photographed by Cycles as
+Four are for choosing settings by (--tune), four only for reporting (--report). ``head`` is a scan with UVs, 256 × 256
+texels in pictures of 192 × 192, wet and gilded in places (scenes/head.py), where --data has it; no setting was chosen
+by it. Each is photographed by Cycles as
 
 - lamps: 16 near lamps 1.2 to 2 widths away, 15° to 60° off axis, perspective camera; JPEG with noise, 1.5 % clipped;
 - distant: 48 distant lights, orthographic camera; EXR without noise;
 - shadows: 24 lamps as above, with cast shadows, of a rim around the card too, and four bounces;
 
-and recovered by the public command with the lights given. Errors are of all texels: degrees of normals, absolute
-differences of maps; base colour also of true metals alone (metallic > .9), roughness by whether the true one is below
-.2. A model without a metallic map counts as metallic 0. PSNR is in sRGB (the Standard view) under 8 lamps that are in
-no capture: Cycles renders the true card, and the recovered maps on a flat card pixel for pixel. Highlights are
-samples with more than 1.5 × the true diffuse part + .02. Pictures stay in the cache, and are rendered again where a
-card or a capture has changed.
+and recovered by the public command with the lights given. Errors are of all texels that are recovered, of the head
+those that its one camera sees: degrees of normals, absolute differences of maps; base colour also of true metals alone
+(metallic > .9), roughness by whether the true one is below .2. A model without a metallic map counts as metallic 0.
+PSNR is in sRGB (the Standard view) under 8 lamps that are in no capture: Cycles renders the true card, and the
+recovered maps on a flat card pixel for pixel; the head with true and with recovered maps, and only its pixels count.
+Highlights are samples with more than 1.5 × the true diffuse part + .02. Pictures stay in the cache, and are rendered
+again where a subject or a capture has changed.
 
 --check compares the program's own renderer, given the true maps, with the pictures of each capture, and tells the PSNR
-that the true maps themselves have on the flat card: normals within a pixel, which no map holds, are all that they lack.
+that the true maps themselves have: on the flat card normals within a pixel, which no map holds, are all that they lack.
 """
 
 from __future__ import annotations
@@ -29,20 +32,21 @@ import argparse
 import json
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from benchmarks.scenes import card_captures, cards
-from benchmarks.scenes.card_captures import SHOOTINGS, Photographed
+from benchmarks.scenes.card_captures import SHOOTINGS, Photographed, Subject
 from benchmarks.scenes.command import ROOT, recover
 from benchmarks.scenes.gloss_table import Row, coverage, one_run, read_rows, side_by_side
+from benchmarks.scenes.head import SCAN, head
 from benchmarks.scenes.scores import angles, psnr
 from benchmarks.scenes.textured import TrueMaps
 from irpso_addon.capture.exr import read_exr
 from irpso_addon.capture.read import read_capture
-from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.maps.blender_images import decode, encode_png
 from irpso_addon.maps.encode import encode_normal, srgb_from_linear
 from irpso_addon.maps.read import read_maps
@@ -56,19 +60,20 @@ _SHOWN = {"base_color", "normal", "roughness", "metallic", "specular"}  # parame
 _GAP, _ENLARGED = 4, 2  # of a sheet: pixels between pictures, and pixels a texel
 
 
-def measure(name: str, kind: str, card: cards.Card, options: argparse.Namespace) -> Row:
-    """Photograph a card, recover it, write its sheet, and return its errors."""
-    shot = card_captures.photograph(f"{name}-{kind}", card, SHOOTINGS[kind], options.cache)
+def measure(name: str, kind: str, subject: Subject, options: argparse.Namespace) -> Row:
+    """Photograph a subject, recover it, write its sheet, and return its errors."""
+    shot = card_captures.photograph(f"{name}-{kind}", subject, SHOOTINGS[kind], options.cache)
     out = options.out / f"{name}-{kind}"
     settings = [part for setting in options.set for part in ("--set", setting)]
     preset = ["--preset", options.preset] if options.preset else []
-    seconds = recover(shot.capture, out, "--model", options.model, *preset, *settings)
+    seconds = recover(shot.capture, out, *shot.arguments, "--model", options.model, *preset, *settings)
     found = recovered_maps(out, options.model)
-    pictures = card_captures.relight(found, SHOOTINGS[kind].near, out / "relit")
+    pictures, looks = card_captures.relight(subject, found, SHOOTINGS[kind].near, out / "relit")
     row = {"card": name, "capture": kind, **_how(options)}
-    row |= errors(found, shot.truth) | beyond(found, shot.truth, out)
+    (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
+    row |= errors(found, shot.truth, coverage > 0) | beyond(found, shot.truth, coverage > 0, out)
     row |= picture_errors(pictures, shot) | {"seconds": seconds}
-    encode_png(options.out / f"{name}-{kind}.png", sheet(found, pictures, shot), bits=8)
+    encode_png(options.out / f"{name}-{kind}.png", sheet(looks, pictures, shot), bits=8)
     if not options.keep:
         shutil.rmtree(out)
     return row
@@ -92,39 +97,39 @@ def recovered_maps(out: Path, name: str) -> TrueMaps:
     return TrueMaps(found["base_color"], found["normal"], **maps)
 
 
-def errors(found: TrueMaps, truth: dict[str, np.ndarray]) -> Row:
-    """Return the errors of maps; None where a card has no texels of a kind."""
-    turned = angles(found.normal, truth["normal"])
-    colour = np.abs(found.base_color - truth["base_color"]).mean(axis=-1)
-    rough = np.abs(found.roughness - truth["roughness"])
-    glossy, metal = truth["roughness"] < _GLOSSY, truth["metallic"] > _METAL
+def errors(found: TrueMaps, truth: TrueMaps, seen: np.ndarray) -> Row:
+    """Return the errors of maps over the texels seen (H, W); None where a subject has none of a kind."""
+    turned = angles(found.normal, truth.normal)[seen]
+    colour = np.abs(found.base_color - truth.base_color).mean(axis=-1)
+    rough = np.abs(found.roughness - truth.roughness)
+    glossy, metal = truth.roughness < _GLOSSY, truth.metallic > _METAL
     return {
         "normal_mean": _of(np.mean, turned),
         "normal_median": _of(np.median, turned),
-        "base_color": _of(np.mean, colour),
-        "base_color_metal": _of(np.mean, colour[metal]),
-        "metallic": _of(np.mean, np.abs(found.metallic - truth["metallic"])),
-        "roughness_glossy": _of(np.mean, rough[glossy]),
-        "roughness_glossy_median": _of(np.median, rough[glossy]),
-        "roughness_matt": _of(np.mean, rough[~glossy]),
-        "roughness_matt_median": _of(np.median, rough[~glossy]),
+        "base_color": _of(np.mean, colour[seen]),
+        "base_color_metal": _of(np.mean, colour[seen & metal]),
+        "metallic": _of(np.mean, np.abs(found.metallic - truth.metallic)[seen]),
+        "roughness_glossy": _of(np.mean, rough[seen & glossy]),
+        "roughness_glossy_median": _of(np.median, rough[seen & glossy]),
+        "roughness_matt": _of(np.mean, rough[seen & ~glossy]),
+        "roughness_matt_median": _of(np.median, rough[seen & ~glossy]),
     }
 
 
-def beyond(found: TrueMaps, truth: dict[str, np.ndarray], out: Path) -> Row:
-    """Return for each map the share of the texels whose error is above three of the deviations that were reported.
+def beyond(found: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row:
+    """Return for each map the share of the texels seen whose error is above three of the deviations reported.
 
     A color is wrong where one of its channels is.
     """
     layers = read_exr(out / "confidence.exr")
-    wrong = {"normal": np.radians(angles(found.normal, truth["normal"]))[..., None]}
+    wrong = {"normal": np.radians(angles(found.normal, truth.normal))[..., None]}
     for name in ("base_color", "metallic", "roughness"):
-        wrong[name] = np.abs(np.atleast_3d(getattr(found, name)) - np.atleast_3d(truth[name]))
+        wrong[name] = np.abs(np.atleast_3d(getattr(found, name)) - np.atleast_3d(getattr(truth, name)))
     shares = {}
     for name, error in wrong.items():
         deviation = layers.get(f"confidence_{name}")
         over = None if deviation is None else (error > 3 * np.stack(list(deviation.values()), axis=-1)).any(axis=-1)
-        shares[f"beyond_{name}"] = None if over is None else float(over.mean())
+        shares[f"beyond_{name}"] = None if over is None else float(over[seen].mean())
     return shares
 
 
@@ -133,29 +138,29 @@ def _of(summary, values: np.ndarray) -> float | None:
 
 
 def picture_errors(pictures: np.ndarray, shot: Photographed) -> Row:
-    """Return the PSNR of relit pictures (8, H, W, 3) over all samples, and over those in highlights."""
-    lit = highlights(shot)
+    """Return the PSNR of relit pictures (8, H, W, 3) over the subject's samples, and over those in highlights."""
+    lit, shown_at = highlights(shot) & shot.shown, np.broadcast_to(shot.shown, (len(pictures), *shot.shown.shape))
     shown, true = (srgb_from_linear(np.clip(p, 0, 1)) for p in (pictures, shot.unseen))
     return {
-        "psnr": psnr(shown, true, np.ones(lit.shape, bool)),
+        "psnr": psnr(shown, true, shown_at),
         "psnr_highlights": psnr(shown, true, lit) if lit.any() else None,
-        "highlights": float(lit.mean()),
+        "highlights": float(lit[shown_at].mean()),
     }
 
 
 def highlights(shot: Photographed) -> np.ndarray:
     """Return (8, H, W) bool: where the true picture is much brighter than its diffuse part."""
-    return shot.unseen.mean(axis=-1) > 1.5 * card_captures.diffuse_part(shot.truth) + 0.02
+    return shot.unseen.mean(axis=-1) > 1.5 * card_captures.diffuse_part(shot) + 0.02
 
 
-def sheet(found: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
+def sheet(looks: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
     """Return a picture: above the truth, below what was recovered; base colour, metallic, roughness, normal, relit.
 
-    The unseen lamp with the most highlights is shown.
+    looks: the recovered maps as the camera sees them. The unseen lamp with the most highlights is shown.
     """
     lamp = int(highlights(shot).sum(axis=(1, 2)).argmax())
     rows = []
-    for maps, picture in ((found, pictures[lamp]), (true_maps(shot.truth), shot.unseen[lamp])):
+    for maps, picture in ((looks, pictures[lamp]), (shot.looks, shot.unseen[lamp])):
         grey = (np.repeat(values[..., None], 3, axis=-1) for values in (maps.metallic, maps.roughness))
         colour, relit = srgb_from_linear(np.clip(maps.base_color, 0, 1)), srgb_from_linear(np.clip(picture, 0, 1))
         rows.append(np.concatenate([_framed(p) for p in (colour, *grey, encode_normal(maps.normal), relit)], axis=1))
@@ -167,20 +172,22 @@ def _framed(picture: np.ndarray) -> np.ndarray:
     return np.pad(large, [(_GAP, _GAP), (_GAP, _GAP), (0, 0)], constant_values=0.5)
 
 
-def forward_error(shot: Photographed) -> tuple[float, float, float]:
+def forward_error(subject: Subject, shot: Photographed, shadows: bool) -> tuple[float, float, float]:
     """Return quantiles .5, .9 of the texels' relative error of the program's renderer with the true maps, and its bias.
 
     A texel's error is the mean over its samples that are not clipped of |ours − theirs|, over the mean of theirs; the
     bias is the median over the texels of the signed one.
     """
-    domain = domain_from_card(read_capture(shot.capture, decoder=decode))
-    truth = {name: np.atleast_3d(shot.truth[name]) for name in ("base_color", "normal", "roughness", "metallic")}
+    domain = subject.domain(read_capture(shot.capture, decoder=decode), shadows)
+    truth = {
+        name: np.atleast_3d(getattr(shot.truth, name)) for name in ("base_color", "normal", "roughness", "metallic")
+    }
     model = load_model("principled_metallic")
     ours = np.stack([p[..., :3] for p in render_domain(domain, model, truth, range(domain.observations))])
     kept = domain.stack[..., 3:] > 0
     apart, theirs = (ours - domain.stack[..., :3]) * kept, domain.stack[..., :3] * kept
-    share = np.abs(apart).sum(axis=(0, 3)) / theirs.sum(axis=(0, 3))
-    signed = apart.sum(axis=(0, 3)) / theirs.sum(axis=(0, 3))
+    whole = theirs.sum(axis=(0, 3))
+    share, signed = ((a.sum(axis=(0, 3)) / whole)[whole > 0] for a in (np.abs(apart), apart))
     return float(np.median(share)), float(np.quantile(share, 0.9)), float(np.median(signed))
 
 
@@ -190,18 +197,14 @@ def check(names: list[str], kinds: list[str], table: dict, options: argparse.Nam
     print("|---|---|---|---|---|---|---|")
     for kind in kinds:
         for name in names:
-            shot = card_captures.photograph(f"{name}-{kind}", table[name](), SHOOTINGS[kind], options.cache)
-            off = " | ".join(f"{100 * v:.2f} %" for v in forward_error(shot))
+            subject, shooting = table[name](), SHOOTINGS[kind]
+            shot = card_captures.photograph(f"{name}-{kind}", subject, shooting, options.cache)
+            off = " | ".join(f"{100 * v:.2f} %" for v in forward_error(subject, shot, shooting.shadows))
             with TemporaryDirectory() as folder:
-                shown = card_captures.relight(true_maps(shot.truth), SHOOTINGS[kind].near, Path(folder))
+                shown, _ = card_captures.relight(subject, shot.truth, shooting.near, Path(folder))
             best = picture_errors(shown, shot)
             found = [f"{value:.1f}" if value is not None else "–" for value in (best["psnr"], best["psnr_highlights"])]
             print(f"| {name} | {kind} | {off} | {' | '.join(found)} |", flush=True)
-
-
-def true_maps(truth: dict[str, np.ndarray]) -> TrueMaps:
-    """Return the truth as maps."""
-    return TrueMaps(*(truth[name] for name in ("base_color", "normal", "roughness", "metallic")))
 
 
 def main() -> None:
@@ -211,7 +214,8 @@ def main() -> None:
         print(side_by_side(options.table))
         return
     tune, report = cards.card_table(options.data)
-    table = tune | report
+    scan = options.data / SCAN
+    table = tune | report | ({"head": partial(head, scan)} if scan.is_dir() else {})
     chosen = options.names or list(tune if options.tune else report if options.report else table)
     kinds = options.captures.split(",")
     for asked, known in ((chosen, table), (kinds, SHOOTINGS)):
@@ -247,7 +251,7 @@ def measure_all(names: list[str], kinds: list[str], table: dict, options: argpar
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="cards; all without")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="cards, or head; all without")
     half = parser.add_mutually_exclusive_group()
     half.add_argument("--tune", action="store_true", help="only the cards that settings are chosen by")
     half.add_argument("--report", action="store_true", help="only the cards that no setting was chosen by")
@@ -257,7 +261,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of recover; repeatable")
     parser.add_argument("--label", help="name of this run in tables (default: the model)")
     data = ROOT.parent / "shared" / "data"
-    parser.add_argument("--data", type=Path, default=data, help="folder that may hold materials/rock/albedo.jpg")
+    parser.add_argument(
+        "--data", type=Path, default=data, help="folder that may hold materials/rock/albedo.jpg and the scan"
+    )
     cache = ROOT / ".cache" / "scenes" / "gloss"
     parser.add_argument("--cache", type=Path, default=cache, help="folder that keeps the pictures")
     parser.add_argument(

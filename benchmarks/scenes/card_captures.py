@@ -1,4 +1,4 @@
-"""Cards photographed by Cycles as captures in the program's own format, and under lamps that the captures lack.
+"""Cards and the head photographed by Cycles as captures in the program's format, and under lamps that these lack.
 
 A folder of the cache holds ``capture/``, the truth as the camera sees it, and the pictures; what is there is not
 rendered again.
@@ -11,15 +11,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 import bpy
 import numpy as np
 
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.exr import write_exr
 from irpso_addon.capture.table import TABLE
 from irpso_addon.capture.toml_text import toml_value
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.files import new_folder
+from irpso_addon.geometry.domain import Domain
 from irpso_addon.geometry.scene import camera_from_object
 from irpso_addon.maps.encode import srgb_from_linear
 
@@ -29,22 +33,44 @@ from .sensor import Sensor
 from .textured import TrueMaps, opaque
 
 CAPTURE = "capture"
-_UNSEEN_SAMPLES, _FLAT_SAMPLES = 64, 16  # a pixel of the flat card has one material, and next to no noise
+_MASK = "mask.exr"
+_UNSEEN_SAMPLES, _RELIT_SAMPLES = 64, 16  # a pixel of the flat card has one material, and next to no noise
 UNSEEN = lamp_places(8, (20.0, 52.0), (2.6, 3.6), turn=225.0)  # 10° or more from every lamp of the captures
 _OFF_AXIS, _FAR = (15.0, 60.0), (1.2 * cards.WIDTH, 2.0 * cards.WIDTH)
 _CLIPPED = 0.015  # of the samples, in the brightest channel
 _NOISE = {"read": 0.002, "shot": 0.01}  # shares of full scale
 _QUALITY = 95
-_NARROW = 0.35  # roughness; from there on 16 samples in a pixel are off by less than .2 % of its radiance
+
+
+class Subject(Protocol):
+    """What is photographed, within cards.WIDTH around the origin and facing +z: a card (cards.py), a head (head.py).
+
+    side: pixels of its pictures. digest: tells it from others. flat: a card, whose texels are the pixels. fine: needs
+    the larger number of samples. build: puts it into the open scene, with its true maps or recovered ones. The others
+    speak of the open scene after build: truth is of the texels, given that of the pixels; arguments are for recover.
+    """
+
+    side: int
+    flat: bool
+
+    @property
+    def digest(self) -> bytes: ...
+    @property
+    def fine(self) -> bool: ...
+    def build(self, found: TrueMaps | None = None) -> None: ...
+    def truth(self, looks: TrueMaps) -> TrueMaps: ...
+    def points(self, camera: Camera) -> np.ndarray: ...
+    def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]: ...
+    def domain(self, capture: Capture, shadows: bool) -> Domain: ...
 
 
 @dataclass(frozen=True)
 class Shooting:
-    """How a card is photographed. lights: (K, 3) directions or, where ``near``, places. bounces: of light paths.
+    """How a subject is photographed. lights: (K, 3) directions or, where ``near``, places. bounces: of light paths.
 
     near: under lamps, by a perspective camera, as 8-bit sRGB JPEG with noise; else distant lights, an orthographic
     camera and EXR without noise. shadows: whether they are cast. samples: a pixel and light, of
-    cards with narrow lobes and of others. rim: height of a rim around the picture, in world units.
+    fine subjects and of others. rim: height of a rim around the picture of a card, in world units.
     """
 
     lights: np.ndarray
@@ -67,58 +93,75 @@ SHOOTINGS = {
 
 @dataclass(frozen=True)
 class Photographed:
-    """capture: its folder. truth: maps as render.truth gives them. unseen: (8, H, W, 3) radiance under UNSEEN."""
+    """capture: its folder. arguments: further ones for ``recover``. truth: of the texels that are recovered.
+
+    looks: the truth as the camera sees it, normals in its axes. points: (H, W, 3) places that pixels show. shown:
+    (H, W) bool, pixels of the subject alone. unseen: (8, H, W, 3) radiance under UNSEEN.
+    """
 
     capture: Path
-    truth: dict[str, np.ndarray]
+    arguments: tuple[object, ...]
+    truth: TrueMaps
+    looks: TrueMaps
+    points: np.ndarray
+    shown: np.ndarray
     unseen: np.ndarray
 
 
-def photograph(name: str, card: cards.Card, shooting: Shooting, cache: Path) -> Photographed:
-    """Return the card's capture, truth and unseen pictures, rendered where ``cache`` lacks them."""
-    samples = shooting.samples[0 if card.roughness.min() < _NARROW else 1]
+def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> Photographed:
+    """Return the subject's capture, truth and unseen pictures, rendered where ``cache`` lacks them."""
+    samples = shooting.samples[0 if subject.fine else 1]
     lights = shooting.lights.tobytes(), UNSEEN.tobytes()
     how = shooting.near, shooting.shadows, shooting.bounces, samples, _UNSEEN_SAMPLES
     how += (shooting.rim,) if shooting.rim else ()
-    key = repr((card.digest, lights, how, _CLIPPED, _NOISE, _QUALITY, cards.SIDE, cards.FIELD))
+    key = repr((subject.digest, lights, how, _CLIPPED, _NOISE, _QUALITY, subject.side, cards.FIELD))
     folder = cache / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:10]}"
-    _empty(shooting.near, samples, shooting.bounces)
-    cards.build(card)
-    if shooting.rim:
+    _empty(subject, shooting.near, samples, shooting.bounces)
+    subject.build()
+    if shooting.rim and subject.flat:
         cards.build_rim(shooting.rim)
-    truth = render.truth(folder / "seen")
+    seen = render.truth(folder / "seen")
+    looks, shown = _maps(seen), seen["coverage"] > 0.999
     if not (folder / CAPTURE).exists():
-        _write(name, shooting, folder)
-    _empty(shooting.near, _UNSEEN_SAMPLES, 0)
-    cards.build(card)
+        _write(name, subject, shooting, shown, folder)
+    _empty(subject, shooting.near, _UNSEEN_SAMPLES, 0)
+    subject.build()
     unseen = np.stack(list(render.photographs_near(folder / "unseen", UNSEEN, shadows=False)))
-    return Photographed(folder / CAPTURE, truth, unseen)
+    points = subject.points(_camera(subject))
+    arguments = subject.arguments(folder, shooting.shadows)
+    return Photographed(folder / CAPTURE, arguments, subject.truth(looks), looks, points, shown, unseen)
 
 
-def relight(maps: TrueMaps, near: bool, folder: Path) -> np.ndarray:
-    """Return (8, H, W, 3) radiance of a flat card with these maps under UNSEEN, by the camera of ``near``."""
-    _empty(near, _FLAT_SAMPLES, 0)
-    cards.build_flat(maps)
-    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False)))
+def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
+    """Return (8, H, W, 3) radiance of a subject with recovered maps under UNSEEN, and the maps as the camera sees them.
+
+    The camera is that of ``near``.
+    """
+    _empty(subject, near, _RELIT_SAMPLES, 0)
+    subject.build(found)
+    looks = _maps(render.truth(folder))
+    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), looks
 
 
-def diffuse_part(truth: dict[str, np.ndarray]) -> np.ndarray:
+def diffuse_part(shot: Photographed) -> np.ndarray:
     """Return (8, H, W) mean over the channels of what the true diffuse base alone would radiate under UNSEEN.
 
     What the layer above takes from the base, some 4 %, is not taken off.
     """
-    along = ((np.arange(cards.SIDE) + 0.5) / cards.SIDE - 0.5) * cards.WIDTH
-    x, y = np.meshgrid(along, along)
-    toward = UNSEEN[:, None, None] - np.stack([x, y, np.zeros_like(x)], axis=-1)
+    toward = UNSEEN[:, None, None] - shot.points
     squared = (toward**2).sum(axis=-1)
-    cosine = (toward * truth["normal"]).sum(axis=-1) / np.sqrt(squared)
-    albedo = (1 - truth["metallic"]) * truth["base_color"].mean(axis=-1)
+    cosine = (toward * shot.looks.normal).sum(axis=-1) / np.sqrt(squared)
+    albedo = (1 - shot.looks.metallic) * shot.looks.base_color.mean(axis=-1)
     strength = (UNSEEN**2).sum(axis=-1)[:, None, None] / squared
     return albedo * np.maximum(cosine, 0) * strength
 
 
-def _empty(near: bool, samples: int, bounces: int) -> None:
-    view = render.View(cards.SIDE, cards.SIDE, cards.WIDTH, samples, bounces)
+def _maps(truth: dict[str, np.ndarray]) -> TrueMaps:
+    return TrueMaps(*(truth[name] for name in ("base_color", "normal", "roughness", "metallic")))
+
+
+def _empty(subject: Subject, near: bool, samples: int, bounces: int) -> None:
+    view = render.View(subject.side, subject.side, cards.WIDTH, samples, bounces)
     render.empty_scene(view)
     camera = bpy.context.scene.camera
     if near:
@@ -127,8 +170,11 @@ def _empty(near: bool, samples: int, bounces: int) -> None:
     bpy.context.view_layer.update()
 
 
-def _write(name: str, shooting: Shooting, folder: Path) -> None:
-    camera = camera_from_object(bpy.context.scene.camera, cards.SIDE, cards.SIDE)
+def _camera(subject: Subject) -> Camera:
+    return camera_from_object(bpy.context.scene.camera, subject.side, subject.side)
+
+
+def _write(name: str, subject: Subject, shooting: Shooting, shown: np.ndarray, folder: Path) -> None:
     taken = render.photographs_near if shooting.near else render.photographs
     pictures = list(taken(folder / "seen", shooting.lights, shadows=shooting.shadows))
     if not shooting.near:
@@ -136,25 +182,30 @@ def _write(name: str, shooting: Shooting, folder: Path) -> None:
             Observation(f"light {n}", partial(opaque, image), Light(tuple(map(float, direction))))
             for n, (image, direction) in enumerate(zip(pictures, shooting.lights, strict=True))
         )
-        mask = np.ones((cards.SIDE, cards.SIDE), bool)
-        write_capture(Capture(name, shots, (camera,), (mask,)), folder / CAPTURE)
+        write_capture(Capture(name, shots, (_camera(subject),), (shown,)), folder / CAPTURE)
         return
-    brightest = np.stack(pictures).max(axis=-1)
+    brightest = np.stack(pictures).max(axis=-1)[:, shown]
     sensor = Sensor(gain=float(1 / np.quantile(brightest, 1 - _CLIPPED)), **_NOISE)
     with new_folder(folder / CAPTURE) as partly:
         for number, picture in enumerate(pictures):
             write_jpeg(partly / f"{number:03d}.jpg", srgb_from_linear(sensor.expose(picture, number)))
-        (partly / TABLE).write_text("\n".join(_table(name, shooting.lights, sensor.gain)) + "\n", encoding="utf-8")
+        if not subject.flat:
+            write_exr(partly / _MASK, {"": {"Y": shown.astype(np.float32)}}, half=True)
+        lines = _table(name, subject, shooting.lights, sensor.gain)
+        (partly / TABLE).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _table(name: str, places: np.ndarray, gain: float) -> Iterator[str]:
-    """Yield the lines of a capture table: a camera above the middle of the card, and lamps as bright as rendered."""
+def _table(name: str, subject: Subject, places: np.ndarray, gain: float) -> Iterator[str]:
+    """Yield the lines of a capture table: a camera above the subject's middle, and lamps as bright as rendered."""
     matrix = np.eye(4)
     matrix[2, 3] = cards.DISTANCE
     yield from ("format = 1", f"name = {toml_value(name)}", 'colour_space = "srgb"')
-    yield f"card_distance = {toml_value(float(cards.DISTANCE))}"
-    yield from ("", "[[camera]]", f"width = {cards.SIDE}", f"height = {cards.SIDE}", f"fov_degrees = {cards.FIELD}")
-    yield f"matrix = {toml_value(matrix.ravel())}"
+    if subject.flat:
+        yield f"card_distance = {toml_value(float(cards.DISTANCE))}"
+    yield from ("", "[[camera]]", f"width = {subject.side}", f"height = {subject.side}")
+    yield from (f"fov_degrees = {cards.FIELD}", f"matrix = {toml_value(matrix.ravel())}")
+    if not subject.flat:
+        yield f'mask = "{_MASK}"'
     for number, place in enumerate(places):
         yield from ("", "[[observation]]", f'image = "{number:03d}.jpg"', f"light_position = {toml_value(place)}")
         yield f"light_intensity = {toml_value(float(gain * place @ place))}"

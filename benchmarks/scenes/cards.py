@@ -11,10 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import bpy
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
+
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.types import Capture
+from irpso_addon.geometry.build import domain_from_card
+from irpso_addon.geometry.domain import Domain
 
 from .resample import resampled
 from .textured import TrueMaps, linear_picture, true_material
@@ -28,6 +34,7 @@ _FULL = SIDE + 2 * MARGIN
 _QUADS = 512  # along a side of the mesh
 _RIM = 1.03  # of half the picture's width: where a rim's inner wall stands
 _BLUR = 1.0  # texels: what a border between two materials is softened by
+_NARROW = 0.35  # roughness; from there on 16 samples in a pixel are off by less than .2 % of its radiance
 
 
 @dataclass(frozen=True)
@@ -38,11 +45,40 @@ class Card:
     base_color: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
+    side: ClassVar[int] = SIDE
+    flat: ClassVar[bool] = True
 
     @property
     def digest(self) -> bytes:
         """What tells this card from others."""
         return b"".join(np.round(a, 6).astype(np.float32).tobytes() for a in vars(self).values())
+
+    @property
+    def fine(self) -> bool:
+        """Whether a pixel shows lobes so narrow that it wants more samples than others."""
+        return bool(self.roughness.min() < _NARROW)
+
+    def build(self, found: TrueMaps | None = None) -> None:
+        """Put the card into the open scene; with recovered maps flat, as the picture shows them pixel for pixel."""
+        build_true(self) if found is None else build_flat(found)
+
+    def truth(self, looks: TrueMaps) -> TrueMaps:
+        """Return the true maps of the texels that are recovered: of the pixels."""
+        return looks
+
+    def points(self, camera: Camera) -> np.ndarray:
+        """Return (SIDE, SIDE, 3) the places on the flat card that the pixels show."""
+        along = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * WIDTH
+        x, y = np.meshgrid(along, along)
+        return np.stack([x, y, np.zeros_like(x)], axis=-1)
+
+    def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]:
+        """Return what ``recover`` is told besides the capture."""
+        return ()
+
+    def domain(self, capture: Capture, shadows: bool) -> Domain:
+        """Return what is recovered from a capture."""
+        return domain_from_card(capture)
 
 
 def card_table(data: Path) -> tuple[dict[str, Callable[[], Card]], dict[str, Callable[[], Card]]]:
@@ -159,8 +195,8 @@ def skin() -> Card:
     return _card(0.3 * noise(2.5) + 0.35 * noise(5.0) - 0.5 * pores, 1.0, colour, roughness, 0.0)
 
 
-def build(card: Card):
-    """Put the card into the open scene, as a mesh of _QUADS² quads with its material, and return the object."""
+def build_true(card: Card) -> None:
+    """Put the card into the open scene, as a mesh of _QUADS² quads with its material."""
     count = _QUADS + 1
     along = np.linspace(0, 1, count)
     v, u = np.meshgrid(along, along, indexing="ij")
@@ -174,7 +210,6 @@ def build(card: Card):
     made.data.materials.append(
         true_material(TrueMaps(card.base_color, None, card.roughness, np.asarray(card.metallic)))
     )
-    return made
 
 
 def build_rim(height: float) -> None:
@@ -198,13 +233,12 @@ def build_rim(height: float) -> None:
         wall.data.materials.append(made)
 
 
-def build_flat(maps: TrueMaps):
+def build_flat(maps: TrueMaps) -> None:
     """Put a flat card that the picture shows pixel for pixel into the open scene, with recovered maps on it."""
     reach = WIDTH / 2
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * reach
     made = _mesh(corners, np.arange(4)[None], (corners[:, :2] / reach + 1) / 2)
     made.data.materials.append(true_material(maps, flat=True))
-    return made
 
 
 def _mesh(vertices: np.ndarray, quads: np.ndarray, uv: np.ndarray):

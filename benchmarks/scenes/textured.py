@@ -90,6 +90,11 @@ def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
     subject.name = NAME
     subjects.fit(subject, _FILL * view.world_width, _FILL * view.world_width * view.height / view.width)
     bpy.context.view_layer.update()
+    save_blend(folder)
+
+
+def save_blend(folder: Path) -> None:
+    """Save the open scene as the folder's .blend file, where it has none."""
     if not (folder / BLEND).exists():
         folder.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / BLEND), copy=True, check_existing=False)
