@@ -128,8 +128,12 @@ def beyond(found: TrueMaps, truth: TrueMaps, seen: np.ndarray, out: Path) -> Row
     shares = {}
     for name, error in wrong.items():
         deviation = layers.get(f"confidence_{name}")
-        over = None if deviation is None else (error > 3 * np.stack(list(deviation.values()), axis=-1)).any(axis=-1)
-        shares[f"beyond_{name}"] = None if over is None else float(over[seen].mean())
+        if deviation is None:
+            shares[f"beyond_{name}"] = None
+            continue
+        channels = [deviation[c] for c in sorted(deviation, reverse=True)]  # R, G, B; a file has them as B, G, R
+        over = (error > 3 * np.stack(channels, axis=-1)).any(axis=-1)
+        shares[f"beyond_{name}"] = float(over[seen].mean())
     return shares
 
 
