@@ -21,10 +21,11 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.peer_child import DATA
-from irpso_addon.geometry.domain import Domain, subset, tile
+from irpso_addon.geometry.domain import Domain, subset
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
 
 CAPTURES = ("bunny_specular", "rti_icon")
 HELD_OUT = 12  # one in so many observations
@@ -77,9 +78,9 @@ def subjects_of(size: int) -> Iterator[Subject]:
 
 
 def _captured(folder: Path, size: int) -> Subject:
+    from irpso_addon.blender.images import decode
     from irpso_addon.capture import read_capture, read_exr
     from irpso_addon.geometry.build import domain_from_card
-    from irpso_addon.maps.blender_images import decode
 
     domain = domain_from_card(read_capture(folder, decode))
     truth = None
@@ -99,8 +100,8 @@ def _captured(folder: Path, size: int) -> Subject:
 
 def solve(subject: Subject, way: Way, seed: int = 1) -> dict[str, Any]:
     """Return errors and cost of one recovery."""
-    from irpso_addon.solver.pictures import image_psnr, image_rows
-    from irpso_addon.solver.pyramid import Pyramid
+    from irpso_addon.solver.engine.coarse_to_fine import Pyramid
+    from irpso_addon.solver.views.pictures import image_psnr, image_rows
 
     context.ensure()
     schedule = load_schedule(way.preset).replaced(**way.changes)

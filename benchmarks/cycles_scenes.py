@@ -29,11 +29,11 @@ from benchmarks.scenes import render, textured
 from benchmarks.scenes.command import ROOT, recover
 from benchmarks.scenes.lights import seen_and_unseen
 from benchmarks.scenes.scores import Errors, angles, psnr, ssim
-from irpso_addon.capture.exr import read_exr
-from irpso_addon.maps.blender_images import encode_png
-from irpso_addon.maps.encode import srgb_from_linear
-from irpso_addon.maps.read import read_maps
+from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.png import encode_png
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.read import read_maps
 
 
 @dataclass(frozen=True)

@@ -45,14 +45,15 @@ from benchmarks.scenes.gloss_table import Row, coverage, one_run, read_rows, sid
 from benchmarks.scenes.head import SCAN, head
 from benchmarks.scenes.scores import angles, psnr
 from benchmarks.scenes.textured import TrueMaps
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.blender.images import decode
+from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.capture.read import read_capture
-from irpso_addon.maps.blender_images import decode, encode_png
-from irpso_addon.maps.encode import encode_normal, srgb_from_linear
-from irpso_addon.maps.read import read_maps
-from irpso_addon.paths import DEFAULT_MODEL
+from irpso_addon.core.encode import encode_normal, srgb_from_linear
+from irpso_addon.core.paths import DEFAULT_MODEL
+from irpso_addon.core.png import encode_png
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.forward import render_domain
+from irpso_addon.results.read import read_maps
+from irpso_addon.solver.views.forward import render_domain
 
 _GLOSSY = 0.2  # of roughness
 _METAL = 0.9  # of metallic

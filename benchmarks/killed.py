@@ -142,7 +142,7 @@ def write_card(folder: Path, shape: tuple[int, int], lights: int) -> Path:
 
 
 def _maps(folder: Path) -> dict[str, np.ndarray]:
-    from irpso_addon.capture.exr import read_exr
+    from irpso_addon.capture.images.exr import read_exr
 
     parts = read_exr(folder / "maps.exr")
     return {f"{part}.{name}": values for part, channels in parts.items() for name, values in channels.items()}

@@ -74,15 +74,15 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
 
     from benchmarks.product import now
     from benchmarks.scenes import textured
+    from irpso_addon.blender.images import decode
+    from irpso_addon.blender.mesh import extract_mesh
+    from irpso_addon.blender.scene import mesh_object, open_blend
     from irpso_addon.capture.read import read_capture
     from irpso_addon.geometry.build import domain_from_mesh
-    from irpso_addon.geometry.mesh import extract_mesh
-    from irpso_addon.geometry.scene import mesh_object, open_blend
-    from irpso_addon.maps.blender_images import decode
     from irpso_addon.reflectance.model import load_model
-    from irpso_addon.solver.planning import covered_texels, make_plan
-    from irpso_addon.solver.schedule import load_schedule
-    from irpso_addon.solver.tiled import TiledRecovery
+    from irpso_addon.solver.engine.tiled import TiledRecovery
+    from irpso_addon.solver.planning.planning import covered_texels, make_plan
+    from irpso_addon.solver.settings.schedule import load_schedule
 
     open_blend(_FOLDER / textured.BLEND)
     mesh = extract_mesh(mesh_object(textured.NAME))

@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks import product, report, subjects
 from benchmarks.report import short
-from irpso_addon.capture import enough
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.inspect import sufficiency as enough
+from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.gpu import context
@@ -144,7 +144,11 @@ def _outdated(rows: list[dict]) -> list[str]:
                 now = [r["failed"][ask] for r in same if r["model"] == model]
                 if now and abs(now[0] - figure.failed[at]) > OUTDATED:
                     off.append(f"{kind} {figure.value:g}, {ask}: {figure.failed[at]:.1%} there, {now[0]:.1%} here")
-    return [f"The figures in `irpso_addon/capture/enough.py` are outdated: {'; '.join(off)}.", ""] if off else []
+    return (
+        [f"The figures in `irpso_addon/capture/inspect/sufficiency.py` are outdated: {'; '.join(off)}.", ""]
+        if off
+        else []
+    )
 
 
 _KINDS = {"number": "number of lights", "cone": "half-angle of the cone, degrees", "fan": "width across a fan"}

@@ -106,10 +106,10 @@ def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
     from scipy.ndimage import distance_transform_edt
 
     from benchmarks.scenes import around, render, textured
+    from irpso_addon.blender.mesh import extract_mesh
+    from irpso_addon.blender.scene import camera_from_object
     from irpso_addon.geometry.bake import bake_camera, bake_uv
-    from irpso_addon.geometry.mesh import extract_mesh
     from irpso_addon.geometry.project import Projector
-    from irpso_addon.geometry.scene import camera_from_object
     from irpso_addon.gpu import context
 
     context.ensure()
@@ -174,11 +174,11 @@ def run_measured(command: list[str]) -> tuple[float, float]:
 def _compare(case: Case, out: Path, subject: _Subject, view, unseen) -> dict[str, Any]:
     from benchmarks.cycles_scenes import side_by_side
     from benchmarks.scenes.scores import angles, psnr, ssim
-    from irpso_addon.capture.exr import read_exr
-    from irpso_addon.maps.blender_images import encode_png
-    from irpso_addon.maps.encode import srgb_from_linear
-    from irpso_addon.maps.read import read_maps
+    from irpso_addon.capture.images.exr import read_exr
+    from irpso_addon.core.encode import srgb_from_linear
+    from irpso_addon.core.png import encode_png
     from irpso_addon.reflectance.model import load_model
+    from irpso_addon.results.read import read_maps
 
     found, truth = read_maps(out, load_model("principled")), subject.truth
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()

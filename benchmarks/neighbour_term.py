@@ -19,8 +19,8 @@ import numpy as np
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import Schedule, load_schedule
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 LIGHTS = 16
 NOISE = 0.003  # standard deviation of a sample, where white facing the light is 1

@@ -49,10 +49,10 @@ def subject(name: str, quick: bool) -> Subject:
     if name != BUNNY:
         card = subjects.make_card(8 if quick else 64, 20 if quick else 100, subjects.DIRTS[name], seed=1)
         return Subject(card.domain, card.model, card.truth)
+    from irpso_addon.blender.images import decode
     from irpso_addon.capture import read_capture, read_exr
     from irpso_addon.capture.camera import Camera
     from irpso_addon.geometry.build import domain_from_card
-    from irpso_addon.maps.blender_images import decode
 
     channels = read_exr(DATA / BUNNY / "normal_gt.exr")[""]
     truth = np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64)

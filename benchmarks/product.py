@@ -13,8 +13,8 @@ from benchmarks.peers.problem import Sample, Values
 from irpso_addon.geometry.domain import Domain
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import Schedule, load_schedule
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import Schedule, load_schedule
 
 LM_ALONE = "LM alone"
 ONE_PARTICLE = ("paper", "constriction", "swarm")  # presets whose iterations move one particle a texel

@@ -94,11 +94,11 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
 
     Each exchange of a stage tells every rank that looks into this one's box the bests of the texels it looks at.
     """
-    from irpso_addon.cluster.split import split
+    from irpso_addon.cluster.partition import split
     from irpso_addon.reflectance.model import load_model
-    from irpso_addon.solver.need import phase_need, recovery_need
-    from irpso_addon.solver.resolve import resolve
-    from irpso_addon.solver.schedule import load_schedule
+    from irpso_addon.solver.planning.cost import phase_need, recovery_need
+    from irpso_addon.solver.settings.resolve import resolve
+    from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
     found = split(np.ones(shape, bool), recovery_need(model, schedule, (), _LIGHTS), ranks)

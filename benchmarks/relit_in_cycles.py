@@ -20,10 +20,10 @@ import numpy as np
 from benchmarks.scenes import render
 from benchmarks.scenes.card_captures import write_jpeg
 from benchmarks.scenes.scores import psnr
+from irpso_addon.blender.images import decode
 from irpso_addon.capture.read import read_capture
 from irpso_addon.capture.types import Light
-from irpso_addon.maps.blender_images import decode
-from irpso_addon.maps.encode import srgb_from_linear
+from irpso_addon.core.encode import srgb_from_linear
 
 _GAP = 6  # pixels between pictures
 _SAMPLES = 64

@@ -20,12 +20,12 @@ from benchmarks.product import now
 from irpso_addon.geometry.domain import Domain
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.memory import Memory
-from irpso_addon.solver.need import Need, recovery_need
-from irpso_addon.solver.plan import Box, Plan, plan_recovery
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import Schedule
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.planning.cost import Need, recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.planning.plan import Box, Plan, plan_recovery
+from irpso_addon.solver.settings.schedule import Schedule
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ from importlib import import_module
 _HOMES = {
     "read_capture": "capture.read",
     "load_model": "reflectance.model",
-    "load_schedule": "solver.schedule",
-    "Recovery": "solver.recovery",
-    "Pyramid": "solver.pyramid",
+    "load_schedule": "solver.settings.schedule",
+    "Recovery": "solver.engine.recovery",
+    "Pyramid": "solver.engine.coarse_to_fine",
     "Domain": "geometry.domain",
     "domain_from_card": "geometry.build",
     "domain_from_mesh": "geometry.build",
-    "extract_mesh": "geometry.mesh",
-    "estimate_lights": "solver.lights",
-    "Maps": "maps.result",
-    "write_maps": "maps.write",
+    "extract_mesh": "blender.mesh",
+    "estimate_lights": "solver.lights.refine",
+    "Maps": "results.maps",
+    "write_maps": "results.write",
 }
 __all__ = ["register", "unregister", *_HOMES]
 

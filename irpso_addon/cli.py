@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from .errors import InputError, IrpsoError, ShaderError
-from .paths import DEFAULT_MODEL
+from .core.errors import InputError, IrpsoError, ShaderError
+from .core.paths import DEFAULT_MODEL
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _REMEDIES = {  # of a module that is missing

@@ -42,9 +42,9 @@ def build_scene():
 
 def write_capture(head, folder):
     """Photograph the head under lights around the camera, shadows cast by itself included, into a new folder."""
-    types, forward, build = part("capture.types"), part("solver.forward"), part("geometry.bake")
-    mesh = part("geometry.mesh").extract_mesh(head)
-    view = part("geometry.scene").camera_from_object(bpy.context.scene.camera, round(HEIGHT * ASPECT), HEIGHT)
+    types, forward, build = part("capture.types"), part("solver.views.forward"), part("geometry.bake")
+    mesh = part("blender.mesh").extract_mesh(head)
+    view = part("blender.scene").camera_from_object(bpy.context.scene.camera, round(HEIGHT * ASPECT), HEIGHT)
     lights = [types.Light(tuple(float(v) for v in view.matrix[:3, :3] @ direction)) for direction in spiral()]
     bake = build.bake_camera(mesh, view)
     model = part("reflectance.model").load_model("cook_torrance_two_lobe")

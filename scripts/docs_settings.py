@@ -8,8 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from irpso_addon.solver.limits import Limits  # noqa: E402
-from irpso_addon.solver.schedule import SETTINGS  # noqa: E402
+from irpso_addon.solver.settings.limits import Limits  # noqa: E402
+from irpso_addon.solver.settings.schedule import SETTINGS  # noqa: E402
 from irpso_addon.ui.schedule_words import GROUPS, WORDS, Words  # noqa: E402
 
 PAGE = ROOT / "docs" / "presets.md"

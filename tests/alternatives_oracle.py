@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irpso_addon.solver.resolve import ResolvedStage
+from irpso_addon.solver.settings.resolve import ResolvedStage
 from tests import confidence_oracle
 from tests import generation_oracle as generation
 

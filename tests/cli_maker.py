@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from tests import oracles

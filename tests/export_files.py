@@ -7,13 +7,14 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from irpso_addon.blender import tangent_frames as frames
+from irpso_addon.blender.images import decode
+from irpso_addon.blender.material import apply_material, build_material
+from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.exports.result import Result
-from irpso_addon.geometry import bake, frames
-from irpso_addon.geometry.mesh import extract_mesh
-from irpso_addon.maps.blender_images import decode
-from irpso_addon.maps.material import apply_material, build_material
-from irpso_addon.maps.result import Maps
+from irpso_addon.geometry import bake
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
 from tests import cli_maker, oracles
 
 SHAPE = (20, 28)

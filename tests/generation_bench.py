@@ -9,12 +9,12 @@ import numpy as np
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.generations import RunningGenerations
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.stage import particle_count
-from irpso_addon.solver.state import DomainTextures, Estimates
+from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.phases.synchronous_swarm import RunningGenerations
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import generation_oracle as oracle
 from tests import swarm_numbers as numbers
 from tests import swarm_oracle as swarm

@@ -13,16 +13,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from irpso_addon.cluster.member import Member, Share, around
-from irpso_addon.cluster.ranks import joined
 from irpso_addon.cluster.recovery import Crew, RankedRecovery, serve
-from irpso_addon.geometry.domain import tile
+from irpso_addon.cluster.transport import joined
+from irpso_addon.cluster.worker import Member, Share, around
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.plan import divided
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import Polish, load_schedule
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.plan import divided
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
 from tests.swarm_subjects import SHORT, subject
 
 PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from tests import oracles

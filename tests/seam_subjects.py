@@ -9,7 +9,7 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.geometry.mesh import MeshData
-from irpso_addon.geometry.seams import SEAM_REACH, seams_of
+from irpso_addon.geometry.seams.seams import SEAM_REACH, seams_of
 from tests import geometry_oracle
 from tests.geometry_oracle import joined, mesh_from_corners
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
-from irpso_addon.solver.resolve import ResolvedStage
-from irpso_addon.solver.schedule import Fitness, Schedule
+from irpso_addon.solver.settings.resolve import ResolvedStage
+from irpso_addon.solver.settings.schedule import Fitness, Schedule
 from tests.swarm_numbers import random_bits, random_uniform
 
 UNFIT = 1e30

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, GeometryBake, tile
+from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.mixture import merged
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.phases.mixture import merged
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.swarm_oracle import MODELS, direction_to, frames, turned
 
 # Few iterations, and a neighbour term strong enough to show.
@@ -107,7 +108,7 @@ def bits_of(maps):
 
 def recoveries():
     """Yield a maker of recoveries, which are closed at the end: what a fixture of a test module is made of."""
-    from irpso_addon.solver.recovery import Recovery  # needs Blender
+    from irpso_addon.solver.engine.recovery import Recovery  # needs Blender
 
     made = []
 

@@ -11,9 +11,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from irpso_addon.blender.scene import camera_from_object
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
-from irpso_addon.geometry.scene import camera_from_object
 
 from . import render
 from .lights import dome_lights

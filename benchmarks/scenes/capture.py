@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.maps.blender_images import encode_png
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.core.png import encode_png
 
 from . import lights, materials, render, subjects
 from .catalogue import Scene, catalogue

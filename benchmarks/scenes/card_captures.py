@@ -16,16 +16,16 @@ from typing import Protocol
 import bpy
 import numpy as np
 
+from irpso_addon.blender.scene import camera_from_object
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.capture.table import TABLE
-from irpso_addon.capture.toml_text import toml_value
+from irpso_addon.capture.formats.table import TABLE
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
-from irpso_addon.files import new_folder
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.files import new_folder
+from irpso_addon.core.toml_text import toml_value
 from irpso_addon.geometry.domain import Domain
-from irpso_addon.geometry.scene import camera_from_object
-from irpso_addon.maps.encode import srgb_from_linear
 
 from . import cards, render
 from .lights import dome_lights, lamp_places

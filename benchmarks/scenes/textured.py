@@ -10,11 +10,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from irpso_addon.capture.picture import srgb_to_linear
+from irpso_addon.blender.images import decode
+from irpso_addon.blender.scene import camera_from_object
+from irpso_addon.capture.images.linearise import srgb_to_linear
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
-from irpso_addon.geometry.scene import camera_from_object
-from irpso_addon.maps.blender_images import decode
 
 from . import materials, render, subjects
 from .resample import resampled

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
 
 from .functions import Function
 

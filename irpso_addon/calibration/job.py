@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from ..capture.camera import Camera
-from ..capture.draft import Draft, ViewDraft, build_capture
-from ..capture.images import ImageRef, ImageStore
-from ..capture.picture import Decoder
-from ..capture.problems import CaptureError
-from ..errors import InputError
-from .ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .lights import Calibration, Request, calibration_steps
+from ..capture.errors import CaptureError
+from ..capture.images.image import ImageRef, ImageStore
+from ..capture.images.linearise import Decoder
+from ..capture.spec import Draft, ViewDraft, build_capture
+from ..core.errors import InputError
+from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
+from .balls.lights import Calibration, Request, calibration_steps
 from .photographs import calibrated_table
 
 _FEWEST = 0.5  # of the photographs that must tell a light

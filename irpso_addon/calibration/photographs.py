@@ -8,14 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..capture import diligent, read, table
-from ..capture.draft import Draft, Shot, ViewDraft
-from ..capture.images import ImageRef, find_image
-from ..capture.lists import read_lines
-from ..capture.problems import CaptureError
-from ..capture.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
-from ..capture.toml_text import toml_value
+from ..capture import read
+from ..capture.errors import CaptureError
+from ..capture.formats import diligent, table
+from ..capture.formats.lists import read_lines
+from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
+from ..capture.images.image import ImageRef, find_image
+from ..capture.spec import Draft, Shot, ViewDraft
 from ..capture.types import Light
+from ..core.toml_text import toml_value
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
 CAMERA = "camera.toml"

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..capture import three_images
-from ..capture.checks import edge_sizes, whitened
-from ..capture.steps import run_steps
+from ..capture.inspect import three_images
+from ..capture.inspect.checks import edge_sizes, whitened
+from ..core.steps import run_steps
 
 _REACH, _SMALLEST = 32, 32  # pixels searched on each side; pixels that a side must have
 _ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the others, moved; pixels: the change that ends them

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.diligent import DIRECTIONS, FILENAMES, INTENSITIES
-from ..capture.table import TABLE
-from ..errors import InputError
-from ..files import check_unused, new_folder
-from ..maps.blender_images import encode_png
+from ..capture.formats.diligent import DIRECTIONS, FILENAMES, INTENSITIES
+from ..capture.formats.table import TABLE
+from ..core.errors import InputError
+from ..core.files import check_unused, new_folder
+from ..core.png import encode_png
+from .balls.contact_sheet import calibration_picture
 from .job import Calibrated, report_text, written_table
-from .sheet import calibration_picture
 
 _REPORT, _PICTURE = "report.json", "balls.png"
 

@@ -1,12 +1,12 @@
 """What was photographed: readers of captures, one file a format; numpy and OpenEXR only.
 
-Formats other than EXR need a decoder, which is handed in: ``irpso_addon.maps.blender_images.decode`` is Blender's.
+Formats other than EXR need a decoder, which is handed in: ``irpso_addon.blender.images.decode`` is Blender's.
 """
 
 from .camera import Camera
-from .exr import read_exr, write_exr
-from .picture import Decoder, Picture
-from .problems import CaptureError
+from .errors import CaptureError
+from .images.exr import read_exr, write_exr
+from .images.linearise import Decoder, Picture
 from .read import read_capture
 from .types import Capture, Light, Observation
 from .write import write_capture

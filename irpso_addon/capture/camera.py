@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import distortion as lens
-from .problems import CaptureError
+from .errors import CaptureError
 
 _RIGID = 1e-4  # how far axes may be from unit length and right angles: six printed digits
 

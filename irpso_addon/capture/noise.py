@@ -19,8 +19,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from .picture import srgb_to_linear
-from .problems import CaptureError
+from .errors import CaptureError
+from .images.linearise import srgb_to_linear
 from .types import Capture, Observation
 
 LEAST, MOST = 1 / 255, 8 / 255  # of white; one code is JPEG at its best, beyond eight the images are not aligned

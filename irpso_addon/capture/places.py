@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .camera import Camera
-from .problems import CaptureError
+from .errors import CaptureError
 from .types import Capture
 
 # A lamp this many subject sizes away lights it like a distant one: its direction changes by 0.6° over the subject.

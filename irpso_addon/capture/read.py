@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from . import diligent, rti, table
-from .damage import without_damaged
-from .draft import Draft, build_capture
-from .images import ImageStore
-from .picture import COLOUR_SPACES, Decoder
-from .problems import CaptureError
+from .errors import CaptureError
+from .formats import diligent, rti, table
+from .images.image import ImageStore
+from .images.linearise import COLOUR_SPACES, Decoder
+from .inspect.damage import without_damaged
+from .spec import Draft, build_capture
 from .types import Capture
 
 _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
@@ -22,7 +22,7 @@ def read_capture(
 
     Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
     Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
-    decoder: reads the formats that are no EXR (``irpso_addon.maps.blender_images.decode`` is one); without it such
+    decoder: reads the formats that are no EXR (``irpso_addon.blender.images.decode`` is one); without it such
     images are refused. colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly
     show to be linear (``encoding.py``), all others linear.
     skip_damaged: whether images that cannot be decoded are left out, and named in the capture; each is then decoded

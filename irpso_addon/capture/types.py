@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
-from .encoding import Encoding
-from .problems import CaptureError
+from .errors import CaptureError
+from .images.encoding import Encoding
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import new_folder
+from ..core.files import new_folder
+from ..core.toml_text import toml_value
 from .bounds import without_bounds
 from .camera import Camera
-from .exr import write_exr
-from .problems import CaptureError
-from .table import CARD_DISTANCE, FORMAT, TABLE
-from .toml_text import toml_value
+from .errors import CaptureError
+from .formats.table import CARD_DISTANCE, FORMAT, TABLE
+from .images.exr import write_exr
 from .types import Capture, Light
 
 _IMAGES = "images.exr"

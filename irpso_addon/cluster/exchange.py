@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..geometry.domain import Domain
-from ..solver.meetings import Meeting, Place, annex_of, meeting
-from ..solver.recovery import Recovery
-from .ranks import Ranks
+from ..solver.engine.halo import Meeting, Place, annex_of, meeting
+from ..solver.engine.recovery import Recovery
+from .transport import Ranks
 
 
 class Exchange:

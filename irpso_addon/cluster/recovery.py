@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..core.errors import InputError
 from ..geometry.domain import Domain, subset
 from ..gpu import probe
-from ..maps.result import Maps
-from ..solver import checkpoint
-from ..solver.progress import Progress
-from ..solver.schedule import Schedule
-from .member import Member
+from ..results.maps import Maps
+from ..solver.engine.progress import Progress
+from ..solver.settings.schedule import Schedule
+from ..solver.state import checkpoint
 from .samples import SharedStack
+from .worker import Member
 
 _END = "end"
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..capture.toml_file import load_toml
-from ..cluster.ranks import joined
-from ..errors import CheckpointError, InputError
-from ..files import write_json
-from ..maps.report import plain
-from ..maps.write import REPORT
+from ..capture.formats.toml_file import load_toml
+from ..cluster.transport import joined
+from ..core.errors import CheckpointError, InputError
+from ..core.files import write_json
+from ..results.report import plain
+from ..results.write import REPORT
 from . import recover
 from .progress import silent
 from .ranked import refused

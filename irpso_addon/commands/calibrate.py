@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from ..blender.images import decode
+from ..calibration.balls.lights import Request
 from ..calibration.job import Calibrated, ball_of_text, calibrate_steps, report_of
-from ..calibration.lights import Request
 from ..calibration.photographs import camera_keys, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration
-from ..capture.steps import run_steps
-from ..errors import InputError
-from ..maps.blender_images import decode
+from ..core.errors import InputError
+from ..core.steps import run_steps
 from .options import numbers_of_text, positive
 from .progress import ProgressBar, silent
 

@@ -8,16 +8,16 @@ from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
+from ..blender import material
+from ..blender.margins import blender_maps
+from ..blender.mesh import extract_mesh
 from ..capture.types import Light
 from ..demo import experiment, pictures, subject
-from ..geometry.margins import blender_maps
-from ..geometry.mesh import extract_mesh
 from ..gpu import context, probe
-from ..maps import material
-from ..maps.report import build_report, ground_truth_errors, quantiles
-from ..maps.result import Maps
-from ..maps.write import check_output_folder, write_maps
-from ..solver.schedule import load_schedule
+from ..results.maps import Maps
+from ..results.report import build_report, ground_truth_errors, quantiles
+from ..results.write import check_output_folder, write_maps
+from ..solver.settings.schedule import load_schedule
 from .progress import ProgressBar, silent, unseen_reports
 from .recover import BLEND
 

@@ -11,21 +11,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.brackets import exif_amount, name_amount
-from ..calibration.curve_file import read_response
-from ..calibration.develop import Corrections, Shot, developed, registration_steps
-from ..calibration.frames import mean_dark, mean_flat, patch_mean, read_frame, white_gains, without_dark
+from ..blender.images import decode
+from ..calibration.radiometry.brackets import exif_amount, name_amount
+from ..calibration.radiometry.curve_file import read_response
+from ..calibration.radiometry.develop import Corrections, Shot, developed, registration_steps
+from ..calibration.radiometry.frames import mean_dark, mean_flat, patch_mean, read_frame, white_gains, without_dark
+from ..calibration.radiometry.source import Exposing, Source, read_source
 from ..calibration.register import SMALLEST_MOVE, moved_back
-from ..calibration.source import Exposing, Source, read_source
-from ..capture.exif import exposure_of
-from ..capture.exr import write_exr
-from ..capture.headers import read_bytes
-from ..capture.images import ImageRef, ImageStore
-from ..capture.steps import run_steps
+from ..capture.images.exif import exposure_of
+from ..capture.images.exr import write_exr
+from ..capture.images.headers import read_bytes
+from ..capture.images.image import ImageRef, ImageStore
 from ..capture.write import write_capture
-from ..errors import InputError
-from ..files import check_unused, new_folder
-from ..maps.blender_images import decode
+from ..core.errors import InputError
+from ..core.files import check_unused, new_folder
+from ..core.steps import run_steps
 from .photographs import chart_response, exposure_list, files_option, number_list, patch_option
 from .progress import ProgressBar, silent
 

@@ -6,8 +6,8 @@ import sys
 from argparse import Namespace
 
 from ..gpu import probe
-from ..maps.report import versions
-from ..solver.machine import fact_lines, machine_facts
+from ..results.report import versions
+from ..solver.planning.machine import fact_lines, machine_facts
 
 
 def run(options: Namespace) -> dict:

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import write_json
-from ..geometry.mesh import extract_mesh
-from ..geometry.scene import mesh_object, open_blend
+from ..blender import material
+from ..blender.mesh import extract_mesh
+from ..blender.scene import mesh_object, open_blend
+from ..core.errors import InputError
+from ..core.files import write_json
 from ..geometry.slots import slot_names
-from ..maps import material
-from ..maps.report import plain
-from ..maps.write import REPORT, check_output_folder
+from ..results.report import plain
+from ..results.write import REPORT, check_output_folder
 from .progress import unseen_reports
 
 EACH = "each"

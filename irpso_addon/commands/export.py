@@ -6,11 +6,11 @@ import sys
 from argparse import Namespace
 from typing import Any
 
-from ..errors import InputError
+from ..blender.scene import open_blend
+from ..core.errors import InputError
 from ..exports.formats import export
 from ..exports.gltf import result_object
 from ..exports.result import Result, read_result
-from ..geometry.scene import open_blend
 from ..gpu import context, probe
 from .progress import silent, unseen_reports
 

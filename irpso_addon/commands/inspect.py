@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
-from ..capture.damage import DAMAGE
-from ..capture.inspect import inspect_capture
-from ..errors import InputError
-from ..maps.blender_images import decode
+from ..blender.images import decode
+from ..capture.inspect.damage import DAMAGE
+from ..capture.inspect.report import inspect_capture
+from ..core.errors import InputError
 from .options import positive
 
 _ASKED = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes

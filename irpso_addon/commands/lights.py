@@ -7,12 +7,12 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from ..capture.steps import run_steps
 from ..capture.types import Capture
+from ..core.steps import run_steps
 from ..geometry.domain import Domain, subset
-from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel
-from ..solver import lights
+from ..results.maps import Maps
+from ..solver.lights import refine as lights
 from .progress import ProgressBar, silent
 
 _GIVEN_AS_ONE = (1.0, 1.0, 1.0)  # what a capture has that tells no intensities

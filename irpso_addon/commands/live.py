@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from ..errors import InputError
-from ..files import remove_partials
-from ..maps.blender_images import encode_png
-from ..maps.result import Maps
-from ..solver.pictures import maps_so_far
-from ..solver.planning import AnyRecovery
+from ..core.errors import InputError
+from ..core.files import remove_partials
+from ..core.png import encode_png
+from ..results.maps import Maps
+from ..solver.planning.planning import AnyRecovery
+from ..solver.views.pictures import maps_so_far
 
 LIVE = "live.png"
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..maps.read import read_parameter
-from ..maps.udim import ONE_SQUARE
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
-from ..solver.held_out import spared
-from ..solver.schedule import Schedule, load_schedule
+from ..results.read import read_parameter
+from ..solver.settings.schedule import Schedule, load_schedule
+from ..solver.views.held_out import spared
 
 LARGEST_SIDE = 16384
 

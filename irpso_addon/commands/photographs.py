@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.frames import Patch, patch_mean
-from ..calibration.response import Response, response_from_patches
-from ..calibration.source import images_in
-from ..capture.exr_header import is_exr
-from ..capture.images import ImageRef, ImageStore
-from ..errors import InputError
+from ..calibration.radiometry.frames import Patch, patch_mean
+from ..calibration.radiometry.response import Response, response_from_patches
+from ..calibration.radiometry.source import images_in
+from ..capture.images.exr_header import is_exr
+from ..capture.images.image import ImageRef, ImageStore
+from ..core.errors import InputError
 from .options import numbers_of_text
 
 

@@ -11,7 +11,7 @@ from argparse import Namespace
 from collections.abc import Generator
 from typing import Any, TypeVar
 
-from ..capture.steps import run_steps
+from ..core.steps import run_steps
 
 T = TypeVar("T")
 _WIDTH = 28

@@ -8,20 +8,20 @@ import time
 from argparse import Namespace
 from dataclasses import fields
 
-from ..capture.damage import naming_remedy
-from ..cluster.job import check_alike, choose_device, going_down_together
-from ..cluster.member import Member, Share, around
-from ..cluster.ranks import Agreed, Ranks
+from ..capture.inspect.damage import naming_remedy
+from ..cluster.agreement import check_alike, choose_device, going_down_together
+from ..cluster.partition import Split, check_fits, check_gathered, split
 from ..cluster.recovery import Crew, RankedRecovery, serve
-from ..cluster.split import Split, check_fits, check_gathered, split
-from ..errors import InputError, IrpsoError
+from ..cluster.transport import Agreed, Ranks
+from ..cluster.worker import Member, Share, around
+from ..core.errors import InputError, IrpsoError
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, laid_on
-from ..geometry.seams import SeamMap
+from ..geometry.seams.seams import SeamMap
 from ..gpu import context, probe
-from ..solver.memory import machine_memory
-from ..solver.need import recovery_need
-from ..solver.planning import covered_texels, uv_borders
+from ..solver.planning.cost import recovery_need
+from ..solver.planning.memory import machine_memory
+from ..solver.planning.planning import covered_texels, uv_borders
 from .each_slot import EACH
 from .lights import found_lights
 from .progress import silent

@@ -11,50 +11,44 @@ from pathlib import Path
 
 import numpy as np
 
-from ..capture.damage import naming_remedy
-from ..capture.enough import check_normal
+from ..blender import material
+from ..blender.images import decode
+from ..blender.margins import blender_maps
+from ..blender.mesh import extract_mesh
+from ..blender.scene import empty_blend, mesh_object, open_blend
+from ..blender.scene_capture import capture_of_open_file, wide_lights_around
+from ..blender.tangent_frames import from_blender, turned_normals
+from ..capture.inspect.damage import naming_remedy
+from ..capture.inspect.sufficiency import check_normal
 from ..capture.read import read_capture
 from ..capture.types import Capture
-from ..cluster.ranks import joined
-from ..errors import InputError
+from ..cluster.transport import joined
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, subset
-from ..geometry.extras import Extras, extra_maps, normals_of_text
-from ..geometry.frames import from_blender, turned_normals
-from ..geometry.margins import blender_maps
-from ..geometry.mesh import MeshData, extract_mesh
-from ..geometry.scene import empty_blend, mesh_object, open_blend
-from ..geometry.scene_capture import capture_of_open_file, wide_lights_around
+from ..geometry.height import Height
+from ..geometry.mesh import MeshData
 from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
-from ..maps import material
-from ..maps.blender_images import decode
-from ..maps.height import Height
-from ..maps.read import read_maps
-from ..maps.report import build_report, limit_warnings, mode_warnings, prior_shares
-from ..maps.result import Maps
-from ..maps.udim import ONE_SQUARE
-from ..maps.write import check_output_folder, write_maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.checkpoint import glance
-from ..solver.held_out import held_out_last, order_of, preview_names, relit_line, relit_preview
-from ..solver.history import History
-from ..solver.lights import Lights
-from ..solver.memory import parse_memory
-from ..solver.modes import with_modes
-from ..solver.pictures import confidence_preview, error_preview
-from ..solver.plan import Plan
-from ..solver.planning import (
-    AnyRecovery,
-    covered_texels,
-    make_plan,
-    planned_recovery,
-    scratch_folder,
-    untiled,
-)
-from ..solver.prepare import Prepared, prepare
-from ..solver.progress import Progress
-from ..solver.schedule import Schedule
+from ..results.derived_maps import Extras, extra_maps, normals_of_text
+from ..results.maps import Maps
+from ..results.read import read_maps
+from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
+from ..results.write import check_output_folder, write_maps
+from ..solver.engine.modes import with_modes
+from ..solver.engine.progress import Progress
+from ..solver.lights.refine import Lights
+from ..solver.planning.memory import parse_memory
+from ..solver.planning.plan import Plan
+from ..solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder, untiled
+from ..solver.settings.schedule import Schedule
+from ..solver.state.checkpoint import glance
+from ..solver.state.prepare import Prepared, prepare
+from ..solver.views.held_out import held_out_last, order_of, preview_names, relit_line, relit_preview
+from ..solver.views.history import History
+from ..solver.views.pictures import confidence_preview, error_preview
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture

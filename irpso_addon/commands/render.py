@@ -7,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
+from ..blender.mesh import extract_mesh
+from ..blender.scene import camera_from_object, mesh_object, open_blend
+from ..blender.tangent_frames import from_blender, turned_normals
 from ..capture.camera import Camera
-from ..capture.lists import read_numbers
+from ..capture.formats.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
-from ..errors import InputError
-from ..files import check_unused
+from ..core.errors import InputError
+from ..core.files import check_unused
 from ..geometry.bake import bake_camera
-from ..geometry.frames import from_blender, turned_normals
-from ..geometry.mesh import extract_mesh
-from ..geometry.scene import camera_from_object, mesh_object, open_blend
 from ..gpu import context, probe
-from ..maps.read import read_maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.forward import camera_renderer, dome, rendered_capture, sample_maps
+from ..results.read import read_maps
+from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
 from .options import size_option
 from .progress import ProgressBar, silent, unseen_reports
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.curve_file import write_response
-from ..calibration.response import Response, bracket_step, response_from_brackets
-from ..calibration.source import Exposing, brackets_of_images, images_in
-from ..capture.exr_header import is_exr
-from ..capture.images import ImageRef, ImageStore
-from ..errors import InputError
-from ..maps.blender_images import decode
+from ..blender.images import decode
+from ..calibration.radiometry.curve_file import write_response
+from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
+from ..calibration.radiometry.source import Exposing, brackets_of_images, images_in
+from ..capture.images.exr_header import is_exr
+from ..capture.images.image import ImageRef, ImageStore
+from ..core.errors import InputError
 from .photographs import chart_response, exposure_list
 from .progress import ProgressBar, silent
 

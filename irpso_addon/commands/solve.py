@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import remove_partials
-from ..solver.history import History
-from ..solver.planning import AnyRecovery
-from ..solver.progress import TimeLeft
-from ..solver.tiled import TiledRecovery
+from ..core.errors import InputError
+from ..core.files import remove_partials
+from ..solver.engine.progress import TimeLeft
+from ..solver.engine.tiled import TiledRecovery
+from ..solver.planning.planning import AnyRecovery
+from ..solver.views.history import History
 from .interrupt import held_back
 from .progress import ProgressBar
 

@@ -14,13 +14,13 @@ from ..geometry.bake import SurfaceBake, bake_camera, bake_uv
 from ..geometry.build import domain_from_mesh
 from ..geometry.domain import Domain
 from ..geometry.mesh import MeshData
-from ..maps.pictures import spread_marks
-from ..maps.report import parameter_error
-from ..maps.result import Maps
 from ..reflectance.model import ReflectanceModel, load_model
-from ..solver.forward import Renderer, camera_renderer, dome, rendered_capture
-from ..solver.recovery import Recovery
-from ..solver.schedule import Schedule
+from ..results.maps import Maps
+from ..results.preview import spread_marks
+from ..results.report import parameter_error
+from ..solver.engine.recovery import Recovery
+from ..solver.settings.schedule import Schedule
+from ..solver.views.forward import Renderer, camera_renderer, dome, rendered_capture
 from .truth import material_at
 
 MODEL = "cook_torrance_two_lobe"

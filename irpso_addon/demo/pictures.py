@@ -8,12 +8,12 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.types import Light
+from ..core.encode import encode_normal, fill_margin, srgb_from_linear
 from ..geometry.bake import bake_camera
-from ..maps.encode import encode_normal, fill_margin, srgb_from_linear
-from ..maps.pictures import Curves, PreviewRow, convergence, display_image, preview, strip
-from ..maps.report import error_unit, parameter_error
-from ..maps.result import Maps
-from ..solver.forward import camera_renderer
+from ..results.maps import Maps
+from ..results.preview import Curves, PreviewRow, convergence, display_image, preview, strip
+from ..results.report import error_unit, parameter_error
+from ..solver.views.forward import camera_renderer
 from .experiment import STAGES, Run, Subject, world_normals
 from .subject import in_camera_space
 from .truth import material_at

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..blender.scene import camera_from_object
 from ..capture.camera import Camera
-from ..geometry.scene import camera_from_object
 
 NAME = "Suzanne"
 _SUBDIVISIONS = 3

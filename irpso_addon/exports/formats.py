@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
-from ..maps.write import check_output_folder
+from ..core.errors import InputError
+from ..results.write import check_output_folder
 from .gltf import write_gltf
 from .openlime import write_openlime
 from .place import file_stem

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import replacing_file
-from ..maps.blender_images import encode_png
-from ..maps.displacement import DIVISION
-from ..maps.material import TAG
-from ..maps.report import plain, quantiles
-from ..maps.result import Maps
-from ..maps.udim import split_maps, tile_place, tile_stem
+from ..blender.displacement import DIVISION
+from ..blender.material import TAG
+from ..core.errors import InputError
+from ..core.files import replacing_file
+from ..core.png import encode_png
+from ..core.udim import tile_place, tile_stem
+from ..results.maps import Maps, split_maps
+from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem

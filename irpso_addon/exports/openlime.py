@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ..maps.blender_images import encode_png
-from ..maps.encode import encode_normal
-from ..maps.report import plain, quantiles
-from ..maps.udim import split_maps, tile_stem
+from ..core.encode import encode_normal
+from ..core.png import encode_png
+from ..core.udim import tile_stem
+from ..results.maps import split_maps
+from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import Fit, fit_ward
 from .place import filled_folder

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..maps.encode import FLAT_NORMAL, encode_normal, fill_margin, srgb_from_linear
-from ..maps.result import Maps
+from ..core.encode import FLAT_NORMAL, encode_normal, fill_margin, srgb_from_linear
+from ..results.maps import Maps
 
 
 def filled(values: np.ndarray, maps: Maps) -> np.ndarray:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import InputError
-from ..maps.write import check_output_folder
+from ..core.errors import InputError
+from ..results.write import check_output_folder
 
 
 @contextmanager

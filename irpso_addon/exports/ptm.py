@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ..files import replacing_file
+from ..core.encode import srgb_from_linear
+from ..core.files import replacing_file
+from ..core.udim import tile_stem
 from ..geometry.domain import GeometryBake
-from ..maps.encode import srgb_from_linear
-from ..maps.result import Maps
-from ..maps.udim import split_maps, tile_stem
-from ..solver.forward import Renderer
+from ..results.maps import Maps, split_maps
+from ..solver.views.forward import Renderer
 from .result import Result
 
 _LIGHTS = 64

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.exr import read_exr
-from ..errors import InputError
-from ..maps.height import Height
-from ..maps.read import read_maps
-from ..maps.result import Maps
-from ..maps.udim import ONE_SQUARE, tile_stem
-from ..maps.write import REPORT
+from ..capture.images.exr import read_exr
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE, tile_stem
+from ..geometry.height import Height
 from ..reflectance.model import load_model
+from ..results.maps import Maps
+from ..results.read import read_maps
+from ..results.write import REPORT
 
 _BLEND = "material.blend"
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
-from ..maps.result import Maps
+from ..core.errors import InputError
 from ..reflectance.model import Parameter
+from ..results.maps import Maps
 
 _IOR = 1.5  # Principled's own, whose reflectance at normal incidence is 0.04
 F0_HALF = 0.04  # of the Specular IOR Level 0.5

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..maps.blender_images import encode_png
-from ..maps.report import plain, quantiles
-from ..maps.result import Maps
-from ..maps.tables import encoded_values, map_tables, map_values
-from ..maps.udim import split_maps, tile_part, tile_stem
+from ..core.errors import InputError
+from ..core.png import encode_png
+from ..core.udim import tile_part, tile_stem
+from ..results.extra_maps import height_map
+from ..results.map_tables import encoded_values, map_tables, map_values
+from ..results.maps import Maps, split_maps
+from ..results.report import plain, quantiles
 from . import pixels
 from .lobes import fit_ggx
 from .place import file_stem, filled_folder
@@ -123,7 +124,7 @@ def _pictures(
     fit = fit_ggx(surface)
     height = None
     if result.height is not None:
-        height = tile_part(result.height.as_map().encoded, index, len(result.maps.tiles))
+        height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
     specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
     made = _Set(maps, surface, np.sqrt(fit.alpha), specular, height)
     drawn = {texture.suffix: (texture.pixels(made), texture.bits) for texture in textures}

@@ -1,0 +1,1 @@
+"""Meshes and cards as grids of texels: bake, projection of images, seams, shadows, relief."""

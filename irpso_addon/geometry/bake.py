@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..capture.camera import Camera
-from ..errors import InputError
+from ..core.errors import InputError
 from ..gpu import context, raster
 from .domain import GeometryBake
 from .lens import undistorted_frame

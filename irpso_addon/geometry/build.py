@@ -17,16 +17,16 @@ from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from ..capture.noise import images_read, noise_of
 from ..capture.places import card_depth
-from ..capture.steps import run_steps
 from ..capture.types import Capture, Light, Observation
-from ..errors import InputError
+from ..core.errors import InputError
+from ..core.steps import run_steps
 from .bake import SurfaceBake, bake_camera, bake_uv
 from .domain import Domain, GeometryBake
 from .footprint import texel_steps
 from .light_shape import unshaped
 from .mesh import MeshData
 from .project import GRAZING, Projector, blocks, filled
-from .seams import SeamMap, seams_of, window_seams
+from .seams.seams import SeamMap, seams_of, window_seams
 from .shadows import ShadowCaster, texel_size
 
 Window = tuple[int, int, int, int]

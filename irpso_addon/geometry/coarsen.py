@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from .domain import Domain, GeometryBake, laid_on
-from .seams import SeamMap, seam_map
+from .seams.seams import SeamMap, seam_map
 
 _SHORT = 1e-6  # of a mean of unit vectors: shorter ones point nowhere, as of two sides of a thin wall
 _STRANGE = 1e-6  # of another island's coarse texel: it tells only where no other does

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from .seams import SeamMap, tile_seams
+from .seams.seams import SeamMap
 
 
 @dataclass(frozen=True)
@@ -115,30 +115,3 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
 def laid_on(domain: Domain, bake: GeometryBake, stack: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin; lights, views and noise are those of the domain."""
     return replace(domain, bake=bake, stack=stack, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0))
-
-
-def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 0) -> Domain:
-    """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
-
-    The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
-    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the annex of its
-    seams. Raises ValueError where the tile leaves the domain.
-    """
-    rows, columns = domain.shape
-    if not (width > 0 and height > 0 and halo >= 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
-        raise ValueError(f"tile {width}×{height} at ({x0}, {y0}), halo {halo}, leaves the domain of {columns}×{rows}")
-    left, right = min(halo, x0), min(halo, columns - x0 - width)
-    bottom, top = min(halo, y0), min(halo, rows - y0 - height)
-    part = (slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right))
-    bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[part] for item in fields(GeometryBake)})
-    result = replace(
-        domain,
-        bake=bake,
-        stack=domain.stack[:, *part],
-        origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),
-        halo=(left, right, bottom, top),
-        seams=None if domain.seams is None else tile_seams(domain.seams, domain, (x0, y0, width, height), halo),
-    )
-    if "solvable" in vars(domain):  # found already
-        vars(result)["solvable"] = domain.solvable[part]
-    return result

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..capture.camera import Camera
-from ..maps.height import Height, card_slopes, connected, integrate, relief_from_log, tangent_slopes
 from .bake import SurfaceBake
 from .footprint import texel_steps
+from .height import Height, card_slopes, connected, integrate, relief_from_log, tangent_slopes
 from .mesh import MeshData
 
 

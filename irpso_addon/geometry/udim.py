@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import InputError
-from ..maps.udim import COLUMNS, ONE_SQUARE, ROWS, tile_number, tile_place
+from ..core.errors import InputError
+from ..core.udim import COLUMNS, ONE_SQUARE, ROWS, tile_number, tile_place
 
 # Texture coordinates this far outside a tile are rounding, not intent.
 _UV_ROUNDING = 1e-5

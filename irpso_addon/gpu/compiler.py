@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from ..errors import ShaderError
+from ..core.errors import ShaderError
 from .output import caught_output
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal

@@ -8,7 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from ..errors import GpuUnavailableError
+from ..core.errors import GpuUnavailableError
 from .output import caught_output
 
 _SOFTWARE = ("llvmpipe", "softpipe", "lavapipe", "swiftshader")

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..errors import ShaderError
-from ..paths import SHADERS
+from ..core.errors import ShaderError
+from ..core.paths import SHADERS
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 

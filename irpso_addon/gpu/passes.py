@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import GpuUnavailableError
+from ..core.errors import GpuUnavailableError
 from . import context, home
 from .compiler import compile_shader
 from .library import read_source

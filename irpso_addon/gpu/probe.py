@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GpuUnavailableError
-from ..paths import ROOT
+from ..core.errors import GpuUnavailableError
+from ..core.paths import ROOT
 from . import context, textures
 from .passes import Entry, Kernel, Output, Pass
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import load_shipped_table, shipped_names
-from ..paths import MODELS
+from ..core.errors import InputError
+from ..core.files import load_shipped_table, shipped_names
+from ..core.paths import MODELS
 
 MAX_COMPONENTS = 12  # three RGBA textures hold the components of all parameters of a texel
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")

@@ -7,8 +7,8 @@ from typing import Any
 
 import bpy
 
-from ..errors import InputError
-from ..solver.schedule import SETTINGS
+from ..core.errors import InputError
+from ..solver.settings.schedule import SETTINGS
 from .file_paths import absolute
 from .settings import CUSTOM
 

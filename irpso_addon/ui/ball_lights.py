@@ -8,14 +8,14 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
+from ..blender.images import decode
+from ..calibration.balls.lights import Request
 from ..calibration.job import BallRequest, calibrate_steps
-from ..calibration.lights import Request
 from ..calibration.photographs import read_photographs, with_camera
 from ..calibration.write import write_calibration
-from ..capture.steps import run_steps
-from ..capture.table import TABLE
-from ..errors import InputError
-from ..maps.blender_images import decode
+from ..capture.formats.table import TABLE
+from ..core.errors import InputError
+from ..core.steps import run_steps
 from .features import RELATIVE_PATH
 from .file_paths import absolute
 

@@ -9,7 +9,7 @@ import numpy as np
 from bpy.props import EnumProperty, StringProperty
 
 from ..capture.poses import PoseFile, read_poses
-from ..errors import InputError
+from ..core.errors import InputError
 from .file_paths import absolute
 from .scene_objects import set_camera
 

@@ -14,16 +14,16 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
-from ..capture import enough
-from ..capture.draft import Draft
-from ..capture.inspect import Finding, Report, inspect_steps
+from ..blender.images import decode
+from ..blender.scene import middle_of
+from ..blender.scene_capture import wide_lights
+from ..capture.inspect import sufficiency as enough
+from ..capture.inspect.report import Finding, Report, inspect_steps
 from ..capture.places import card_depth, card_middle
 from ..capture.read import read_draft
+from ..capture.spec import Draft
 from ..capture.types import Capture
-from ..errors import InputError
-from ..geometry.scene import middle_of
-from ..geometry.scene_capture import wide_lights
-from ..maps.blender_images import decode
+from ..core.errors import InputError
 from . import drawing, failures, findings
 from .file_paths import absolute
 from .job import subject_object

@@ -9,15 +9,15 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..errors import InputError, IrpsoError
+from ..core.errors import InputError, IrpsoError
 from ..exports.formats import FORMATS, ONE_FILE, export
 from ..exports.place import file_stem
 from ..exports.result import Result
 from ..exports.textures import CONVENTIONS
-from ..geometry.extras import Extras
-from ..maps.extra import NORMAL_SPACES
-from ..maps.report import mode_warnings
-from ..maps.write import write_maps
+from ..results.derived_maps import Extras
+from ..results.extra_maps import NORMAL_SPACES
+from ..results.report import mode_warnings
+from ..results.write import write_maps
 from . import session
 from .file_paths import absolute
 from .keep import NOTHING, extras_of, found_maps, has_found, pictures_of, report_of

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import bpy
 from bpy.app.handlers import persistent
 
-from ..errors import IrpsoError
+from ..core.errors import IrpsoError
 from . import drawing
 
 # As errors of the engine call them, and as they are called in Blender.

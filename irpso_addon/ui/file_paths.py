@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from ..errors import InputError
+from ..core.errors import InputError
 
 
 def absolute(path: str, setting: str) -> Path:

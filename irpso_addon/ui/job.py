@@ -11,27 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.damage import naming_remedy
-from ..capture.enough import FEWEST, check_normal, no_normal
+from ..blender import material
+from ..blender.mesh import extract_mesh
+from ..blender.tangent_frames import from_blender, turned_normals
+from ..capture.inspect.damage import naming_remedy
+from ..capture.inspect.sufficiency import FEWEST, check_normal, no_normal
 from ..capture.read import read_draft
 from ..capture.types import Capture
-from ..errors import InputError
+from ..core.encode import linear_from_srgb, srgb_from_linear
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE
 from ..geometry.build import card_steps, mesh_steps
 from ..geometry.domain import Domain
-from ..geometry.frames import from_blender, turned_normals
-from ..geometry.mesh import MeshData, extract_mesh
+from ..geometry.mesh import MeshData
 from ..geometry.slots import listed, slot_names, slots_of_text
-from ..maps import material
-from ..maps.encode import linear_from_srgb, srgb_from_linear
-from ..maps.udim import ONE_SQUARE
 from ..reflectance.model import Parameter, ReflectanceModel
-from ..solver.held_out import FEWEST_SPARING, held_out_last, order_of, spared
-from ..solver.light_sample import LightSample
-from ..solver.lights import Intensities, Lights, can_tell, chosen_steps
-from ..solver.plan import Plan
-from ..solver.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
-from ..solver.prepare import Prepared
-from ..solver.schedule import Schedule
+from ..solver.lights.refine import Intensities, Lights, can_tell, chosen_steps
+from ..solver.lights.sample import LightSample
+from ..solver.planning.plan import Plan
+from ..solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
+from ..solver.settings.schedule import Schedule
+from ..solver.state.prepare import Prepared
+from ..solver.views.held_out import FEWEST_SPARING, held_out_last, order_of, spared
 from . import findings, preferences
 from .asked import asked_of
 from .card_place import free_place

@@ -8,21 +8,21 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..errors import InputError, IrpsoError
-from ..geometry.extras import Extras, extra_maps
-from ..geometry.margins import blender_maps
+from ..blender import material
+from ..blender.margins import blender_maps
+from ..core.errors import InputError, IrpsoError
+from ..geometry.height import Height
 from ..gpu import context as gpu_context
-from ..maps import material
-from ..maps.extra import ExtraMap
-from ..maps.height import Height
-from ..maps.pictures import Curves, convergence, display_image
-from ..maps.report import build_report, limit_warnings, mode_warnings, prior_shares
-from ..maps.result import Maps
-from ..maps.tables import map_tables
 from ..reflectance.model import shipped_models
-from ..solver.held_out import preview_names
-from ..solver.modes import with_modes
-from ..solver.pictures import confidence_preview, error_preview
+from ..results.derived_maps import Extras, extra_maps
+from ..results.extra_maps import ExtraMap
+from ..results.map_tables import map_tables
+from ..results.maps import Maps
+from ..results.preview import Curves, convergence, display_image
+from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
+from ..solver.engine.modes import with_modes
+from ..solver.views.held_out import preview_names
+from ..solver.views.pictures import confidence_preview, error_preview
 from . import preferences, session, unkept
 from .card_place import put_card
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..capture.damage import DAMAGE
+from ..capture.inspect.damage import DAMAGE
 from . import drawing, failures, findings, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object

@@ -8,13 +8,13 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 
-from ..errors import GpuUnavailableError, InputError
+from ..core.errors import GpuUnavailableError, InputError
+from ..core.paths import BASE_PACKAGE
 from ..gpu import context as gpu_context
 from ..gpu import probe
-from ..maps.report import versions
-from ..paths import BASE_PACKAGE
-from ..solver.machine import fact_lines, machine_facts
-from ..solver.memory import parse_memory
+from ..results.report import versions
+from ..solver.planning.machine import fact_lines, machine_facts
+from ..solver.planning.memory import parse_memory
 from .features import RELATIVE_PATH
 from .file_paths import absolute
 

@@ -16,9 +16,9 @@ import bpy
 from bl_operators.presets import AddPresetBase
 from bpy.props import StringProperty
 
-from ..errors import InputError
-from ..files import replacing_file
-from ..solver.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from ..core.errors import InputError
+from ..core.files import replacing_file
+from ..solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from .file_paths import absolute
 from .schedule_settings import base_schedule, differences, fill, is_shipped, schedule_of
 

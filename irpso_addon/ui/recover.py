@@ -4,10 +4,10 @@ import time
 
 import bpy
 
-from ..errors import IrpsoError
+from ..core.errors import IrpsoError
 from ..gpu import context as gpu_context
 from ..gpu import probe
-from ..solver.machine import SOFTWARE_VULKAN
+from ..solver.planning.machine import SOFTWARE_VULKAN
 from . import failures, preferences, session, unkept
 from .asked import schedule_asked
 from .job import make_job, missing

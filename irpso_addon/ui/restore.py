@@ -9,8 +9,8 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import StringProperty
 
-from ..errors import InputError, IrpsoError
-from ..solver.checkpoint import glance
+from ..core.errors import InputError, IrpsoError
+from ..solver.state.checkpoint import glance
 from . import drawing, failures, session, unkept
 from .asked import ask_again
 from .card_place import show_card

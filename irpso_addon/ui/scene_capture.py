@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..capture.damage import naming_remedy, sound_steps
-from ..capture.draft import Draft, build_steps
-from ..capture.images import ImageStore
+from ..blender.images import decode
+from ..blender.scene_capture import photographed_lights, scene_steps
+from ..capture.images.image import ImageStore
+from ..capture.inspect.damage import naming_remedy, sound_steps
 from ..capture.read import read_draft
-from ..capture.steps import run_steps
+from ..capture.spec import Draft, build_steps
 from ..capture.types import Capture
-from ..errors import InputError
-from ..geometry.scene_capture import photographed_lights, scene_steps
-from ..maps.blender_images import decode
+from ..core.errors import InputError
+from ..core.steps import run_steps
 from .file_paths import absolute
 
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from mathutils import Matrix, Vector
 
+from ..blender.light_units import area_power, point_power, spot_power, sun_strength
+from ..blender.scene import DISTORTION
+from ..blender.scene_capture import ASPECT
+from ..blender.scene_lights import EMISSION
 from ..capture.camera import Camera
 from ..capture.types import Light
-from ..geometry.scene import DISTORTION
-from ..geometry.scene_capture import ASPECT
-from ..geometry.scene_lights import EMISSION
-from ..maps.lights import area_power, point_power, spot_power, sun_strength
 
 RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)
 _SENSOR = 36.0  # mm, Blender's own default

@@ -11,22 +11,21 @@ import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from mathutils import Matrix, Vector
 
+from ..blender import material, scene_images
+from ..blender.images import decode
+from ..blender.scene_capture import ASPECT, CAPTURE, lights_in_order, photographed_lights
+from ..blender.scene_lights import LIGHT_TYPES
 from ..capture.camera import Camera
-from ..capture.damage import naming_remedy
-from ..capture.draft import Draft, build_capture
-from ..capture.headers import read_header
-from ..capture.images import ImageRef, ImageStore
+from ..capture.images.headers import read_header
+from ..capture.images.image import ImageRef, ImageStore
+from ..capture.images.raw import is_raw
+from ..capture.inspect.damage import naming_remedy
 from ..capture.places import card_depth, card_middle, card_size
-from ..capture.raw import is_raw
-from ..capture.steps import run_steps
+from ..capture.spec import Draft, build_capture
 from ..capture.types import Capture
-from ..errors import InputError
-from ..files import natural
-from ..geometry import scene_images
-from ..geometry.scene_capture import ASPECT, CAPTURE, lights_in_order, photographed_lights
-from ..geometry.scene_lights import LIGHT_TYPES
-from ..maps import material
-from ..maps.blender_images import decode
+from ..core.errors import InputError
+from ..core.files import natural
+from ..core.steps import run_steps
 from . import failures, session
 from .card_place import is_free, show_card
 from .file_paths import absolute

@@ -13,9 +13,9 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..errors import InputError
-from ..solver.limits import Limits
-from ..solver.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from ..core.errors import InputError
+from ..solver.settings.limits import Limits
+from ..solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from .file_paths import absolute
 from .schedule_words import WORDS
 

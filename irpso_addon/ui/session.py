@@ -13,25 +13,25 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..capture.steps import run_steps, told_as
-from ..errors import InputError
+from ..blender.material import STAMP, find_card
+from ..core.errors import InputError
+from ..core.steps import run_steps, told_as
+from ..core.udim import ONE_SQUARE
 from ..geometry.build import loading_steps
 from ..geometry.domain import Domain, subset
 from ..gpu import context
 from ..gpu.home import Home
-from ..maps.material import STAMP, find_card
-from ..maps.result import Maps
-from ..maps.udim import ONE_SQUARE
-from ..solver.display import Display
-from ..solver.held_out import relit_line, relit_steps
-from ..solver.light_sample import draw
-from ..solver.lights import Lights
-from ..solver.memory import free_memory
-from ..solver.planning import AnyRecovery, untiled
-from ..solver.prepare import Prepared, prepare
-from ..solver.progress import Progress, TimeLeft
-from ..solver.schedule import Schedule
-from ..solver.tiled_view import TiledDisplay, display_of
+from ..results.maps import Maps
+from ..solver.engine.progress import Progress, TimeLeft
+from ..solver.lights.refine import Lights
+from ..solver.lights.sample import draw
+from ..solver.planning.memory import free_memory
+from ..solver.planning.planning import AnyRecovery, untiled
+from ..solver.settings.schedule import Schedule
+from ..solver.state.prepare import Prepared, prepare
+from ..solver.views.display import Display
+from ..solver.views.held_out import relit_line, relit_steps
+from ..solver.views.tiled_view import TiledDisplay, display_of
 from . import failures, unkept
 from .job import Job
 

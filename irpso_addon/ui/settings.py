@@ -14,11 +14,11 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..errors import InputError
-from ..paths import DEFAULT_MODEL
+from ..core.errors import InputError
+from ..core.paths import DEFAULT_MODEL
 from ..reflectance.model import ReflectanceModel, load_model, shipped_models
-from ..solver.lights import MOST_DEGREES
-from ..solver.texel_probe import component_names
+from ..solver.lights.refine import MOST_DEGREES
+from ..solver.views.texel_probe import component_names
 from .features import RELATIVE_PATH
 from .file_paths import absolute
 from .schedule_settings import ScheduleSettings

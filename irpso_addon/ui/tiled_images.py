@@ -9,8 +9,8 @@ from pathlib import Path
 
 import bpy
 
-from ..errors import InputError
-from ..maps.udim import ONE_SQUARE, PATTERN, tile_place
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE, PATTERN, tile_place
 
 
 @contextmanager

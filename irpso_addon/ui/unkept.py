@@ -12,10 +12,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..errors import CheckpointError, GpuUnavailableError
+from ..core.errors import CheckpointError, GpuUnavailableError
+from ..core.paths import BASE_PACKAGE
 from ..exports.place import file_stem
-from ..paths import BASE_PACKAGE
-from ..solver.checkpoint import read_note
+from ..solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)

@@ -1,7 +1,7 @@
 // Solved texels lie densely packed in all textures of a recovery. Reads GEOMETRY_PLACE of u_geometry (the domain's texel
 // of a packed one) and u_packed (the packed texel of a domain's, −1 where none is solved).
 //
-// With SEAMS, the reach of a seam map (geometry/seams.py), a place has in z the chart and in w the island of a texel, and
+// With SEAMS, the reach of a seam map (geometry/seams/seams.py), a place has in z the chart and in w the island of a texel, and
 // u_packed in z the chart that lies at a place, from SEAMS texels outside the domain on. What a chart sees elsewhere is
 // listed place by place: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y,
 // the chart that sees it there, next entry) fill the layers after GEOMETRY_PLACE, texel by texel.

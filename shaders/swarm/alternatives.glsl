@@ -14,7 +14,7 @@
 #define TRIALS 7
 // Of a number's range: what is nearer is the same optimum.
 #define FAR 0.3
-// Three standard deviations of one texel: a single one that errs must not outvote its material (solver/modes.py).
+// Three standard deviations of one texel: a single one that errs must not outvote its material (solver/engine/modes.py).
 #define MOST 9.0
 
 // Values to try, as fractions of the range: denser where lobes are narrow and differ more.

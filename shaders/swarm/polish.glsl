@@ -3,7 +3,7 @@
 //
 // The first loop over the observations adds up JᵀWJ and JᵀWe, the second renders the steps of CANDIDATES dampings, so
 // that an observation is read twice an iteration. Linear parameters have their basis for a derivative, the others a
-// difference: slopes.glsl is generated for both (solver/unknowns.py).
+// difference: slopes.glsl is generated for both (solver/kernels/free_parameters.py).
 // penalty.glsl is what the loss is added to: no_penalty.glsl, or a prior's.
 
 #include "swarm/fitness.glsl"

@@ -1,4 +1,4 @@
-// The materials that the surface shares (solver/mixture.py): Gaussians over the numbers of all unknowns but the normal.
+// The materials that the surface shares (solver/phases/mixture.py): Gaussians over the numbers of all unknowns but the normal.
 // Reads u_materials, a column each: means of 12 numbers in rows 0 to 2, their inverse variances in 3 to 5, in row 6 x how
 // much of the surface there is of it.
 

@@ -8,12 +8,12 @@ import pytest
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.alternatives import Alternatives
-from irpso_addon.solver.modes import with_modes
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.state import DomainTextures, Estimates
+from irpso_addon.solver.engine.alternatives import Alternatives
+from irpso_addon.solver.engine.modes import with_modes
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import alternatives_oracle, confidence_oracle
 from tests.swarm_subjects import make_domain, unit
 

@@ -7,7 +7,7 @@ pytest.importorskip("scipy", reason="the cards are made with scipy")
 
 from benchmarks.gloss import beyond  # noqa: E402
 from benchmarks.scenes.textured import TrueMaps  # noqa: E402
-from irpso_addon.capture.exr import write_exr  # noqa: E402
+from irpso_addon.capture.images.exr import write_exr  # noqa: E402
 
 pytestmark = pytest.mark.bpy_only
 

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.ball import fit_ball, outline_of_mask
-from irpso_addon.calibration.lights import Request, calibration_steps
+from irpso_addon.calibration.balls.ball import fit_ball, outline_of_mask
+from irpso_addon.calibration.balls.lights import Request, calibration_steps
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import read_exr, write_exr
+from irpso_addon.capture.images.exr import read_exr, write_exr
 from irpso_addon.capture.read import read_capture
-from irpso_addon.capture.steps import run_steps
+from irpso_addon.core.steps import run_steps
 from tests.ball_maker import cap, degrees, photographed, trace, unit
 from tests.cli_maker import listing, run_cli
 

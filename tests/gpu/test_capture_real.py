@@ -6,10 +6,11 @@ import zlib
 import numpy as np
 import pytest
 
+from irpso_addon.blender.images import decode
 from irpso_addon.capture import Picture, read_capture, read_exr
-from irpso_addon.capture.inspect import inspect_capture
-from irpso_addon.errors import InputError
-from irpso_addon.maps.blender_images import decode, encode_png
+from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.png import encode_png
 
 pytest.importorskip("bpy", reason="Blender's Python module is not installed")
 pytestmark = pytest.mark.bpy_only

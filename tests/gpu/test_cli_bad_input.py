@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.capture.images.exr import write_exr
 from tests import cli_maker
 from tests.cli_maker import MODELS, add_camera, add_mesh, listing, run_cli, save_scene
 

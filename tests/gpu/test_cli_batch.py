@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.cli import build_parser
 from irpso_addon.commands import batch, recover
 from tests import cli_maker

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.commands import solve
-from irpso_addon.errors import InputError
-from irpso_addon.files import replacing_file
-from irpso_addon.solver.progress import Progress
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.files import replacing_file
+from irpso_addon.solver.engine.progress import Progress
 from tests import cli_maker
 from tests.cli_maker import run_cli
 

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.capture.images.exr import read_exr
 from tests import cli_maker, mpi_maker
 from tests.cli_maker import run_cli
 
@@ -96,7 +96,7 @@ def test_a_batch_leaves_it_out_too(card, expected, tmp_path):
 
 
 def test_a_run_that_was_interrupted_goes_on_without_it(card, expected, tmp_path, monkeypatch):
-    from irpso_addon.solver.recovery import Recovery
+    from irpso_addon.solver.engine.recovery import Recovery
 
     step, out = Recovery.step, tmp_path / "out"
 

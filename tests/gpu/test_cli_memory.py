@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
 from tests import cli_maker
 from tests.cli_maker import run_cli
 

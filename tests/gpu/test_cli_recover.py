@@ -14,8 +14,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.maps import blender_images
+from irpso_addon.blender import images as blender_images
+from irpso_addon.capture.images.exr import write_exr
 from tests import cli_maker
 from tests.cli_maker import MODELS, angle, read_map, run_cli
 
@@ -145,8 +145,8 @@ BOUNDS = {
 
 @pytest.mark.parametrize("name", BOUNDS)
 def test_a_material_comes_back_from_its_images(name, recovered):
-    from irpso_addon.maps.read import read_maps
     from irpso_addon.reflectance.model import load_model
+    from irpso_addon.results.read import read_maps
 
     values, out, answer = recovered(name)
     model = load_model(MODELS / f"{name}.toml" if name in OWN else name)
@@ -312,7 +312,7 @@ def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovere
 
 def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):
     from irpso_addon.commands import live
-    from irpso_addon.errors import InputError
+    from irpso_addon.core.errors import InputError
 
     def full(path, *_, **__):
         raise InputError(f"{path}: cannot be written (No space left on device); choose another place")
@@ -336,7 +336,7 @@ def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_p
 
 
 def test_a_checkpoint_of_other_settings_is_refused_by_what_differs(recovered, tmp_path):
-    from irpso_addon.solver.recovery import Recovery
+    from irpso_addon.solver.engine.recovery import Recovery
 
     _, out, _ = recovered("lambert")
     folder = tmp_path / "out"

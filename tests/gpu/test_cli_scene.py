@@ -8,11 +8,11 @@ import pytest
 from mathutils import Vector
 
 import irpso_addon
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.blender import light_units as units
+from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.blender.scene_capture import capture_of_open_file
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.geometry.build import domain_from_mesh
-from irpso_addon.geometry.mesh import extract_mesh
-from irpso_addon.geometry.scene_capture import capture_of_open_file
-from irpso_addon.maps import lights as units
 from tests.cli_maker import dome_lights, run_cli
 
 pytestmark = pytest.mark.bpy_only

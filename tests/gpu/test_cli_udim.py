@@ -8,10 +8,10 @@ import OpenEXR
 import pytest
 from mathutils import Vector
 
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.maps.lights import sun_strength
-from irpso_addon.maps.read import read_maps
+from irpso_addon.blender.light_units import sun_strength
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.read import read_maps
 from tests import cli_maker
 from tests.cli_maker import angle, read_map, run_cli
 

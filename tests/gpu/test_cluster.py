@@ -12,8 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from irpso_addon.maps.blender_images import encode_png
-from irpso_addon.maps.encode import srgb_from_linear
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.png import encode_png
 from tests import cli_maker, mpi_maker
 from tests.cli_maker import run_cli
 
@@ -29,7 +29,7 @@ STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, 
 # Python runs it at its start: rank 1 fails when the swarms have been placed and moved once.
 FAILING = """
 import os
-from irpso_addon.solver.stage import RunningStage
+from irpso_addon.solver.phases.sequential_swarm import RunningStage
 advance = RunningStage.advance
 def failing(self, *arguments):
     if os.environ.get("OMPI_COMM_WORLD_RANK") == "1" and self.iteration == 1:

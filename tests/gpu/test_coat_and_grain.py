@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.blender.material import build_material
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import context
-from irpso_addon.maps.material import build_material
-from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.results.maps import Maps
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests import confidence_oracle
 from tests.light_subjects import apart, photographed, relief
 from tests.swarm_subjects import make_domain

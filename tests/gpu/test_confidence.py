@@ -9,12 +9,12 @@ from scipy.optimize import least_squares
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.confidence import Confidence
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.state import DomainTextures, Estimates
-from irpso_addon.solver.unknowns import NORMAL_RANGE
+from irpso_addon.solver.engine.confidence import Confidence
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.kernels.free_parameters import NORMAL_RANGE
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import confidence_oracle as oracle
 from tests import oracles
 from tests.swarm_subjects import make_domain, unit

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from irpso_addon.errors import GpuUnavailableError
+from irpso_addon.core.errors import GpuUnavailableError
+from irpso_addon.core.paths import ROOT
 from irpso_addon.gpu import context, probe
-from irpso_addon.paths import ROOT
 
 # What Blender does with --python-expr CODE -- ARGUMENTS, in a file that any Python can run.
 STAND_IN = """#!{python}

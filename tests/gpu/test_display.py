@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.encode import encode_normal, srgb_from_linear
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
-from irpso_addon.maps.encode import encode_normal, srgb_from_linear
-from irpso_addon.maps.false_color import COLORS, false_color
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.display import Display, Shown
-from irpso_addon.solver.pyramid import Pyramid
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.results.false_color import COLORS, false_color
+from irpso_addon.solver.engine.coarse_to_fine import Pyramid
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.views.display import Display, Shown
 from tests.swarm_oracle import MODELS, direction_to, frames, turned
 from tests.swarm_subjects import SHORT, recoveries, subject
 

@@ -8,8 +8,9 @@ import pytest
 
 from irpso_addon.exports import openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
-from irpso_addon.maps.height import Height
-from irpso_addon.maps.write import write_maps
+from irpso_addon.geometry.height import Height
+from irpso_addon.results.extra_maps import height_map
+from irpso_addon.results.write import write_maps
 from tests import cli_maker, oracles
 from tests.cli_maker import run_cli
 from tests.export_files import SHAPE, on_a_sheet, picture, read_glb, result_of, srgb, unsrgb
@@ -173,7 +174,7 @@ def folder(tmp_path):
     result, obj = on_a_sheet("principled", texels=48)
     report = {"model": "principled", "settings": {"model": "principled"}}
     height = Height(result.maps.values["specular"][..., 0], result.maps.covered, "world")
-    write_maps(result.maps, tmp_path / "leaf", report | {"height": height.described()}, None, [height.as_map()])
+    write_maps(result.maps, tmp_path / "leaf", report | {"height": height.described()}, None, [height_map(height)])
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "leaf" / "material.blend"), copy=True)
     return tmp_path / "leaf"
 

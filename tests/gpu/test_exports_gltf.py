@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion
 
+from irpso_addon.blender.material import apply_material, card_object
 from irpso_addon.exports import gltf
-from irpso_addon.maps.material import apply_material, card_object
 from tests import oracles
 from tests.cli_maker import angle
 from tests.export_files import accessor, image_of, lean, on_a_sheet, read_glb, srgb

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from tests import generation_oracle as oracle
 from tests.generation_bench import Case, benches

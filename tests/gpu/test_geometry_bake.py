@@ -9,12 +9,14 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
+from irpso_addon.blender import scene
+from irpso_addon.blender import tangent_frames as frames
+from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.errors import InputError
-from irpso_addon.geometry import bake, frames, scene
+from irpso_addon.core.errors import InputError
+from irpso_addon.geometry import bake
 from irpso_addon.geometry.build import domain_from_mesh
-from irpso_addon.geometry.mesh import extract_mesh
 from irpso_addon.geometry.project import Projector
 from irpso_addon.gpu import raster
 from tests import geometry_oracle as oracle
@@ -493,7 +495,7 @@ def test_drawing_leaves_the_drawing_state_as_it_was():
 
 
 def test_tangents_of_a_large_mesh_are_the_same_every_time_and_those_of_the_whole(monkeypatch):
-    from irpso_addon.geometry import mesh as module
+    from irpso_addon.blender import mesh as module
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=160, ring_count=120)
     sphere = bpy.context.object

@@ -4,12 +4,12 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.material import apply_material, build_material, card_object
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry import bake, relief
-from irpso_addon.maps.height import Height
-from irpso_addon.maps.material import apply_material, build_material, card_object
-from irpso_addon.maps.result import Maps
+from irpso_addon.geometry.height import Height
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
 from tests import geometry_oracle
 from tests.cli_maker import angle
 from tests.cycles_passes import normals_of, rendered_passes

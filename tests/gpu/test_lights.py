@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import subset
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.light_fit import Moving, axes_of
-from irpso_addon.solver.lights import contradiction, estimate_lights, light_steps
+from irpso_addon.solver.lights.fit import Moving, axes_of
+from irpso_addon.solver.lights.refine import contradiction, estimate_lights, light_steps
 from tests.light_subjects import apart, gains, off, photographed, subject
 from tests.swarm_subjects import unit
 

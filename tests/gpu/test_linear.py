@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from irpso_addon.errors import InputError
-from irpso_addon.paths import SHADERS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import SHADERS
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.linear import linear_weights
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.kernels.linear_weights import linear_weights
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests import confidence_oracle
 from tests import generation_oracle as oracle
 from tests.generation_bench import Case, benches

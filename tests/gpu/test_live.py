@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import prepare
-from irpso_addon.solver.pyramid import Pyramid
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.coarse_to_fine import Pyramid
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state import prepare
 from tests.swarm_subjects import SHORT, bits_of, recoveries, subject, with_radiance
 
 LAMBERT = load_model("lambert")
@@ -118,7 +118,7 @@ def test_the_mean_error_is_that_of_float64(recover):
 
 
 def test_the_mean_error_of_a_part_is_near_that_of_all(recover, monkeypatch):
-    from irpso_addon.solver import findings
+    from irpso_addon.solver.engine import diagnostics as findings
 
     monkeypatch.setattr(findings, "_SAMPLED", 100)
     domain, _ = subject(40, 30, observations=5)
@@ -296,7 +296,7 @@ def test_a_run_over_several_sizes_is_changed_at_the_size_it_is_at(recover):
 
 
 def test_a_run_in_tiles_tells_its_error_in_slices_and_takes_no_other_settings(monkeypatch):
-    monkeypatch.setattr("irpso_addon.solver.tiled.BAND_SECONDS", 1e-6)  # these tiles are small
+    monkeypatch.setattr("irpso_addon.solver.engine.tiled.BAND_SECONDS", 1e-6)  # these tiles are small
     domain, _ = subject(16, 16, holes=False, observations=6)
     boxes = [(0, 0, 16, 8), (0, 8, 16, 8)]
     with Recovery(domain, LAMBERT, SHORT, 1, entry="fragment") as whole:

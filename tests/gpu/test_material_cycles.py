@@ -10,10 +10,11 @@ import OpenEXR
 import pytest
 from mathutils import Matrix, Vector
 
-from irpso_addon.maps import lights, two_lobe
-from irpso_addon.maps.material import apply_material, build_material, card_object
-from irpso_addon.maps.result import Maps
+from irpso_addon.blender import light_units as lights
+from irpso_addon.blender import two_lobe_nodes as two_lobe
+from irpso_addon.blender.material import apply_material, build_material, card_object
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
 from tests import oracles
 
 pytestmark = pytest.mark.bpy_only

@@ -7,8 +7,8 @@ import pytest
 
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests import confidence_oracle
 from tests.swarm_subjects import make_domain, unit
 

@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
-from irpso_addon.geometry import bake, frames, scene, spaces
-from irpso_addon.geometry.mesh import extract_mesh
-from irpso_addon.maps.blender_images import encode_png
-from irpso_addon.maps.extra import normal_maps
-from irpso_addon.maps.material import apply_material, build_material
-from irpso_addon.maps.result import Maps
+from irpso_addon.blender import scene
+from irpso_addon.blender import tangent_frames as frames
+from irpso_addon.blender.material import apply_material, build_material
+from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.core.png import encode_png
+from irpso_addon.geometry import bake, spaces
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.extra_maps import normal_maps
+from irpso_addon.results.maps import Maps
 from tests.cli_maker import angle
 from tests.cycles_passes import normals_of, rendered_passes
 

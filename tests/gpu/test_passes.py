@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.errors import GpuUnavailableError, ShaderError
+from irpso_addon.core.errors import GpuUnavailableError, ShaderError
+from irpso_addon.core.paths import SHADERS
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.compiler import messages_of
 from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Kernel, Output, Pass
-from irpso_addon.paths import SHADERS
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.kernels import copy_pass, render_pass
+from irpso_addon.solver.kernels.kernels import copy_pass, render_pass
 
 KERNELS = Path(__file__).parent / "kernels"
 CONSTANTS = {"u_mark": "INT", "u_skip": "INT", "u_scale": "FLOAT"}

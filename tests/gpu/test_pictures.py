@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 
-from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.pictures import image_rows
+from irpso_addon.results.maps import Maps
+from irpso_addon.solver.views.pictures import image_rows
 from tests import cli_maker
 from tests.cli_maker import run_cli
 from tests.swarm_subjects import make_domain

@@ -11,12 +11,12 @@ from irpso_addon.capture.bounds import bounded
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.polish import RunningPolish, Track
-from irpso_addon.solver.polish_kernels import SPREAD_REACH
-from irpso_addon.solver.resolve import ResolvedPolish
-from irpso_addon.solver.schedule import Polish, load_schedule
-from irpso_addon.solver.state import DomainTextures, Estimates
+from irpso_addon.solver.kernels.refinement import SPREAD_REACH
+from irpso_addon.solver.phases.refinement import RunningPolish, Track
+from irpso_addon.solver.settings.resolve import ResolvedPolish
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import confidence_oracle
 from tests.polish_oracle import Texel
 from tests.swarm_oracle import direction_to, frames, turned

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.prior import RunningPrior
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import Prior, load_schedule
-from irpso_addon.solver.state import DomainTextures, Estimates
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.spatial_prior import RunningPrior
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import Prior, load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import confidence_oracle, prior_oracle
 from tests.swarm_subjects import bits_of, make_domain, recoveries, run_tiled, subject, unit, with_radiance
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.coarsen import coarser
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.pyramid import Pyramid, level_schedules
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.coarse_to_fine import Pyramid, level_schedules
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.swarm_oracle import frames
 from tests.swarm_subjects import bits_of, make_domain, subject, unit, with_radiance
 

@@ -6,11 +6,11 @@ import os
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.geometry.domain import tile
+from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.swarm_subjects import SHORT, bits_of, recoveries, run_tiled, subject
 
 LAMBERT = load_model("lambert")

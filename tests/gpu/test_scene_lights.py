@@ -5,11 +5,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from irpso_addon.blender import light_units as lights
+from irpso_addon.blender import scene_lights
+from irpso_addon.blender.images import decode
+from irpso_addon.blender.scene_capture import wide_lights_around
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
-from irpso_addon.geometry import scene_lights
-from irpso_addon.geometry.scene_capture import wide_lights_around
-from irpso_addon.maps import lights
-from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import scene_capture, scene_objects
 from tests.unit.capture_maker import write_png
 

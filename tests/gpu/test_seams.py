@@ -5,24 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.blender.margins import blender_maps
+from irpso_addon.blender.tangent_frames import from_blender
 from irpso_addon.geometry.bake import bake_uv
 from irpso_addon.geometry.domain import Domain
-from irpso_addon.geometry.frames import from_blender
-from irpso_addon.geometry.margins import blender_maps
-from irpso_addon.geometry.seams import seams_of
+from irpso_addon.geometry.seams.seams import seams_of
 from irpso_addon.gpu import context, textures
-from irpso_addon.maps.result import Maps
-from irpso_addon.maps.tables import map_tables, map_values
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.forward import Renderer
-from irpso_addon.solver.generations import RunningGenerations
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import Polish, load_schedule
-from irpso_addon.solver.state import DomainTextures, Estimates
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.results.map_tables import map_tables, map_values
+from irpso_addon.results.maps import Maps
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.synchronous_swarm import RunningGenerations
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
+from irpso_addon.solver.views.forward import Renderer
 from tests import swarm_oracle as oracle
 from tests.geometry_oracle import joined
 from tests.seam_subjects import part, sheet

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.geometry.domain import tile
+from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.prepare import prepare
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.prepare import prepare
 from tests import swarm_numbers as numbers
 from tests import swarm_oracle as oracle
 from tests.swarm_subjects import SHORT, bits_of, recoveries, subject

@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from irpso_addon.blender.images import decode
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
-from irpso_addon.maps.blender_images import decode
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import kernels, survey
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.prepare import texel_scale
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.state import DomainTextures
-from irpso_addon.solver.survey import Judge, grey
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.kernels import kernels
+from irpso_addon.solver.phases import prefit as survey
+from irpso_addon.solver.phases.prefit import Judge, grey
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.prepare import texel_scale
+from irpso_addon.solver.state.textures import DomainTextures
 from tests import confidence_oracle
 from tests.cli_maker import dome_lights
 from tests.polish_oracle import Texel

@@ -9,12 +9,12 @@ import pytest
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.stage import RunningStage, particle_count
-from irpso_addon.solver.state import DomainTextures, Estimates
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.phases.sequential_swarm import RunningStage, particle_count
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests import swarm_numbers as numbers
 from tests import swarm_oracle as oracle
 from tests.swarm_subjects import make_domain, unit, with_radiance

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import texel_probe
-from irpso_addon.solver.prepare import prepare
-from irpso_addon.solver.pyramid import Pyramid
-from irpso_addon.solver.resolve import resolve, survey_model
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.texel_probe import TexelProbe, read_texel
+from irpso_addon.solver.engine.coarse_to_fine import Pyramid
+from irpso_addon.solver.settings.resolve import resolve, survey_model
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.prepare import prepare
+from irpso_addon.solver.views import texel_probe
+from irpso_addon.solver.views.texel_probe import TexelProbe, read_texel
 from tests import swarm_numbers as numbers
 from tests.generation_oracle import Generations
 from tests.swarm_subjects import SHORT, recoveries, subject

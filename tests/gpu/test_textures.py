@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.passes import Kernel, Output, Pass
-from irpso_addon.solver.kernels import copy_pass
+from irpso_addon.solver.kernels.kernels import copy_pass
 
 KERNELS = Path(__file__).parent / "kernels"
 SIZES = [(1, 1), (1, 7), (7, 1), (13, 17), (64, 33), (3, 1025)]

@@ -5,16 +5,16 @@ import sys
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.checkpoint import tiles_of
-from irpso_addon.solver.memory import Memory
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.plan import Limits, device_bytes, plan_recovery
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.schedule import Polish, load_schedule
-from irpso_addon.solver.tiled import TiledRecovery
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.state.checkpoint import tiles_of
 from tests.swarm_subjects import SHORT, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -126,7 +126,7 @@ def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
 
 @pytest.mark.parametrize("resident", [True, False])
 def test_slices_of_time_and_looks_between_change_nothing(resident, monkeypatch):
-    monkeypatch.setattr("irpso_addon.solver.tiled.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
+    monkeypatch.setattr("irpso_addon.solver.engine.tiled.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
     domain = with_hole(card=False)
     wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
     with tiled(domain, SCHEDULES["wide window"], FEW, resident=resident, model=LAMBERT) as recovery:

@@ -7,12 +7,12 @@ import pytest
 
 from irpso_addon.gpu import context, textures
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import tiled_view
-from irpso_addon.solver.display import Display, Shown
-from irpso_addon.solver.recovery import Recovery
-from irpso_addon.solver.texel_probe import read_texel
-from irpso_addon.solver.tiled import TiledRecovery
-from irpso_addon.solver.tiled_view import display_of, texel_probe_of
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.views import tiled_view
+from irpso_addon.solver.views.display import Display, Shown
+from irpso_addon.solver.views.texel_probe import read_texel
+from irpso_addon.solver.views.tiled_view import display_of, texel_probe_of
 from tests.swarm_subjects import SHORT, subject
 
 LAMBERT = load_model("lambert")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.ball_lights import free_table
 from tests.ball_maker import cap, degrees, mirror_image, photographed, trace

@@ -4,8 +4,8 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.geometry.scene import DISTORTION, camera_from_object
+from irpso_addon.blender.scene import DISTORTION, camera_from_object
+from irpso_addon.core.errors import InputError
 from irpso_addon.ui import scene_capture
 from tests.unit.capture_maker import write_png
 from tests.unit.test_poses import (

@@ -6,14 +6,14 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender import scene_lights
+from irpso_addon.blender.images import decode
+from irpso_addon.blender.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture, write_exr
-from irpso_addon.capture.inspect import inspect_steps
+from irpso_addon.capture.inspect.report import inspect_steps
 from irpso_addon.capture.noise import USUAL
-from irpso_addon.errors import InputError
-from irpso_addon.geometry import scene_lights
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.geometry.scene import camera_from_object
-from irpso_addon.maps.blender_images import decode
 from irpso_addon.ui import capture_import, findings, scene_capture, scene_setup
 from irpso_addon.ui.settings import model_of
 from tests.unit.capture_maker import LIGHTS, shade, sphere, write_diligent, write_png
@@ -254,7 +254,7 @@ def test_lights_are_read_where_they_stand_also_below_parents_and_hidden(scene, h
     np.testing.assert_allclose(found.intensity, (2.0, 1.0, 0.5), rtol=1e-6)
     # On a dome of radius 4 about (1, 2, 3), turned by the parent.
     place = np.array([1, 2, 3]) + 4 * direction
-    from irpso_addon.geometry.scene import world_matrix
+    from irpso_addon.blender.scene import world_matrix
 
     np.testing.assert_allclose(world_matrix(light)[:3, 3], (-place[1], place[0], place[2]), atol=1e-5)
 
@@ -673,6 +673,6 @@ def test_a_damaged_photograph_of_the_scene_is_left_out(scene, tmp_path):
 
 
 def scene_images_file(image):
-    from irpso_addon.geometry import scene_images
+    from irpso_addon.blender import scene_images
 
     return scene_images.file_of(image)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import read_exr, write_exr
+from irpso_addon.capture.images.exr import read_exr, write_exr
 from tests import cli_maker
 
 ROOT = Path(__file__).resolve().parent.parent.parent

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import irpso_addon
+from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.exports.result import read_result
-from irpso_addon.paths import DEFAULT_MODEL
 from tests import cli_maker
 from tests.gpu.test_ui_panels import Drawn
 

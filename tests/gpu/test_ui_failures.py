@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.ui import capture_import, failures, panels, recover, session, upkeep
 from irpso_addon.ui.overlay import handlers, probes
 from tests.unit.capture_maker import write_diligent

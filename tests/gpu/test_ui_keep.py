@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import irpso_addon
-from irpso_addon.capture.exr import read_exr
-from irpso_addon.errors import InputError
+from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.core.errors import InputError
 from tests import cli_maker
 
 SHAPE = (18, 24)

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.solver.lights import Lights
+from irpso_addon.solver.lights.refine import Lights
 from tests import cli_maker
 from tests.gpu.test_ui_panels import Drawn
 from tests.light_subjects import gains, off

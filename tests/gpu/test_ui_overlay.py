@@ -10,13 +10,13 @@ from mathutils.geometry import intersect_ray_tri
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.texel_probe import Particles
+from irpso_addon.solver.views.texel_probe import Particles
 from irpso_addon.ui.overlay import flat, legend, surface
 from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_colors, over_subject
 from irpso_addon.ui.overlay.layout import Rectangle, beside, free_rectangle, stacked, stacked_around
 from irpso_addon.ui.overlay.paint import rounded
 from irpso_addon.ui.overlay.picking import first_hit, nearest_texel, texel_at, view_ray
-from irpso_addon.ui.overlay.place import (
+from irpso_addon.ui.overlay.place import (  # fmt: skip
     Stand,
     card_corners,
     card_frame,
@@ -25,7 +25,7 @@ from irpso_addon.ui.overlay.place import (
     stand_of,
     to_pixels,
     transformed,
-)  # fmt: skip
+)
 from irpso_addon.ui.overlay.plot import curve_plot
 from irpso_addon.ui.overlay.scales import label, linear_ticks, log_ticks, round_down, round_up, steady_limit, ticks_to
 from irpso_addon.ui.overlay.swarm import Trail, box_pixels, choose_axes, goal_place, in_box, star, view_of

@@ -161,7 +161,7 @@ def test_what_is_given_is_asked_for_where_a_map_is_not_recovered(settings):
 
 @pytest.mark.bpy_only
 def test_every_setting_of_the_search_is_somewhere_in_the_panels(settings):
-    from irpso_addon.solver.schedule import SETTINGS
+    from irpso_addon.solver.settings.schedule import SETTINGS
 
     settings.schedule.levels = 2
     assert set(SETTINGS) <= set(drawn().props)

@@ -3,8 +3,8 @@
 import bpy
 import pytest
 
-from irpso_addon.errors import GpuUnavailableError
-from irpso_addon.paths import BASE_PACKAGE
+from irpso_addon.core.errors import GpuUnavailableError
+from irpso_addon.core.paths import BASE_PACKAGE
 from irpso_addon.ui import preferences
 from tests.cli_maker import run_cli
 

@@ -8,8 +8,8 @@ import bpy
 import pytest
 
 import irpso_addon
-from irpso_addon.errors import InputError
-from irpso_addon.paths import PRESETS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import PRESETS
 
 pytestmark = pytest.mark.bpy_only
 

@@ -6,11 +6,11 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.errors import InputError
-from irpso_addon.maps.result import Maps
-from irpso_addon.maps.write import write_maps
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
 from tests import cli_maker
 
 SHAPE = (10, 12)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
-from irpso_addon.errors import InputError
-from irpso_addon.maps.result import Maps
-from irpso_addon.maps.udim import tile_part
-from irpso_addon.maps.write import write_maps
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.udim import tile_part
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
 from tests import cli_maker
 
 SIDE, PIXELS = 8, 32
@@ -207,7 +207,7 @@ def test_a_click_finds_texels_of_slots_that_are_recovered_alone(settings):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, tmp_path, packed):
-    from irpso_addon.maps.material import build_material
+    from irpso_addon.blender.material import build_material
 
     model, folder = load_model("lambert"), None if packed else tmp_path / "images"
     for tiles in ((1001, 1012), (1001, 1002, 1003), (1003,), (1001,), (1002, 1012)):

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from tests import cli_maker
 
 pytestmark = pytest.mark.usefixtures("registered")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import read_exr
+from irpso_addon.capture.images.exr import read_exr
 from tests import cli_maker
 from tests.gui.traces import MODULE, SNAPSHOT, switch
 

@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 pytest.importorskip("scipy.ndimage", reason="scipy is not installed: interreflection is blurred by it")
 
 from benchmarks import lights  # noqa: E402
-from irpso_addon.capture import enough  # noqa: E402
+from irpso_addon.capture.inspect import sufficiency as enough  # noqa: E402
 
 
 @pytest.mark.parametrize("degrees", lights.CONES)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from irpso_addon.calibration import mirror
-from irpso_addon.calibration.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from irpso_addon.calibration.lights import Request, calibration_steps
-from irpso_addon.calibration.near import meet
+from irpso_addon.calibration.balls import mirror
+from irpso_addon.calibration.balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
+from irpso_addon.calibration.balls.lights import Request, calibration_steps
+from irpso_addon.calibration.balls.near import meet
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.steps import run_steps
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.steps import run_steps
 from tests.ball_maker import CAMERAS, cap, degrees, matte_image, mirror_image, photographed, trace, unit
 
 PLACES = {"perspective": ((1.2, -0.8, -7.0), 0.8), "orthographic": ((0.8, -0.5, 0.0), 0.75)}

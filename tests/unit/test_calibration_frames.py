@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.frames import (
+from irpso_addon.calibration.radiometry.frames import (
     Frame,
     Patch,
     divided_by,
@@ -13,8 +13,8 @@ from irpso_addon.calibration.frames import (
     white_gains,
     without_dark,
 )
-from irpso_addon.calibration.hdr import merge
-from irpso_addon.errors import InputError
+from irpso_addon.calibration.radiometry.hdr import merge
+from irpso_addon.core.errors import InputError
 
 SHAPE = (40, 60)
 Y, X = np.meshgrid(np.linspace(-1, 1, SHAPE[0]), np.linspace(-1, 1, SHAPE[1]), indexing="ij")

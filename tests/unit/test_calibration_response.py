@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from irpso_addon.calibration.curve_file import read_response, write_response
-from irpso_addon.calibration.response import bracket_step, monotone, response_from_brackets, response_from_patches
-from irpso_addon.errors import InputError
+from irpso_addon.calibration.radiometry.curve_file import read_response, write_response
+from irpso_addon.calibration.radiometry.response import (
+    bracket_step,
+    monotone,
+    response_from_brackets,
+    response_from_patches,
+)
+from irpso_addon.core.errors import InputError
 
 
 def srgb(light):

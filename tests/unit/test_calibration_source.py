@@ -5,10 +5,10 @@ import pytest
 from capture_maker import LIGHTS, chunk, decode_png, write_diligent, write_png
 from exif_maker import exif
 
-from irpso_addon.calibration.brackets import brackets_of, name_amount
-from irpso_addon.calibration.source import Exposing, read_source
-from irpso_addon.errors import InputError
-from irpso_addon.files import natural
+from irpso_addon.calibration.radiometry.brackets import brackets_of, name_amount
+from irpso_addon.calibration.radiometry.source import Exposing, read_source
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.files import natural
 
 EXIF, NAMES = Exposing("exif", True), Exposing("names", True)
 

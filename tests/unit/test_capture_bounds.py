@@ -5,12 +5,12 @@ import pytest
 
 from irpso_addon.capture.bounds import bounded, weight_and_clipped, without_bounds
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.picture import Picture, samples_of_picture
+from irpso_addon.capture.images.linearise import Picture, samples_of_picture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.prepare import prepare
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.prepare import prepare
 
 
 def test_what_a_weight_tells_is_told_back():
@@ -68,7 +68,7 @@ def test_a_card_keeps_bounds_and_a_schedule_may_drop_them():
 
 
 def test_a_capture_of_bounds_alone_says_that_nothing_is_seen_lit():
-    from irpso_addon.errors import InputError
+    from irpso_addon.core.errors import InputError
 
     images = [np.ones((3, 3, 4), np.float32) for _ in range(4)]
     for image in images:

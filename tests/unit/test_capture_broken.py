@@ -7,8 +7,8 @@ import pytest
 from capture_maker import LIGHTS, decode_png, write_diligent, write_png
 
 from irpso_addon.capture import read_capture, write_exr
-from irpso_addon.capture.inspect import inspect_capture
-from irpso_addon.errors import InputError
+from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.core.errors import InputError
 
 FRAMES = np.random.default_rng(5).random((5, 6, 8)).astype(np.float32)
 TABLE = """

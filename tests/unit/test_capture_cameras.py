@@ -6,7 +6,7 @@ from capture_maker import chunk, decode_png, write_png
 from test_poses import CENTRE, HEIGHT, POINTS, ROTATION, SEEN, WIDTH, colmap, quaternion, row
 
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.read import read_draft
 
 LENS = "OPENCV 64 48 50 51 33.05 23.625 -0.11 0.06 0.004 -0.003"

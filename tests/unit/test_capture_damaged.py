@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
-from irpso_addon.capture import CaptureError, damage, read_capture, write_exr
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture import CaptureError, read_capture, write_exr
+from irpso_addon.capture.inspect import damage
+from irpso_addon.capture.inspect.report import inspect_capture
 
 NORMALS, MASK = sphere(24)
 ALL = np.concatenate([LIGHTS, LIGHTS[1:] * (0.5, 0.5, 1)])  # nine

@@ -7,10 +7,10 @@ import pytest
 from capture_maker import chunk, decode_png, sphere, write_png
 
 from irpso_addon.capture import read_capture
-from irpso_addon.capture.falloff import encoding_test
-from irpso_addon.capture.headers import read_header
-from irpso_addon.capture.inspect import inspect_capture
-from irpso_addon.capture.picture import srgb_to_linear
+from irpso_addon.capture.images.headers import read_header
+from irpso_addon.capture.images.linearise import srgb_to_linear
+from irpso_addon.capture.inspect.falloff import encoding_test
+from irpso_addon.capture.inspect.report import inspect_capture
 from tests import oracles
 from tests.cli_maker import dome_lights
 
@@ -149,7 +149,9 @@ def test_the_header_of_every_image_is_read_once(tmp_path, ball, monkeypatch):
     codes = encoded(photographed(MATT["clay"], NARROW, normals), "linear")
     folder = write_capture_of(tmp_path / "ball", codes, NARROW, mask)
     read = []
-    monkeypatch.setattr("irpso_addon.capture.images.read_header", lambda path: read.append(path) or read_header(path))
+    monkeypatch.setattr(
+        "irpso_addon.capture.images.image.read_header", lambda path: read.append(path) or read_header(path)
+    )
     read_capture(folder, decode_png)
     photographs = [path for path in read if path.name != "mask.png"]
     assert len(photographs) == len(set(photographs)) == len(NARROW)
@@ -165,7 +167,7 @@ def test_an_image_that_cannot_be_read_is_reported_once(tmp_path, ball):
 
     def decode(path):
         if path.name == "004.png":
-            from irpso_addon.errors import InputError
+            from irpso_addon.core.errors import InputError
 
             raise InputError(f"{path}: damaged")
         return decode_png(path)

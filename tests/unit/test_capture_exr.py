@@ -7,8 +7,8 @@ import OpenEXR
 import pytest
 
 from irpso_addon.capture import CaptureError, read_exr, write_exr
-from irpso_addon.capture.images import ImageRef, ImageStore
-from irpso_addon.errors import InputError
+from irpso_addon.capture.images.image import ImageRef, ImageStore
+from irpso_addon.core.errors import InputError
 
 RNG = np.random.default_rng(3)
 GREY = RNG.random((5, 7), np.float32)

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from capture_maker import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
-from irpso_addon.capture import checks, enough, read_capture, write_exr
+from irpso_addon.capture import read_capture, write_exr
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.inspect import checks
+from irpso_addon.capture.inspect import sufficiency as enough
+from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 

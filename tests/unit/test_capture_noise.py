@@ -9,14 +9,14 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.images.linearise import Picture, samples_of_picture
+from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.noise import LEAST, MOST, USUAL, images_read, noise_of
-from irpso_addon.capture.picture import Picture, samples_of_picture
 from irpso_addon.capture.read import read_capture
-from irpso_addon.capture.steps import run_steps
 from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.maps.encode import srgb_from_linear
 from tests.oracles import unit
 
 SIZE = 64

@@ -7,9 +7,9 @@ import pytest
 from capture_maker import chunk, write_png
 
 from irpso_addon.capture import CaptureError, Picture
-from irpso_addon.capture.exif import jpeg_orientation, tiff_orientation, upright
-from irpso_addon.capture.headers import read_header
-from irpso_addon.capture.picture import mask_of_picture, samples_of_picture, srgb_to_linear
+from irpso_addon.capture.images.exif import jpeg_orientation, tiff_orientation, upright
+from irpso_addon.capture.images.headers import read_header
+from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture, srgb_to_linear
 
 
 def picture(codes, bits):

@@ -5,24 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
-from irpso_addon.calibration.lights import Request
 from irpso_addon.calibration.photographs import calibrated_table, read_photographs, with_camera
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.exr import write_exr
-from irpso_addon.capture.inspect import inspect_capture
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.places import camera_problems, lens_problems
 from irpso_addon.capture.read import read_capture, read_draft
-from irpso_addon.capture.steps import run_steps
 from irpso_addon.capture.types import Light
 from irpso_addon.capture.write import write_capture
-from irpso_addon.cluster.job import _digest_of_capture
-from irpso_addon.errors import CheckpointError, InputError
+from irpso_addon.cluster.agreement import _digest_of_capture
+from irpso_addon.core.errors import CheckpointError, InputError
+from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import checkpoint
-from irpso_addon.solver.prepare import lambert_seed
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state import checkpoint
+from irpso_addon.solver.state.prepare import lambert_seed
 from tests.ball_maker import matte_image
 from tests.cli_maker import angle
 from tests.near_card import DISTANCE, near_card, write_near_card

@@ -9,8 +9,8 @@ from capture_maker import LIGHTS, chunk, write_png
 from exif_maker import bayer, dng, exif, with_exif
 
 from irpso_addon.capture import CaptureError, read_capture
-from irpso_addon.capture.exif import Exposure, exposure_of
-from irpso_addon.capture.raw import decode_raw, is_raw, raw_size
+from irpso_addon.capture.images.exif import Exposure, exposure_of
+from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_size
 
 Y, X = np.mgrid[:40, :60]
 SCENE = np.stack([0.2 + 0.5 * X / 60, 0.3 + 0.3 * Y / 40, 0.4 + 0 * X], axis=-1)  # top row first

@@ -14,7 +14,7 @@ from irpso_addon.capture import (
     write_capture,
     write_exr,
 )
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 
 FRAMES = np.random.default_rng(5).random((5, 6, 8)).astype(np.float32)
 

@@ -8,14 +8,14 @@ import os
 import numpy as np
 import pytest
 
-from irpso_addon.errors import CheckpointError, InputError
-from irpso_addon.geometry.domain import tile
-from irpso_addon.paths import SHADERS
+from irpso_addon.core.errors import CheckpointError, InputError
+from irpso_addon.core.paths import SHADERS
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import checkpoint
-from irpso_addon.solver.portable import arrays_of, digest_of_texels, rows_of
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.state import plan_atlas
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state import checkpoint
+from irpso_addon.solver.state.layout import arrays_of, digest_of_texels, rows_of
+from irpso_addon.solver.state.textures import plan_atlas
 from tests.swarm_subjects import make_domain
 
 WHO = {"seed": 3, "model": "lambert"}

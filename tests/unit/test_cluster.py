@@ -8,18 +8,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from irpso_addon.cluster import job
-from irpso_addon.cluster.member import around
-from irpso_addon.cluster.ranks import Agreed, Ranks, joined
+from irpso_addon.cluster import agreement as job
+from irpso_addon.cluster.partition import check_fits, check_gathered, split
 from irpso_addon.cluster.samples import SharedStack
-from irpso_addon.cluster.split import check_fits, check_gathered, split
-from irpso_addon.errors import GpuUnavailableError, InputError
-from irpso_addon.geometry.domain import subset, tile
+from irpso_addon.cluster.transport import Agreed, Ranks, joined
+from irpso_addon.cluster.worker import around
+from irpso_addon.core.errors import GpuUnavailableError, InputError
+from irpso_addon.geometry.domain import subset
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.meetings import meeting, place_of
-from irpso_addon.solver.memory import Memory
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.engine.halo import meeting, place_of
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.swarm_subjects import make_domain
 
 NEED = recovery_need(load_model("lambert"), load_schedule("swarm"), (), 12)
@@ -209,7 +210,7 @@ def test_ranks_that_would_read_another_capture_or_hear_other_options_are_named(m
 
 
 def test_what_is_sent_is_counted_message_by_message(monkeypatch):
-    monkeypatch.setattr("irpso_addon.cluster.ranks._LARGEST", 40)
+    monkeypatch.setattr("irpso_addon.cluster.transport._LARGEST", 40)
     here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
     sent = []
     world = SimpleNamespace(

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from irpso_addon.paths import PRESETS
+from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.codec import build_codec
-from irpso_addon.solver.resolve import resolve
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.kernels.encoding import build_codec
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import load_schedule
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import irpso_addon
-from irpso_addon.solver.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 from irpso_addon.ui.schedule_words import GROUPS, WORDS
 
 ROOT = Path(__file__).resolve().parents[2]

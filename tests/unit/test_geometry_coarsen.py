@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.coarsen import coarser, coarser_map, finer_map
-from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.tiles import tile
 from tests.swarm_oracle import frames
 from tests.swarm_subjects import make_domain, unit
 

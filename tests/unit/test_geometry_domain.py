@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.geometry.domain import GeometryBake, subset, tile
+from irpso_addon.geometry.domain import GeometryBake, subset
 from irpso_addon.geometry.mesh import check_uvs
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.geometry.udim import lay_out
 from tests.geometry_oracle import plane
 

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.coarsen import coarser, finer_map
-from irpso_addon.geometry.domain import Domain, tile
-from irpso_addon.geometry.seam_edges import seam_edges
-from irpso_addon.geometry.seams import seams_of
+from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.seams.edges import seam_edges
+from irpso_addon.geometry.seams.seams import seams_of
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.memory import Memory
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.packing import Packing
-from irpso_addon.solver.plan import Borders, plan_recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.planning.plan import Borders, plan_recovery
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
 from tests.geometry_oracle import bake_uv, joined, mesh_from_corners
 from tests.seam_subjects import LEFT, START, TURNS, sheet
 

@@ -3,8 +3,8 @@
 import pytest
 
 from irpso_addon.commands.options import held_out_list
-from irpso_addon.errors import InputError
-from irpso_addon.solver.held_out import FEWEST_SPARING, order_of, relit_line, spared
+from irpso_addon.core.errors import InputError
+from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_line, spared
 
 
 @pytest.mark.parametrize(

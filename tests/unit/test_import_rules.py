@@ -4,7 +4,6 @@ import ast
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,30 +12,25 @@ import irpso_addon
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PACKAGE = ROOT / "irpso_addon"
+sys.path.insert(0, str(ROOT / "scripts"))
 
-# Part of the program -> the parts it may import, besides itself and the small helpers of BASE, which everyone may.
-BASE = {"errors", "paths", "files"}
-ENGINE = {"reflectance", "capture", "calibration", "gpu", "maps", "geometry", "solver"}
+import docs_architecture  # noqa: E402
+from docs_architecture import FLOORS, imports_of, modules, room_of  # noqa: E402
+
+ROOMS_ABOVE = (("cli",), ("__main__", "__init__"))
 ALLOWED = {
-    "errors": set(),
-    "paths": set(),
-    "files": set(),
-    "reflectance": set(),
-    "capture": set(),
-    "calibration": {"capture", "maps"},
-    "gpu": set(),
-    "maps": {"reflectance", "capture"},
-    "geometry": {"capture", "reflectance", "maps", "gpu"},
-    "solver": {"geometry", "maps", "reflectance", "capture", "gpu"},
-    "exports": ENGINE,
-    "cluster": ENGINE,
-    "ui": ENGINE | {"exports"},
-    "demo": ENGINE,
-    "commands": ENGINE | {"demo", "cluster", "exports"},
-    "cli": ENGINE | {"commands", "demo", "cluster", "exports"},
-    "__main__": {"cli", "gpu"},
-    "__init__": {"cli", "ui"},
+    room: {below for floor in (*FLOORS, *ROOMS_ABOVE)[:number] for below in floor}
+    for number, rooms in enumerate((*FLOORS, *ROOMS_ABOVE))
+    for room in rooms
 }
+# Import circles that are there still, and may not grow.
+CIRCLES = {
+    frozenset({"solver.engine.reconfigure", "solver.engine.recovery"}),
+    frozenset({"commands.ranked", "commands.recover"}),
+    frozenset({"ui.asked", "ui.capture_import", "ui.job", "ui.scene_setup", "ui.session", "ui.settings"}),
+}
+MOST_FILES = {"ui": 32, "commands": 19}  # of a room; elsewhere MOST
+MOST = 16
 BLENDER = {
     "bpy",
     "bmesh",
@@ -53,52 +47,14 @@ BLENDER = {
 }
 THIRD_PARTY = {"numpy", "OpenEXR"}
 # An extra that the program works without: the one module that may import it, and only when it is asked for.
-OPTIONAL = {"rawpy": "capture/raw.py", "mpi4py": "cluster/ranks.py"}
-WITHOUT_BLENDER = BASE | {"reflectance", "capture", "calibration"}
+OPTIONAL = {"rawpy": "capture/images/raw.py", "mpi4py": "cluster/transport.py"}
+WITHOUT_BLENDER = {"core", "reflectance", "capture", "calibration"}
 GLSL = re.compile(r"\bvoid\s+main\s*\(|\bgl_[A-Z]\w+|\btexelFetch\s*\(|\bimage(Store|Load)\s*\(|^\s*#version", re.M)
-
-
-@dataclass(frozen=True)
-class Import:
-    """One imported module: absolute ("numpy.linalg") or a part of the program (".capture")."""
-
-    module: str
-    at_module_level: bool
-    line: int
-
-
-def part_of(path: Path) -> str:
-    """Return the part of the program that a file below irpso_addon belongs to."""
-    relative = path.relative_to(PACKAGE)
-    return relative.parts[0] if len(relative.parts) > 1 else path.stem
-
-
-def imports_of(source: str, package: tuple[str, ...]) -> list[Import]:
-    """Return the imports of a module whose package below irpso_addon is ``package``, relative ones resolved."""
-    found = []
-
-    def visit(node: ast.AST, top: bool) -> None:
-        if isinstance(node, ast.Import):
-            found.extend(Import(alias.name, top, node.lineno) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            found.append(Import(node.module or "", top, node.lineno))
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) + 1 - node.level]
-            for name in [node.module] if node.module else [alias.name for alias in node.names]:
-                found.append(Import("." + ".".join((*base, name)), top, node.lineno))
-        inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-        # What stands under `if TYPE_CHECKING:` is never run.
-        typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-        for child in ast.iter_child_nodes(node):
-            visit(child, top and not inside and not typing_only)
-
-    visit(ast.parse(source), True)
-    return found
 
 
 def broken_rules(source: str, path: Path) -> list[str]:
     """Return one line for each rule that the source of a module at ``path`` breaks."""
-    part, package = part_of(path), path.relative_to(PACKAGE).parent.parts
+    part, package = room_of(path), path.relative_to(PACKAGE).parent.parts
     if part not in ALLOWED:
         return [f"{path.relative_to(ROOT)}: say in ALLOWED what {part} may import"]
     broken = []
@@ -107,21 +63,21 @@ def broken_rules(source: str, path: Path) -> list[str]:
         where = f"{path.relative_to(ROOT)}:{item.line}: "
         if item.module.startswith(".") or top_name == PACKAGE.name:
             target = item.module.removeprefix(PACKAGE.name).split(".")[1]
-            if target != part and target not in ALLOWED[part] | BASE:
+            if target != part and target not in ALLOWED[part]:
                 broken.append(where + f"{part} must not import {target}")
-            if part == "__init__" and item.at_module_level:
+            if part == "__init__" and item.top:
                 broken.append(where + "the package imports its parts only when asked for them")
         elif top_name in BLENDER:
             if top_name in ("gpu", "gpu_extras") and part != "gpu":
                 broken.append(where + "only irpso_addon/gpu may import Blender's gpu module")
             elif part in WITHOUT_BLENDER:
                 broken.append(where + f"{part} must work without Blender")
-            elif item.at_module_level and part not in ("ui", "gpu"):
+            elif item.top and part not in ("ui", "gpu"):
                 broken.append(where + f"import {top_name} where it is used; at module level only ui may")
-            elif item.at_module_level and part == "gpu" and top_name == "bpy":
+            elif item.top and part == "gpu" and top_name == "bpy":
                 broken.append(where + "import bpy where it is used; at module level only ui may")
         elif top_name in OPTIONAL:
-            if path.relative_to(PACKAGE).as_posix() != OPTIONAL[top_name] or item.at_module_level:
+            if path.relative_to(PACKAGE).as_posix() != OPTIONAL[top_name] or item.top:
                 broken.append(where + f"{top_name} is an extra: import it in {OPTIONAL[top_name]}, where it is used")
         elif top_name not in sys.stdlib_module_names | THIRD_PARTY:
             broken.append(where + f"{top_name} is not a dependency of the program")
@@ -134,11 +90,6 @@ def glsl_in(source: str) -> list[str]:
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     texts = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
     return [text.value for text in texts if id(text) not in docstrings and GLSL.search(text.value)]
-
-
-def modules() -> list[Path]:
-    """Return every Python file of the program."""
-    return sorted(PACKAGE.rglob("*.py"))
 
 
 def tracked() -> list[Path]:
@@ -167,6 +118,59 @@ def test_imports_go_down_only():
     assert [line for path in modules() for line in broken_rules(path.read_text(encoding="utf-8"), path)] == []
 
 
+def module_imports() -> dict[str, set[str]]:
+    """Return for each module of the program, by its name below irpso_addon, the modules that it imports."""
+    names = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in modules()}
+    found = {}
+    for name, path in names.items():
+        source = path.read_text(encoding="utf-8")
+        found[name] = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                base = path.relative_to(PACKAGE).parent.parts
+                base = (*base[: len(base) + 1 - node.level], *(node.module.split(".") if node.module else ()))
+                whole = {".".join((*base, alias.name)) for alias in node.names} | {".".join(base)}
+                found[name] |= whole & set(names)
+    return found
+
+
+def circles(imports: dict[str, set[str]]) -> set[frozenset[str]]:
+    """Return the sets of modules that import one another in a circle, directly or by others."""
+
+    def reached(start: str) -> set[str]:
+        seen, waiting = set(), [start]
+        while waiting:
+            for other in imports[waiting.pop()] - seen:
+                seen.add(other)
+                waiting.append(other)
+        return seen
+
+    below = {name: reached(name) for name in imports}
+    return {frozenset(o for o in below[name] if name in below[o]) for name in imports if name in below[name]}
+
+
+def test_modules_import_one_another_in_no_circle_but_those_that_are_known():
+    assert circles(module_imports()) == CIRCLES
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {frozenset({"b", "c"})}
+
+
+def test_no_room_holds_more_files_than_one_looks_over():
+    folders = {path.parent for path in modules() if path.parent != PACKAGE}
+    full = {}
+    for folder in folders:
+        room, files = folder.relative_to(PACKAGE).as_posix(), len(list(folder.glob("*.py"))) - 1
+        if files > MOST_FILES.get(room, MOST):
+            full[room] = files
+    assert full == {}
+
+
+def test_the_page_and_the_picture_of_the_architecture_are_the_programs_own():
+    page = docs_architecture.PAGE.read_text(encoding="utf-8")
+    assert page == docs_architecture.page_with_table(page), "run scripts/docs_architecture.py"
+    drawn = docs_architecture.PICTURE.read_text(encoding="utf-8")
+    assert drawn == docs_architecture.picture(), "run scripts/docs_architecture.py"
+
+
 @pytest.mark.parametrize(
     ("file", "source"),
     [
@@ -174,19 +178,19 @@ def test_imports_go_down_only():
         ("capture/a.py", "from ..gpu.context import x"),
         ("capture/deep/a.py", "from ...solver import x"),
         ("reflectance/a.py", "from .. import capture"),
-        ("maps/a.py", "import bpy"),
-        ("maps/a.py", "class A:\n    import bpy"),
-        ("maps/a.py", "from ..solver.recovery import Recovery"),
+        ("results/a.py", "import bpy"),
+        ("results/a.py", "class A:\n    import bpy"),
+        ("results/a.py", "from ..solver.engine.recovery import Recovery"),
         ("solver/a.py", "def f():\n    import gpu"),
         ("ui/a.py", "import gpu.types"),
         ("gpu/a.py", "import bpy"),
         ("gpu/a.py", "from ..capture.types import Light"),
         ("solver/a.py", "from irpso_addon.ui import panel"),
         ("geometry/a.py", "import scipy.ndimage"),
-        ("maps/a.py", "def f():\n    import rawpy"),
-        ("capture/raw.py", "import rawpy"),
+        ("results/a.py", "def f():\n    import rawpy"),
+        ("capture/images/raw.py", "import rawpy"),
         ("cluster/a.py", "def f():\n    import mpi4py"),
-        ("cluster/ranks.py", "from mpi4py import MPI"),
+        ("cluster/transport.py", "from mpi4py import MPI"),
         ("__init__.py", "from .cli import main"),
     ],
 )
@@ -197,13 +201,13 @@ def test_a_forbidden_import_is_found(file, source):
 @pytest.mark.parametrize(
     ("file", "source"),
     [
-        ("capture/deep/a.py", "from ...errors import InputError\nfrom ..types import Light\nimport numpy.linalg"),
+        ("capture/deep/a.py", "from ...core.errors import InputError\nfrom ..types import Light\nimport numpy.linalg"),
         ("gpu/a.py", "import gpu\ndef f():\n    import bpy"),
-        ("capture/raw.py", "def f():\n    import rawpy"),
-        ("cluster/ranks.py", "def f():\n    from mpi4py import MPI"),
+        ("capture/images/raw.py", "def f():\n    import rawpy"),
+        ("cluster/transport.py", "def f():\n    from mpi4py import MPI"),
         ("ui/a.py", "import bpy\nfrom ..solver import recovery"),
         ("solver/a.py", "from __future__ import annotations\nfrom ..gpu import context\nimport math"),
-        ("maps/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import bpy"),
+        ("results/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import bpy"),
         ("__init__.py", "def f():\n    from . import cli"),
     ],
 )
@@ -221,7 +225,7 @@ def test_the_parts_that_promise_to_work_without_blender_do():
     names = [
         "irpso_addon." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
         for path in modules()
-        if part_of(path) in WITHOUT_BLENDER
+        if room_of(path) in WITHOUT_BLENDER
     ]
     probe = f"import importlib, sys; [importlib.import_module(n) for n in {names}]; print('bpy' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.maps.encode import encode_normal, fill_margin, linear_from_srgb, srgb_from_linear
+from irpso_addon.core.encode import encode_normal, fill_margin, linear_from_srgb, srgb_from_linear
 
 
 def test_the_srgb_curve_goes_through_the_points_of_the_standard():

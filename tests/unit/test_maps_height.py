@@ -9,8 +9,8 @@ from scipy.fft import dctn
 from scipy.sparse.linalg import spsolve
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.geometry import relief
-from irpso_addon.maps import height
+from irpso_addon.geometry import height, relief
+from irpso_addon.results.extra_maps import height_map
 from tests import geometry_oracle
 
 
@@ -127,11 +127,11 @@ def test_the_picture_of_a_height_gives_the_height_back_by_scale_and_midlevel():
     z, normals = waves(40, 40)
     covered = masks(40, 40)["disc"]
     found = relief.card_height(Camera.orthographic(40, 40, 1.0), normals, covered)
-    picture = found.as_map().encoded[..., 0]
+    picture = height_map(found).encoded[..., 0]
     assert picture[covered].min() == 0 and picture[covered].max() == 1
     np.testing.assert_allclose((picture[covered] - found.midlevel) * found.scale, found.values[covered], atol=1e-5)
     nothing = height.Height(np.zeros((4, 4), np.float32), np.ones((4, 4), bool), "texels")
-    assert (nothing.as_map().encoded == nothing.midlevel).all()
+    assert (height_map(nothing).encoded == nothing.midlevel).all()
 
 
 @pytest.mark.parametrize("shape", [(13, 18), (1, 2), (3, 1)])

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.maps import lettering
-from irpso_addon.maps.canvas import Canvas
-from irpso_addon.maps.false_color import COLORS, UNCOVERED, false_color
-from irpso_addon.maps.pictures import (
+from irpso_addon.core import lettering
+from irpso_addon.core.canvas import Canvas
+from irpso_addon.reflectance.model import Parameter
+from irpso_addon.results.false_color import COLORS, UNCOVERED, false_color
+from irpso_addon.results.preview import (
     MARK_COLORS,
     Curves,
     PreviewRow,
@@ -18,7 +19,6 @@ from irpso_addon.maps.pictures import (
     preview,
     strip,
 )
-from irpso_addon.reflectance.model import Parameter
 
 
 def oklab_lightness(rgb):

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.maps.report import build_report, limit_warnings, parameter_error, plain, quantiles
-from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.pictures import confidence_preview
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.report import build_report, limit_warnings, parameter_error, plain, quantiles
+from irpso_addon.solver.views.pictures import confidence_preview
 
 NORMAL = Parameter("normal", 3, (-1, 1), (0, 0, 1), map="normal", is_normal=True)
 GLOSS = Parameter("gloss", 2, (0.0, 4.0), (1, 1), map="gloss")

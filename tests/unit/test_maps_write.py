@@ -10,11 +10,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.maps import write
-from irpso_addon.maps.result import Maps
-from irpso_addon.maps.write import check_output_folder, write_maps
+from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
+from irpso_addon.results import write
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import check_output_folder, write_maps
 
 MODEL = ReflectanceModel(
     "mine", "Mine", Path("mine.glsl"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.mixture import SAMPLE, features_of, material_table, merged, mixture, sampled
+from irpso_addon.solver.phases.mixture import SAMPLE, features_of, material_table, merged, mixture, sampled
 
 SIZES, MIDDLES, SPREADS = (1500, 900, 600), ((1.0, 2.0, 8.0), (6.0, 7.0, 1.0), (3.0, 9.0, 5.0)), (0.6, 0.8, 1.1)
 

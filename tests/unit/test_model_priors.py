@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.maps.report import prior_shares
-from irpso_addon.maps.result import Maps
-from irpso_addon.paths import MODELS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import MODELS
 from irpso_addon.reflectance.model import ParameterPrior, load_model
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.report import prior_shares
+from irpso_addon.solver.settings.schedule import load_schedule
 
 
 def model_with(tmp_path, prior, parameter="specular"):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.paths import MODELS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import MODELS
 from irpso_addon.reflectance.model import load_model, shipped_models
 
 

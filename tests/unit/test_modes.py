@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.maps.report import build_report, mode_warnings
-from irpso_addon.maps.result import Maps
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import modes
-from irpso_addon.solver.modes import with_modes
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.report import build_report, mode_warnings
+from irpso_addon.solver.engine import modes
+from irpso_addon.solver.engine.modes import with_modes
 
 MODEL = load_model("metallic_roughness")
 SHAPE = (30, 40)

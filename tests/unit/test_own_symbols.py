@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irpso_addon.capture.exr import write_exr
+from irpso_addon.capture.images.exr import write_exr
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "scripts"))
 own_symbols = pytest.importorskip("own_symbols")

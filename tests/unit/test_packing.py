@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irpso_addon.solver.packing import Packing
+from irpso_addon.solver.state.packing import Packing
 
 RNG = np.random.default_rng(0)
 MASKS = {

@@ -6,19 +6,24 @@ from pathlib import Path
 
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import context
 from irpso_addon.gpu.library import read_source
 from irpso_addon.gpu.passes import Pass
 from irpso_addon.reflectance.model import load_model, shipped_models
-from irpso_addon.solver import display, generation_kernels, kernels, polish_kernels, prior_kernels, survey
-from irpso_addon.solver.alternatives import Alternatives
-from irpso_addon.solver.codec import build_codec
-from irpso_addon.solver.confidence import Confidence
-from irpso_addon.solver.linear import linear_weights
-from irpso_addon.solver.resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve, survey_model
-from irpso_addon.solver.schedule import load_schedule, shipped_presets
-from irpso_addon.solver.stage import particle_count
+from irpso_addon.solver.engine.alternatives import Alternatives
+from irpso_addon.solver.engine.confidence import Confidence
+from irpso_addon.solver.kernels import kernels
+from irpso_addon.solver.kernels import refinement as polish_kernels
+from irpso_addon.solver.kernels import spatial_prior as prior_kernels
+from irpso_addon.solver.kernels import synchronous_swarm as generation_kernels
+from irpso_addon.solver.kernels.encoding import build_codec
+from irpso_addon.solver.kernels.linear_weights import linear_weights
+from irpso_addon.solver.phases import prefit as survey
+from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.settings.resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve, survey_model
+from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.views import display
 
 SAMPLERS, IMAGES = 16, 8
 OWN = Path(__file__).resolve().parent.parent / "gpu" / "models"

@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import mapped_array
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import memory
-from irpso_addon.solver.memory import Memory, amount, free_memory, machine_memory, parse_memory
-from irpso_addon.solver.need import recovery_need
-from irpso_addon.solver.plan import Limits, device_bytes, plan_recovery
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.planning import memory
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory, amount, free_memory, machine_memory, parse_memory
+from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
+from irpso_addon.solver.settings.schedule import load_schedule
 
 G, M = 1 << 30, 1 << 20
 PLENTY = Memory(1 << 50, 1 << 50)

@@ -444,7 +444,7 @@ def test_a_matrix_that_does_more_than_turn_move_and_scale_is_refused(matrix):
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 @pytest.mark.parametrize("factor", [1, 0.5])
 def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it(tmp_path, orientation, factor):
-    from irpso_addon.capture.exif import upright
+    from irpso_addon.capture.images.exif import upright
 
     camera = a_camera(tmp_path)
     # A picture as it is stored whose two channels say where its pixels' centres are; turned as any picture is.

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver import prepare
-from irpso_addon.solver.schedule import load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state import prepare
 from tests.swarm_oracle import direction_to, frames, turned
 from tests.swarm_subjects import make_domain, unit, with_radiance
 

@@ -3,11 +3,11 @@
 import pytest
 
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.need import work_of
-from irpso_addon.solver.progress import Progress, TimeLeft
-from irpso_addon.solver.resolve import ResolvedStage, ResolvedSurvey, resolve
-from irpso_addon.solver.schedule import load_schedule
-from irpso_addon.solver.stage import particle_count
+from irpso_addon.solver.engine.progress import Progress, TimeLeft
+from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.planning.cost import work_of
+from irpso_addon.solver.settings.resolve import ResolvedStage, ResolvedSurvey, resolve
+from irpso_addon.solver.settings.schedule import load_schedule
 
 
 def works(preset, observations=24, model="principled"):

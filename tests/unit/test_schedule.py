@@ -4,13 +4,13 @@ import re
 
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.paths import PRESETS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.polish import tracks_of
-from irpso_addon.solver.resolve import ResolvedPolish, resolve
-from irpso_addon.solver.schedule import Stage, load_schedule, shipped_presets
-from irpso_addon.solver.stage import neighbour_constant, particle_count
+from irpso_addon.solver.phases.refinement import tracks_of
+from irpso_addon.solver.phases.sequential_swarm import neighbour_constant, particle_count
+from irpso_addon.solver.settings.resolve import ResolvedPolish, resolve
+from irpso_addon.solver.settings.schedule import Stage, load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
 

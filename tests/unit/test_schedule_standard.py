@@ -6,13 +6,19 @@ import tomllib
 
 import pytest
 
-from irpso_addon.errors import InputError
-from irpso_addon.paths import PRESETS
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.generation_kernels import MAX_PARTICLES
-from irpso_addon.solver.resolve import ResolvedMaterials, ResolvedPolish, ResolvedStage, ResolvedSurvey, resolve
-from irpso_addon.solver.schedule import load_schedule, shipped_presets
-from irpso_addon.solver.stage import particle_count
+from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
+from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.settings.resolve import (
+    ResolvedMaterials,
+    ResolvedPolish,
+    ResolvedStage,
+    ResolvedSurvey,
+    resolve,
+)
+from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
 OTHERS = {"solve": "search", "robust": "l2", "stop": "clamp", "lambert": "random", "hemisphere": "cartesian"}
 

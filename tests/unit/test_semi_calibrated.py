@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.solver.light_sample import draw, with_lights
-from irpso_addon.solver.prepare import light_vectors
-from irpso_addon.solver.semi_calibrated import normalised, relative_intensities
+from irpso_addon.solver.lights.sample import draw, with_lights
+from irpso_addon.solver.lights.semi_calibrated import normalised, relative_intensities
+from irpso_addon.solver.state.prepare import light_vectors
 from tests.light_subjects import apart, gains, off, photographed, subject
 
 

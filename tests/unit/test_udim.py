@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from irpso_addon.errors import InputError
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.udim import tile_files, tile_number, tile_place, tile_stem
 from irpso_addon.geometry.slots import overlapping_slots, slots_of_text
 from irpso_addon.geometry.udim import lay_out, layout_place, layout_size
-from irpso_addon.maps.result import Maps
-from irpso_addon.maps.udim import split_maps, tile_files, tile_number, tile_place, tile_stem
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps, split_maps
 
 CORNER = np.float32([(0, 0), (1, 0), (0, 1)])
 NAMES = ("Skin", "Eyes, left", "slot 2", "Skin")

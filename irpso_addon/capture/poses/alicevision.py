@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import is_rotation
-from ..problems import CaptureError
+from ..errors import CaptureError
 from .posed import PoseFile, camera_from_vision, moved
 
 # Distortion, by either of its names → which of OpenCV's coefficients the parameters are, in their order.

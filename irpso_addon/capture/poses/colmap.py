@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lists import numbers
-from ..problems import CaptureError
+from ..errors import CaptureError
+from ..formats.lists import numbers
 from .posed import PoseFile, camera_from_vision
 
 CAMERAS, IMAGES = "cameras.txt", "images.txt"

@@ -16,7 +16,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ..camera import is_rotation
-from ..problems import CaptureError
+from ..errors import CaptureError
 from .posed import PoseFile, camera_from_vision, similarity
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"

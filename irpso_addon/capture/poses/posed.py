@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 
 from ..camera import Camera, is_rotation
-from ..problems import CaptureError
+from ..errors import CaptureError
 
 # Quarter turns clockwise that bring a picture upright, by its orientation tag (EXIF 2.3, tag 274); others mirror it.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..problems import CaptureError
+from ..errors import CaptureError
 from . import alicevision, colmap, metashape
 from .posed import PoseFile
 

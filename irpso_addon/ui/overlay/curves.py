@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...gpu.viewport import Drawing
-from ...maps.pictures import MARK_COLORS
+from ...results.preview import MARK_COLORS
 from ..session import Probe, Session
 from .flat import flat_place
 from .layout import Rectangle

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...maps.textures import TAG as MAP_TAG
-from ...maps.udim import ONE_SQUARE, tile_place
+from ...blender.textures import TAG as MAP_TAG
+from ...core.udim import ONE_SQUARE, tile_place
 from .layout import Rectangle
 
 

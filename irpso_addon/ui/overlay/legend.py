@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...maps.false_color import COLORS
 from ...reflectance.model import ReflectanceModel
-from ...solver.display import Shown
+from ...results.false_color import COLORS
+from ...solver.views.display import Shown
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
 from .scales import PERCENT, label, ticks_to

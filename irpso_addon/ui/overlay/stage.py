@@ -10,12 +10,12 @@ import bpy
 import numpy as np
 
 from ...capture.camera import Camera
-from ...errors import InputError
+from ...core.errors import InputError
 from ...gpu.home import Home
 from ...gpu.viewport import Drawing, Surface
-from ...solver.display import Shown
-from ...solver.texel_probe import TexelProbe
-from ...solver.tiled_view import TiledTexelProbe, texel_probe_of
+from ...solver.views.display import Shown
+from ...solver.views.texel_probe import TexelProbe
+from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
 from .. import preferences
 from ..job import image_map
 from ..session import Probe, Session

@@ -9,9 +9,9 @@ import bpy
 import numpy as np
 
 from ...gpu.viewport import Surface
-from ...maps.result import UNKNOWN
 from ...reflectance.model import ReflectanceModel
-from ...solver.display import Shown
+from ...results.maps import UNKNOWN
+from ...solver.views.display import Shown
 from ..session import Session
 from .place import Stand, card_corners, card_frame, stand_of
 from .scales import PERCENT, round_up, steady_limit

@@ -10,10 +10,10 @@ from functools import cache
 import bpy
 import numpy as np
 
-from ...maps.encode import encode_normal, srgb_from_linear
+from ...core.encode import encode_normal, srgb_from_linear
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...solver.resolve import survey_model
-from ...solver.texel_probe import Particles, component_names
+from ...solver.settings.resolve import survey_model
+from ...solver.views.texel_probe import Particles, component_names
 from .layout import Rectangle
 from .paint import DIM, HALO, SMALL, Painter
 from .scales import label

@@ -1,0 +1,181 @@
+"""Reading a mesh out of Blender: triangles with their normals, tangents and texture coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..geometry.mesh import MeshData, check_uvs
+from ..geometry.slots import slot_names
+from ..geometry.udim import lay_out
+
+_TOGETHER = 8000  # triangles of which Blender finds the tangents at once, in one thread
+# Modifiers that repeat faces with the texture coordinates that they have; a node group may.
+_COPYING = {"ARRAY", "MIRROR", "SOLIDIFY", "SCREW", "PARTICLE_INSTANCE", "NODES"}
+
+
+def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
+    """Return the triangles of a mesh object, modifiers applied as the viewport shows them, in world space.
+
+    Texture coordinates come from the active UV map (the one highlighted in Blender's list, not the one with the camera
+    mark). Tangents are MikkTSpace of the triangles rather than of the quads, as Cycles has them. slots: the material
+    slots that are asked for, None for all. Raises InputError, by the object's name, where there is no such surface or
+    its UV map cannot hold one; overlaps are found by ``bake_uv``.
+    """
+    import bpy
+
+    if obj.type != "MESH":
+        raise InputError(f"object '{obj.name}' is of type {obj.type}, not a mesh; name a mesh object")
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    evaluated = obj.evaluated_get(depsgraph)
+    if not evaluated.is_evaluated:
+        raise InputError(f"object '{obj.name}' is not in the active view layer or is hidden; show it in the viewport")
+    matrix = np.array(evaluated.matrix_world, np.float64)
+    _check_matrix(obj.name, matrix)
+    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    try:
+        corners = _local_triangles(obj.name, mesh, slot_names(obj), slots)
+        corners["copied_by"] = tuple(m.name for m in obj.modifiers if m.type in _COPYING and m.show_viewport)
+    finally:
+        bpy.data.meshes.remove(mesh)
+    return _to_world(obj.name, corners, matrix)
+
+
+def _check_matrix(name: str, matrix: np.ndarray) -> None:
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) <= 1e-9 * max(lengths.max(), 1e-30) ** 3:
+        raise InputError(f"object '{name}' has a scale of zero along an axis; set its scale or apply it")
+
+
+def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequence[int] | None) -> dict[str, Any]:
+    """Return the corners' arrays in the object's own space."""
+    if not len(mesh.polygons):
+        raise InputError(f"mesh object '{name}' has no faces; choose one that has a surface")
+    layer = mesh.uv_layers.active
+    if layer is None:
+        raise InputError(f"mesh object '{name}' has no UV map; unwrap it in Blender first")
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    vertices = _read(mesh.loop_triangles, "vertices", 3 * count, np.int32)
+    loops = _read(mesh.loop_triangles, "loops", 3 * count, np.int32)
+    coordinates = _read(mesh.vertices, "co", 3 * len(mesh.vertices)).reshape(-1, 3)
+    uvs = _read(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
+    positions = coordinates[vertices].reshape(-1, 3, 3)
+    if not np.isfinite(positions).all():
+        raise InputError(f"mesh object '{name}' has vertices that are not numbers; repair the mesh")
+    # Blender draws what has a slot beyond the last with the last.
+    materials = np.minimum(_read(mesh.loop_triangles, "material_index", count, np.int32), max(len(names) - 1, 0))
+    solved = None if slots is None else np.isin(materials, np.asarray(slots, np.int32))
+    if solved is not None and not solved.any():
+        asked = ", ".join(f"'{names[slot]}'" for slot in slots)
+        raise InputError(f"no face of '{name}' has the material slot {asked}; choose one that has faces")
+    chosen = slice(None) if solved is None else solved
+    check_uvs(name, layer.name, positions[chosen], uvs[chosen])
+    tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
+    places = placed if solved is None else np.zeros_like(uvs)
+    places[chosen] = placed
+    normals = _read(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
+    return {
+        "positions": positions,
+        "normals": normals,
+        "uvs": places,
+        "tangents": _tangents(coordinates, vertices, normals, uvs),
+        "materials": materials,
+        "uv_map": layer.name,
+        "tiles": tiles,
+        "slots": names,
+        "solved": solved,
+    }
+
+
+def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
+    values = np.empty(size, kind)
+    collection.foreach_get(attribute, values)
+    return values
+
+
+def _tangents(coordinates: np.ndarray, vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> np.ndarray:
+    """Return (T, 3, 4) MikkTSpace tangents and signs of triangles, computed by Blender on passing meshes of them.
+
+    A large mesh goes in parts, each with all triangles around its corners, which is all that a tangent depends on: on
+    more than about 10 000 triangles Blender works in threads, and the last bits differ from run to run.
+    """
+    triangles = vertices.reshape(-1, 3)
+    if len(triangles) <= _TOGETHER:
+        return _tangents_together(coordinates, triangles, normals, uvs)
+    # By place: Mikkelsen welds corners by their coordinates, whatever their vertex.
+    _, places = np.unique(coordinates.reshape(-1, 3), axis=0, return_inverse=True)
+    corners = places.reshape(-1)[triangles]
+    result = np.empty((len(triangles), 3, 4), np.float32)
+    for own in _parts(coordinates.reshape(-1, 3)[triangles].mean(axis=1), np.arange(len(triangles))):
+        around = np.zeros(places.max() + 1, bool)
+        around[corners[own]] = True
+        with_ring = np.flatnonzero(around[corners].any(axis=1))
+        found = _tangents_together(coordinates, triangles[with_ring], normals[with_ring], uvs[with_ring])
+        result[own] = found[np.searchsorted(with_ring, own)]
+    return result
+
+
+def _parts(middles: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield compact parts of triangles, cut in two across their longest side again and again; in rising order."""
+    if len(chosen) <= _TOGETHER // 2:
+        yield np.sort(chosen)
+        return
+    places = middles[chosen]
+    order = np.argsort(places[:, np.ptp(places, axis=0).argmax()], kind="stable")
+    half = len(chosen) // 2
+    yield from _parts(middles, chosen[order[:half]])
+    yield from _parts(middles, chosen[order[half:]])
+
+
+def _tangents_together(
+    coordinates: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray
+) -> np.ndarray:
+    import bpy
+
+    count = len(uvs)
+    used, vertices = np.unique(triangles, return_inverse=True)
+    mesh = bpy.data.meshes.new("irpso tangents")
+    try:
+        mesh.vertices.add(len(used))
+        mesh.vertices.foreach_set("co", coordinates.reshape(-1, 3)[used].ravel())
+        mesh.loops.add(3 * count)
+        mesh.loops.foreach_set("vertex_index", vertices.reshape(-1).astype(np.int32))
+        mesh.polygons.add(count)
+        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+        mesh.update(calc_edges=True)
+        # Not kept in a variable: the next call adds a layer, and would leave it pointing at freed memory.
+        mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
+        mesh.normals_split_custom_set(normals.reshape(-1, 3))
+        mesh.calc_tangents(uvmap="irpso")
+        tangents = _read(mesh.loops, "tangent", 9 * count).reshape(-1, 3, 3)
+        signs = _read(mesh.loops, "bitangent_sign", 3 * count).reshape(-1, 3, 1)
+    finally:
+        bpy.data.meshes.remove(mesh)
+    return np.concatenate([tangents, signs], axis=-1)
+
+
+def _to_world(name: str, corners: dict[str, Any], matrix: np.ndarray) -> MeshData:
+    linear = matrix[:3, :3]
+    normals = corners["normals"] @ np.linalg.inv(linear)
+    tangents = corners["tangents"][..., :3] @ linear.T
+    # A mirrored object turns n × t over, so the sign follows.
+    signs = corners["tangents"][..., 3:] * np.sign(np.linalg.det(linear))
+    return MeshData(
+        name=name,
+        matrix=matrix,
+        **corners
+        | {
+            "positions": (corners["positions"] @ linear.T + matrix[:3, 3]).astype(np.float32),
+            "normals": _unit(normals).astype(np.float32),
+            "tangents": np.concatenate([_unit(tangents), signs], axis=-1).astype(np.float32),
+        },
+    )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1.0)

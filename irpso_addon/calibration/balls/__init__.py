@@ -1,0 +1,1 @@
+"""Light directions and positions from photographs of mirror and matte balls."""

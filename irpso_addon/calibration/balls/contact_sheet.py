@@ -1,0 +1,56 @@
+"""What balls have told, as a picture: each with its highlight or its terminator, and all lights on a dome."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..job import Calibrated
+from .ball import Ball, tangents, to_pixels
+from .crops import BallView
+from .lights import FoundLight
+from .picture import BallTile, ball_sheet
+
+
+def calibration_picture(found: Calibrated) -> np.ndarray:
+    """Return (H, W, 3) display values: each ball in each photograph with what was found, and the lights on a dome."""
+    tiles = []
+    lights = found.result.lights
+    for number, (name, light) in enumerate(zip(found.names, lights, strict=True)):
+        tiles += [_tile(f"{number + 1} {name}", view, number, light, b) for b, view in enumerate(found.result.views)]
+    told = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
+    balls = len(found.result.views)
+    title = (
+        f"{len(told)} lights from {balls} {found.result.kind} {'ball' if balls == 1 else 'balls'}\n{found.result.how}"
+    )
+    doubtful = [bool(light.warnings) for light, _ in told]
+    return ball_sheet(tiles, np.array([sight.direction for _, sight in told]), doubtful, title)
+
+
+def _tile(label: str, view: BallView, number: int, light: FoundLight, which: int) -> BallTile:
+    sight = light.sights[which]
+    mark = curve = None
+    if sight is not None and np.isfinite(sight.pixel).all():
+        mark = _in_tile(view, sight.pixel[None])[0]
+    elif sight is not None:
+        curve = _in_tile(view, _terminator(view.ball, sight.direction))
+        mark = _in_tile(view, to_pixels(view.ball.camera, sight.point[None]))[0]
+    outline = _in_tile(view, view.ball.outline)
+    return BallTile(label, view.values[number], outline, mark, curve, bool(light.warnings))
+
+
+def _in_tile(view: BallView, pixels: np.ndarray) -> np.ndarray:
+    return (pixels - view.pixels[0, 0]) / view.block + 0.5
+
+
+def _terminator(ball: Ball, direction: np.ndarray) -> np.ndarray:
+    """Return (N, 2) pixels of the circle where light ends, as far as it is seen."""
+    across, upward = tangents(direction)
+    phi = np.linspace(0, 2 * np.pi, 120)[:, None]
+    normals = np.cos(phi) * across + np.sin(phi) * upward
+    points = ball.centre + ball.radius * normals
+    view = -points if ball.camera.perspective else np.broadcast_to((0.0, 0.0, 1.0), points.shape)
+    hidden = (normals * view).sum(axis=-1) <= 0
+    pixels = to_pixels(ball.camera, points)
+    pixels[hidden] = -1e6
+    start = int(np.argmax(hidden))
+    return np.roll(pixels, -start, axis=0)

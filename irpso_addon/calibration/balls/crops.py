@@ -1,0 +1,77 @@
+"""The pixels of balls in all photographs, cut out and where they are many averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import InputError
+from .ball import Ball
+
+_MARGIN = 3  # pixels around the outline
+
+
+@dataclass(frozen=True)
+class BallView:
+    """One ball in K photographs. pixels: (H, W, 2) the places of the values, in pixel coordinates of the whole image.
+
+    values: (K, H, W, 3) float32 linear radiance, row 0 at the bottom. usable: (K, H, W) bool, False where clipped or
+    without weight. block: how many pixels of the image, each way, a value is the mean of.
+    """
+
+    ball: Ball
+    pixels: np.ndarray
+    values: np.ndarray
+    usable: np.ndarray
+    block: int
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(H, W) bool: whether the ball is seen there."""
+        return self.ball.surface(self.pixels)[3]
+
+
+def reading_steps(
+    readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], radius: float
+) -> Generator[int, None, list[BallView]]:
+    """Yield each image's number before it is read, and return a BallView for each ball.
+
+    readers: each returns (H, W, 4) as ``Observation.read`` does. radius: a larger one is halved, thirded … to this.
+    Raises InputError where a ball is not in the picture.
+    """
+    windows = [_window(ball) for ball in balls]
+    blocks = [max(1, int(np.ceil(ball.radius_px / radius))) for ball in balls]
+    cut: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in balls]
+    for number, read in enumerate(readers):
+        yield number
+        image = read()
+        for into, (x0, y0, x1, y1), block in zip(cut, windows, blocks, strict=True):
+            into.append(_averaged(image[y0:y1, x0:x1], block))
+    views = []
+    for ball, found, (x0, y0, _, _), block in zip(balls, cut, windows, blocks, strict=True):
+        height, width = found[0][1].shape
+        grid = np.meshgrid(x0 + block * (np.arange(width) + 0.5), y0 + block * (np.arange(height) + 0.5))
+        views.append(
+            BallView(ball, np.stack(grid, -1), np.stack([v for v, _ in found]), np.stack([u for _, u in found]), block)
+        )
+    return views
+
+
+def _window(ball: Ball) -> tuple[int, int, int, int]:
+    """Return x0, y0, x1, y1 of the part of the image that holds the ball."""
+    size = (ball.camera.width, ball.camera.height)
+    outline = ball.outline[np.isfinite(ball.outline).all(axis=-1)]
+    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN, 0)
+    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + _MARGIN, size)
+    if (high - low < 2 * _MARGIN).any():
+        raise InputError(f"{ball.name}: lies outside the image of {size[0]} × {size[1]} pixels; check its numbers")
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _averaged(part: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (h, w, 3) means over blocks of an image (H, W, 4), and (h, w) whether all in a block can be used."""
+    height, width = (side // block for side in part.shape[:2])
+    part = part[: height * block, : width * block].reshape(height, block, width, block, 4)
+    return part[..., :3].mean(axis=(1, 3), dtype=np.float32), (part[..., 3] > 0).all(axis=(1, 3))

@@ -1,0 +1,246 @@
+"""Lights from a mirror ball: the highlight in each photograph, and the direction that it is the reflection of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .ball import Ball
+from .crops import BallView
+
+LARGEST_RADIUS = 256.0  # pixels; a ball that is larger in the picture is averaged down to it
+AMBIENT_PERCENTILE = 25.0  # of a pixel's values over all photographs: what is there whatever the light does
+_FEWEST_FOR_AMBIENT = 4
+_RIM = 0.985  # of the ball's radius: beyond, the outline's own error decides what is reflected
+_LEAST_SIGNAL = 8.0  # deviations of the noise
+_SKIRT = 0.2  # of the peak: where a highlight's own region ends
+_HALF = 0.5  # of the peak: what else may be a highlight
+_CANDIDATES = 4
+_USUAL_AREA, _LARGE_AREA, _HUGE_AREA = 0.02, 0.12, 0.35  # of the ball's disc
+_COMPACT = 0.5
+_RIVAL = 0.5  # of the best candidate's score
+_SECOND = 0.1  # of it: a clipped spot may be the lamp and the larger one a thing that is exposed to white
+_DIMMER = 0.5  # of the highest peak: what a lamp lights is far darker than the lamp
+_WHITE = 0.9  # of the brightest clipped value: less is clipped in one channel only, as a red thing in full light
+_HOT = 0.2  # of a clipped value: what the mean around it is at least; of a hot pixel it is a ninth
+_SAME = np.radians(5.0)  # between highlights: one lamp in two parts
+_CONTRAST = 3.0  # between the highlight and what else the ball shows
+_GRAZING = 0.26  # n·v: lights from more than 150° off the viewer
+_SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # of a blob's radius, and pixels: what its middle is uncertain by at the least
+_ONE_PIXEL = 12**-0.5  # deviation of a place of which only the pixel is known
+_SPREAD = 0.15  # square pixels: a spot of this variance tells its middle within the pixel
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where one ball says that one light is. All in the camera's axes.
+
+    pixel: (2,) the highlight, or where the brightest normal of a matte ball is seen. point: (3,) on the ball.
+    direction: (3,) unit, from there to the light. error: its standard error in radians (root of the mean square of
+    the angle). warnings: what is doubtful.
+    """
+
+    pixel: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+    error: float
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Blob:
+    """A bright spot. centre: (2,) column and row from 0 at the middle of the first value. area: in values."""
+
+    centre: np.ndarray
+    error: float
+    area: float
+    score: float
+    peak: float
+    saturated: float
+    region: np.ndarray
+
+
+def find_highlights(view: BallView) -> list[Sight | str]:
+    """Return for each photograph the light that the ball shows, or in words why there is none."""
+    grey = view.values.mean(axis=-1)
+    inside, shrunk = view.inside, _within(view)
+    ambient = np.zeros_like(grey[0])
+    if len(grey) >= _FEWEST_FOR_AMBIENT:
+        at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
+        ambient = np.partition(grey, at, axis=0)[at]
+    found = []
+    for image, usable in zip(grey, view.usable, strict=True):
+        clipped = ~usable & (image > 0) & inside
+        signal = np.where(shrunk, image - ambient, 0)
+        found.append(_sight(view, signal, _saturated(image, signal, clipped), shrunk))
+    return found
+
+
+def _saturated(image: np.ndarray, signal: np.ndarray, clipped: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: which of the clipped values are as bright as can be, and that by the lamp."""
+    lit = clipped & (signal > _SKIRT * signal.max())
+    return lit & (image >= _WHITE * np.max(image, where=lit, initial=0)) & (_boxed(signal) > _HOT * signal)
+
+
+def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points (…, 3), the unit directions (…, 3) that a mirror ball shows at pixels (…, 2), and n·v (…).
+
+    r = 2 (n·v) n − v, v toward the viewer: the normal halves the angle, it is not the light's direction.
+    """
+    point, normal, view, _ = ball.surface(pixels)
+    facing = (normal * view).sum(axis=-1)
+    return point, 2 * facing[..., None] * normal - view, facing
+
+
+def _within(view: BallView) -> np.ndarray:
+    """Return (H, W) bool: the ball less its rim."""
+    _, normal, toward, hit = view.ball.surface(view.pixels)
+    return hit & ((normal * toward).sum(axis=-1) > np.sqrt(1 - _RIM**2))
+
+
+def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> Sight | str:
+    ball, name = view.ball, view.ball.name
+    blobs = _blobs(signal, clipped, inside)
+    if not blobs:
+        return f"{name}: no highlight"
+    disc = inside.sum()
+    lamps = _lamps(blobs)
+    blob = max(lamps, key=lambda b: b.score)
+    if blob.area > _HUGE_AREA * disc:
+        return f"{name}: no highlight: the bright spot covers {blob.area / disc:.0%} of the ball; expose less"
+    pixel = view.pixels[0, 0] + blob.centre * view.block
+    point, direction, facing = reflected(ball, pixel)
+    warnings = []
+    if facing < _GRAZING or _touches_rim(blob.region, inside):
+        warnings.append(f"{name}: the highlight is at the ball's edge, where it tells little")
+    if blob.area > _LARGE_AREA * disc:
+        how = ", most of it clipped: expose less" if blob.saturated > 0.5 else ""
+        warnings.append(f"{name}: the highlight covers {blob.area / disc:.0%} of the ball{how}")
+    apart = 0.0
+    for rival in [b for b in lamps if b is not blob and b.score > _SECOND * blob.score]:
+        other = reflected(ball, view.pixels[0, 0] + rival.centre * view.block)[1]
+        angle = float(np.arccos(np.clip(direction @ other, -1, 1)))
+        if rival.score > _RIVAL * blob.score:
+            apart = max(apart, angle)
+        elif rival.saturated > 0 and angle > _SAME:
+            warnings.append(f"{name}: a smaller highlight is clipped, too; expose less if that is the lamp")
+    if apart > _SAME:
+        return (
+            f"{name}: which highlight is the lamp cannot be told: two are about as bright, of lights "
+            f"{np.degrees(apart):.0f}° apart; cover other lamps and what is bright beside the ball, or expose less"
+        )
+    rest = signal[inside & ~blob.region]
+    if rest.size and np.percentile(rest, 99) * _CONTRAST > blob.peak:
+        warnings.append(f"{name}: the highlight is hardly brighter than what else the ball reflects")
+    error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart))
+    return Sight(pixel, point, direction, error, tuple(warnings))
+
+
+def _lamps(blobs: list[_Blob]) -> list[_Blob]:
+    """Return the spots that may be the lamp: the saturated ones, or where none is, those that peak high.
+
+    How much a clipped spot sends is not known, so that a larger one that is not clipped says nothing against it: a
+    matte ball beside a mirror ball sends, in 8 bits, up to 1.5 times what 4 clipped pixels with their halo do.
+    """
+    saturated = [blob for blob in blobs if blob.saturated > 0]
+    highest = max(blob.peak for blob in blobs)
+    return saturated or [blob for blob in blobs if blob.peak > _DIMMER * highest]
+
+
+def _direction_error(ball: Ball, pixel: np.ndarray, blob_error: float) -> float:
+    """Return the standard error in radians of what is reflected at a pixel, from those of highlight and outline."""
+    step = 0.01 * ball.radius_px
+    toward = reflected(ball, pixel)[1]
+    moved = reflected(ball, pixel + step * np.eye(2))[1]
+    jacobian = (moved - toward) / step
+    middle = ball.outline[:-1].mean(axis=0)
+    out = (pixel - middle) / ball.radius_px
+    covariance = (blob_error**2 + ball.error_px[0] ** 2) * np.eye(2) + ball.error_px[1] ** 2 * np.outer(out, out)
+    return float(np.sqrt(np.trace(jacobian.T @ covariance @ jacobian)))
+
+
+def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[_Blob]:
+    """Return the brightest spots of (H, W) radiance above the ambient one, at most four; none where all is noise."""
+    values = signal[inside]
+    noise = 1.4826 * np.median(np.abs(values - np.median(values)))
+    # A lamp of a few clipped pixels is dim in the mean over nine, and still goes before what is not clipped.
+    smooth = np.where(clipped, np.maximum(_boxed(signal), signal), _boxed(signal))
+    left, blobs = inside.copy(), []
+    highest = float(np.max(smooth, where=left, initial=0))
+    for _ in range(_CANDIDATES):
+        peak = float(np.max(smooth, where=left, initial=0))
+        # A box of nine values has a third of the noise.
+        if peak <= _LEAST_SIGNAL * noise / 3 or peak < _HALF * highest or peak <= 0:
+            break
+        seed = np.unravel_index(np.argmax(np.where(left, smooth, -np.inf)), smooth.shape)
+        threshold = max(_SKIRT * peak, 2 * noise)
+        region = _grown(inside & (smooth > threshold), seed)
+        left &= ~region
+        blobs.append(_measured(signal, clipped, region, inside, noise))
+    return blobs
+
+
+def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, inside: np.ndarray, noise: float) -> _Blob:
+    """Return the middle of a spot, weighted by what is above its surroundings, and how much it looks like a lamp."""
+    # One value more all around: where a lamp is smaller than a pixel, the tenth that falls on the next one counts.
+    whole = _widened(region, 1) & inside
+    around = signal[_widened(whole, 2) & ~whole & inside]
+    rows, columns = np.nonzero(whole)
+    value = signal[whole]
+    weight = np.maximum(value - (np.median(around) if around.size else 0), 0)
+    if not weight.sum() > 0:
+        weight = np.ones_like(value)
+    places = np.stack([columns, rows], axis=-1).astype(np.float64)
+    total = weight.sum()
+    centre = weight @ places / total
+    away = places - centre
+    covariance = (weight[:, None] * away).T @ away / total
+    area = float(region.sum())
+    own = np.cov(np.argwhere(region).T, bias=True) + np.eye(2) / 12
+    compact = min(area / (4 * np.pi * np.sqrt(np.linalg.det(own))), 1.0)
+    random = noise * np.sqrt((away**2).sum() / 2) / total
+    unsampled = _ONE_PIXEL * max(0.0, 1 - np.linalg.eigvalsh(covariance)[0] / _SPREAD)
+    shape = _SHAPE_ERROR * np.sqrt(np.trace(covariance))
+    error = float(np.sqrt(random**2 + shape**2 + unsampled**2 + _LEAST_ERROR**2))
+    # By what it sends, so that the lamp goes before its image in another ball; but a window is no lamp.
+    score = signal[region].sum() * max(compact - _COMPACT, 0.05) / (1 + area / (_USUAL_AREA * inside.sum())) ** 2
+    return _Blob(centre, error, area, float(score), float(value.max()), float(clipped[region].mean()), region)
+
+
+def _boxed(values: np.ndarray) -> np.ndarray:
+    """Return the mean over 3×3 values, so that a hot pixel is no highlight."""
+    padded = np.pad(values, 1)
+    height, width = values.shape
+    return sum(padded[y : y + height, x : x + width] for y in range(3) for x in range(3)) / 9
+
+
+def _grown(mask: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
+    """Return the connected part (8 neighbours) of a mask (H, W) that holds ``seed``."""
+    region = np.zeros(np.add(mask.shape, 2), bool)
+    wall = np.pad(mask, 1)
+    y0, x0 = seed[0] + 1, seed[1] + 1
+    region[y0, x0] = True
+    y1, x1 = y0 + 1, x0 + 1
+    while True:
+        y0, x0, y1, x1 = max(y0 - 1, 1), max(x0 - 1, 1), min(y1 + 1, wall.shape[0] - 1), min(x1 + 1, wall.shape[1] - 1)
+        part = region[y0 - 1 : y1 + 1, x0 - 1 : x1 + 1]
+        across = part[:-2] | part[1:-1] | part[2:]
+        wider = (across[:, :-2] | across[:, 1:-1] | across[:, 2:]) & wall[y0:y1, x0:x1]
+        if (wider == region[y0:y1, x0:x1]).all():
+            return region[1:-1, 1:-1]
+        region[y0:y1, x0:x1] = wider
+
+
+def _widened(region: np.ndarray, by: int) -> np.ndarray:
+    """Return a region (H, W) with ``by`` more pixels all around."""
+    height, width = region.shape
+    padded = np.pad(region, by)
+    steps = range(2 * by + 1)
+    return np.any([padded[y : y + height, x : x + width] for y in steps for x in steps], axis=0)
+
+
+def _touches_rim(region: np.ndarray, inside: np.ndarray) -> bool:
+    padded = np.pad(inside, 1)
+    core = padded[1:-1, :-2] & padded[1:-1, 2:] & padded[:-2, 1:-1] & padded[2:, 1:-1]
+    return bool((region & ~core).any())

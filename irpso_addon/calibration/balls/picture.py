@@ -1,0 +1,104 @@
+"""The picture of a calibration: every photograph's ball with what was found on it, and all lights on a dome."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.canvas import BACKGROUND, FAINT, GRID, TEXT, Canvas
+from ...core.encode import srgb_from_linear
+
+_TILE, _GAP, _MARGIN, _HEAD = 96, 6, 20, 52
+_COLUMNS, _MOST = 8, 64
+_DOME = 180  # radius, pixels
+_LABEL = 8.0
+_FOUND, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30)
+
+
+@dataclass(frozen=True)
+class BallTile:
+    """One ball in one photograph. image: (h, w, 3) linear, row 0 at the bottom. outline, curve: (N, 2) places in it.
+
+    Places count from the lower left corner, 0…w and 0…h. curve: the terminator, or None. mark: (2,) the highlight, or
+    where a matte ball faces the light; None where nothing was found. doubtful: whether there is a warning.
+    """
+
+    label: str
+    image: np.ndarray
+    outline: np.ndarray
+    mark: np.ndarray | None
+    curve: np.ndarray | None = None
+    doubtful: bool = False
+
+
+def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequence[bool], title: str) -> np.ndarray:
+    """Return (H, W, 3) display values, row 0 at the bottom.
+
+    directions: (K, 3) unit, to the lights from the ball, in the camera's axes: drawn as seen from above the dome whose
+    top is the camera; rings are 30°, 60° and 90° off it, and lights behind are drawn outside. Of more than 64 tiles
+    some are shown. title: one line or two.
+    """
+    shown = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
+    columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(shown)))))
+    rows = -(-len(shown) // columns)
+    left = _MARGIN * 2 + columns * (_TILE + _GAP)
+    side = 2 * _DOME + 4 * _MARGIN
+    height = _HEAD + max(rows * (_TILE + _GAP + 12), side) + _MARGIN
+    canvas = Canvas(left + side, height, BACKGROUND)
+    for row, line in enumerate(title.splitlines()):
+        canvas.text(_MARGIN, 20 + 18 * row, line, 10.0 if row == 0 else _LABEL, FAINT if row else TEXT)
+    for number, tile in enumerate(shown):
+        row, column = divmod(number, columns)
+        _draw_tile(canvas, _MARGIN + column * (_TILE + _GAP), _HEAD + row * (_TILE + _GAP + 12), tile)
+    _draw_dome(canvas, left + side / 2 - _MARGIN, _HEAD + side / 2, directions, doubtful)
+    return canvas.result()
+
+
+def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
+    height, width = tile.image.shape[:2]
+    scale = _TILE / max(height, width)
+    rows = np.minimum((np.arange(round(height * scale)) / scale).astype(int), height - 1)
+    columns = np.minimum((np.arange(round(width * scale)) / scale).astype(int), width - 1)
+    bright = max(float(np.percentile(tile.image, 99.5)), 1e-6)
+    small = srgb_from_linear(np.clip(tile.image[rows][:, columns] / bright, 0, 1))
+    canvas.image(x, y, small)
+    bottom = y + len(rows)
+
+    def placed(places: np.ndarray) -> np.ndarray:
+        return np.stack([x + places[:, 0] * scale, bottom - places[:, 1] * scale], axis=-1)
+
+    def kept(places: np.ndarray) -> list[np.ndarray]:
+        inside = ((places >= 0) & (places <= (width, height))).all(axis=-1)
+        starts = np.flatnonzero(np.diff(inside)) + 1
+        parts = zip(np.split(placed(places), starts), np.split(inside, starts), strict=True)
+        return [part for part, there in parts if there[0]]
+
+    canvas.lines(kept(tile.outline), 1.0, _OUTLINE)
+    if tile.curve is not None:
+        canvas.lines(kept(tile.curve), 1.2, _FOUND)
+    if tile.mark is not None:
+        px, py = placed(tile.mark[None])[0]
+        canvas.lines([[(px - 6, py), (px - 2, py)], [(px + 2, py), (px + 6, py)],
+                      [(px, py - 6), (px, py - 2)], [(px, py + 2), (px, py + 6)]], 1.4, _FOUND)  # fmt: skip
+    canvas.text(x, y + _TILE + 10, tile.label[:16], _LABEL * 0.8, _BAD if tile.doubtful or tile.mark is None else FAINT)
+
+
+def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubtful: Sequence[bool]) -> None:
+    """Draw directions by their angle to the viewer: equal steps outward are equal angles."""
+    for degrees in (30, 60, 90):
+        canvas.ring(x, y, _DOME * degrees / 120, 1.0, GRID)
+        canvas.text(x + 3, y - _DOME * degrees / 120 - 3, f"{degrees}°", _LABEL, FAINT)
+    canvas.lines([[(x - _DOME, y), (x + _DOME, y)], [(x, y - _DOME), (x, y + _DOME)]], 1.0, GRID)
+    canvas.text(x + _DOME + 4, y + 4, "x", _LABEL, FAINT)
+    canvas.text(x, y - _DOME - 6, "y", _LABEL, FAINT, 0.5)
+    for number, (direction, bad) in enumerate(zip(directions, doubtful, strict=True)):
+        angle = np.degrees(np.arccos(np.clip(direction[2], -1, 1)))
+        flat = np.hypot(*direction[:2])
+        away = _DOME * min(angle / 120, 1.0) / max(flat, 1e-9)
+        px, py = x + direction[0] * away, y - direction[1] * away
+        canvas.ring(px, py, 3.0, 2.0, _BAD if bad else TEXT)
+        if len(directions) <= _MOST:
+            canvas.text(px + 6, py - 3, str(number + 1), _LABEL * 0.8, FAINT)

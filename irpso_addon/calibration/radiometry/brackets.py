@@ -1,0 +1,147 @@
+"""Which photographs are brackets of one light, and how each was exposed: from EXIF or from the files' names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...capture.images.exif import exposure_of
+from ...capture.images.headers import read_bytes
+from ...core.errors import InputError
+from ...core.files import natural
+from .frames import SAME_STOPS
+
+_NUMBER = r"\d+(?:\.\d+)?"
+# The end of a name, after a blank, _ or -: seconds as in 1-60s, 0.5s or 16ms, or stops as in ev-2, ev_1.3 or +2EV.
+_FRACTION = re.compile(rf"^(?:(?P<stem>.*)[ _-])?1-(?P<below>{_NUMBER})s$", re.I)
+_SECONDS = re.compile(rf"^(?:(?P<stem>.*)[ _-])?(?P<value>{_NUMBER})(?P<unit>m?s)$", re.I)
+_EV_FIRST = re.compile(rf"^(?:(?P<stem>.*?)[ _-])?ev[ _]?(?P<stops>[+-]?{_NUMBER})$", re.I)
+_EV_LAST = re.compile(rf"^(?P<stem>.*?)[ _-]?(?P<stops>[+-]{_NUMBER}|(?<=[ _]){_NUMBER})[ _]?ev$", re.I)
+_INDEX = re.compile(r"^(?P<stem>.*?)[ _-]+e?(?P<index>\d+)$", re.I)
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """The photographs of one light. name: what their names have in common. amounts: (F,) exposures, above 0.
+
+    paths: F files, from the shortest exposure to the longest.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    amounts: tuple[float, ...]
+
+
+def exif_amount(path: Path) -> float:
+    """Return seconds · ISO / 100 / N² of a photograph. Raises InputError where its EXIF has no exposure time."""
+    exposure = exposure_of(read_bytes(path))
+    if exposure is None:
+        raise InputError(
+            f"{path}: has no exposure time in its EXIF; write exposures into the names (name_1-60s.jpg, name_ev-2.jpg)"
+            " and choose names"
+        )
+    return exposure.amount
+
+
+def name_amount(stem: str, exposures: Sequence[float] = ()) -> tuple[str, float, str] | None:
+    """Return (what is left of a name, exposure, kind) of a file name without its suffix; None where it tells none.
+
+    kind: "seconds", "stops" (2 to their power), or "index" (of exposures, counted from 0 or, without a 0, from 1).
+    """
+    if exposures:
+        found = _INDEX.match(stem)
+        return (found["stem"], float(found["index"]), "index") if found else None
+    if found := _EV_FIRST.match(stem) or _EV_LAST.match(stem):
+        return found["stem"] or "", 2.0 ** float(found["stops"]), "stops"
+    if (found := _FRACTION.match(stem)) and float(found["below"]):
+        return found["stem"] or "", 1 / float(found["below"]), "seconds"
+    if (found := _SECONDS.match(stem)) and float(found["value"]):
+        scale = 1e-3 if found["unit"].lower() == "ms" else 1.0
+        return found["stem"] or "", float(found["value"]) * scale, "seconds"
+    return None
+
+
+def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) -> list[tuple[str, float]]:
+    """Return (name without exposure, exposure) of each file; by: "exif" or "names".
+
+    Raises InputError where a file tells none, or some tell seconds and some stops.
+    """
+    if by == "exif":
+        return [(path.stem, exif_amount(path)) for path in paths]
+    found = [name_amount(path.stem, exposures) for path in paths]
+    for path, one in zip(paths, found, strict=True):
+        if one is None:
+            kind = "_0, _1, … for --exposures" if exposures else "as in name_1-60s.jpg, name_16ms.jpg or name_ev-2.jpg"
+            raise InputError(f"{path}: its name tells no exposure; end it {kind}")
+    kinds = {kind for _, _, kind in found}
+    if len(kinds) > 1:
+        raise InputError(f"{paths[0].parent}: some names tell seconds and some EV; write them all in one way")
+    if kinds == {"index"}:
+        return _indexed(paths, [(stem, int(index)) for stem, index, _ in found], exposures)
+    return [(stem, amount) for stem, amount, _ in found]
+
+
+def _indexed(paths, found: list[tuple[str, int]], exposures: Sequence[float]) -> list[tuple[str, float]]:
+    first = 0 if any(index == 0 for _, index in found) else 1
+    for path, (_, index) in zip(paths, found, strict=True):
+        if index - first >= len(exposures):
+            raise InputError(f"{path}: is exposure {index} from {first}, and --exposures has only {len(exposures)}")
+    return [(stem, float(exposures[index - first])) for stem, index in found]
+
+
+def brackets_of(
+    paths: Sequence[Path], by: str, exposures: Sequence[float] = (), amount: Callable[[Path], float] = exif_amount
+) -> tuple[list[Bracket], list[str]]:
+    """Return photographs, in the order of their names, as brackets, and warnings.
+
+    by "names": those whose names differ in the exposure alone; their common part is the bracket's name. by "exif": in
+    order of names; a bracket ends where an exposure comes again, as cameras bracket. Raises InputError where an
+    exposure is unknown, or all stand alone.
+    """
+    paths = sorted(paths, key=natural)
+    if by == "exif":
+        groups = [(run[0][0].stem, run) for run in _runs([(path, amount(path)) for path in paths])]
+    else:
+        named: dict[tuple[Path, str], list[tuple[Path, float]]] = {}
+        for path, (stem, value) in zip(paths, amounts_of(paths, by, exposures), strict=True):
+            named.setdefault((path.parent, stem), []).append((path, value))
+        groups = [(stem, group) for (_, stem), group in named.items()]
+    brackets = [_bracket(name, group) for name, group in groups]
+    if max((len(bracket.paths) for bracket in brackets), default=0) < 2:
+        where = f"{paths[0].parent}: " if paths else ""
+        raise InputError(
+            f"{where}no two photographs make a bracket, all exposures stand alone; leave --brackets out, or use"
+            " --exposure where frames are exposed differently"
+        )
+    sets = [tuple(round(np.log2(a / b.amounts[0]) / SAME_STOPS) for a in b.amounts) for b in brackets]
+    usual = max(set(sets), key=sets.count)
+    warnings = [
+        f"{b.paths[0]}: its bracket has {len(b.paths)} exposures, or others than the {len(usual)} of most; check that"
+        " no photograph is missing"
+        for b, one in zip(brackets, sets, strict=True)
+        if one != usual
+    ]
+    return brackets, warnings
+
+
+def _runs(shots: list[tuple[Path, float]]) -> list[list[tuple[Path, float]]]:
+    groups: list[list[tuple[Path, float]]] = []
+    for path, amount in shots:
+        again = not groups or any(abs(np.log2(amount / other)) < SAME_STOPS for _, other in groups[-1])
+        if again or groups[-1][0][0].parent != path.parent:
+            groups.append([])
+        groups[-1].append((path, amount))
+    return groups
+
+
+def _bracket(name: str, group: list[tuple[Path, float]]) -> Bracket:
+    group = sorted(group, key=lambda shot: shot[1])
+    for (a, shorter), (b, longer) in zip(group, group[1:], strict=False):
+        if abs(np.log2(longer / shorter)) < 1e-3:
+            raise InputError(f"{b}: has the exposure of {a} of the same bracket; take one of them out")
+    paths = tuple(path for path, _ in group)
+    return Bracket(name or paths[0].stem, paths, tuple(amount for _, amount in group))

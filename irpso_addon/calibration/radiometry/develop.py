@@ -1,0 +1,143 @@
+"""From photographs as cameras write them to linear images, one for each light: all corrections, in their order.
+
+Response curve, dark frame, flat field, exposure or merging of brackets, white balance, registration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...capture.images.image import ImageRef, ImageStore
+from ...core.errors import InputError
+from ...core.steps import told_as
+from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
+from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
+from .hdr import SATURATED, merge
+from .response import Response
+
+_CROP = 384  # pixels: the longest side of what shifts are found in
+
+
+@dataclass(frozen=True)
+class Shot:
+    """The photographs of one light. name: for reports. images: one, or those of a bracket. camera: its index.
+
+    amounts: exposures of the images, or None where none is asked for. size: (width, height) that they must have.
+    """
+
+    name: str
+    images: tuple[ImageRef, ...]
+    amounts: tuple[float, ...] | None = None
+    camera: int = 0
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is done to photographs. reference: the exposure that results are scaled to. gains: (3,) white balance.
+
+    darks, flats: one a camera, None without.
+    """
+
+    response: Response | None = None
+    darks: tuple[Dark | None, ...] = (None,)
+    flats: tuple[Flat | None, ...] = (None,)
+    reference: float = 1.0
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    saturated: float = SATURATED
+    align_brackets: bool = False
+
+
+@dataclass(frozen=True)
+class Developed:
+    """One light's image. rgba: (H, W, 4) float32, linear radiance and weight. figures: for the report."""
+
+    rgba: np.ndarray
+    figures: dict = field(default_factory=dict)
+
+
+def corrected(store: ImageStore, shot: Shot, index: int, corrections: Corrections) -> Frame:
+    """Return one image of a shot, linear, less its dark frame, divided by its flat field. Raises InputError."""
+    image = shot.images[index]
+    frame = read_frame(store, image, corrections.response, shot.size)
+    dark, flat = corrections.darks[shot.camera], corrections.flats[shot.camera]
+    if dark is not None:
+        amount = None if shot.amounts is None else shot.amounts[index]
+        frame = without_dark(frame, dark.of(amount, str(image)), str(image))
+    return frame if flat is None else divided_by(frame, flat)
+
+
+def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Developed:
+    """Return one light's image of its photographs. Raises InputError where one of them cannot be used."""
+    frames = [corrected(store, shot, i, corrections) for i in range(len(shot.images))]
+    figures: dict = {"files": [image.path.name for image in shot.images]}
+    if shot.amounts is None:
+        rgba = np.concatenate([frames[0].rgb, frames[0].weight[..., None]], axis=-1)
+    else:
+        amounts = [amount / corrections.reference for amount in shot.amounts]
+        figures["exposures"] = [round(amount, 6) for amount in amounts]
+        if corrections.align_brackets and len(frames) > 1:
+            frames, figures["bracket_shifts"] = _aligned(frames, amounts)
+        rgba = merge(frames, amounts, corrections.saturated)
+    rgba[..., :3] *= np.float32(corrections.gains)
+    not_finite = ~np.isfinite(rgba).all(axis=-1)
+    rgba[not_finite] = 0
+    seen = rgba[..., 3] > 0
+    figures["without_weight"] = round(float(1 - seen.mean()), 6)
+    # Noise about black; a light of its own would say that the dark frame is too bright.
+    figures["negative"] = round(float((seen & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
+    if not seen.any():
+        raise InputError(f"{shot.images[0]}: all its pixels are clipped, in all exposures; photograph it darker")
+    rgba[..., :3] = np.maximum(rgba[..., :3], 0)
+    return Developed(rgba.astype(np.float32), figures)
+
+
+def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame], list[list[float]]]:
+    """Return the frames of a bracket, moved onto the middle one, and by how much each was off."""
+    window = window_of(np.ones(frames[0].weight.shape, bool))
+    greys = [np.minimum(f.rgb.mean(axis=-1)[window], 1.0) / a for f, a in zip(frames, amounts, strict=True)]
+    shifts = find_shifts(np.stack(greys), len(frames) // 2)
+    result = []
+    for frame, (right, up) in zip(frames, shifts.pixels, strict=True):
+        if max(abs(right), abs(up)) < SMALLEST_MOVE:
+            result.append(frame)
+            continue
+        rgba = moved_back(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), right, up)
+        codes = np.stack([frame.high, frame.low, frame.low, np.ones_like(frame.low)], axis=-1)
+        codes = moved_back(codes, right, up)
+        result.append(Frame(rgba[..., :3], rgba[..., 3], codes[..., 0], codes[..., 1], frame.bits))
+    return result, shifts.pixels.round(4).tolist()
+
+
+def window_of(mask: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns about the middle of a mask (H, W), 384 at most, in which shifts are looked for."""
+    return tuple(
+        slice(start := int(np.clip(np.median(at) - _CROP // 2, 0, max(0, size - _CROP))), min(size, start + _CROP))
+        for at, size in zip(np.nonzero(mask), mask.shape, strict=True)
+    )
+
+
+def registration_steps(
+    store: ImageStore, shots: Sequence[Shot], masks: Sequence[np.ndarray], corrections: Corrections, reference: int = 0
+) -> Generator[float, None, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield the part of the work that is done, 0…1, and return shifts (K, 2), agreement and trust (K,) of all shots.
+
+    Each camera's shots are compared among themselves: against shot ``reference`` where it is one of them, else against
+    their first. masks: (H, W) bool, one a camera.
+    """
+    count = len(shots)
+    pixels, agreement, trusted = np.zeros((count, 2)), np.full(count, np.nan), np.ones(count, bool)
+    crops = []
+    for k, shot in enumerate(shots):
+        yield 0.5 * k / count
+        rgba = developed(store, shot, corrections).rgba
+        crops.append(rgba[(*window_of(masks[shot.camera]), slice(3))].mean(axis=-1))
+    for camera in sorted({shot.camera for shot in shots}):
+        own = [k for k, shot in enumerate(shots) if shot.camera == camera]
+        steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
+        found = yield from told_as(steps, lambda part, own=own: 0.5 + 0.5 * (own[0] + part * len(own)) / count)
+        pixels[own], agreement[own], trusted[own] = found.pixels, found.agreement, found.trusted
+    return pixels, agreement, trusted

@@ -1,0 +1,191 @@
+"""A camera's response curve: from code values of its files to linear light.
+
+Of the two classic methods for brackets, that of Debevec and Malik (1997) is used, one free value at each of many codes
+with a penalty on roughness: it takes any curve, is linear, and so has one solution. The polynomial of Mitsunaga and
+Nayar (1999) can refine exposures besides, which a camera's own tags make needless, and a polynomial of low order does
+not bend as the toe and the shoulder of a picture profile do. Changed here: roughness is measured between logarithms of
+code and of light, where every gamma curve is a straight line and costs nothing; and residuals are reweighted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import InputError
+
+TABLE = 256  # rows of a curve
+_KNOTS, _FIRST = 64, 0.015  # free values of a curve, evenly over the logarithm of the code, from this code to 1
+_ENDS = 10  # knots whose slope goes on below the first
+_SMOOTH = 0.1  # weight of roughness at a knot against the data's mean weight, times the cube of the step in stops
+_ROUNDS, _OUTLIER = 8, 0.05  # reweightings; logarithm of light: the Cauchy scale, about 5 %
+_LOW, _HIGH = 0.03, 0.98  # codes outside are left out: black that is cut off, and white
+_LEAST_FRAMES, _LEAST_SAMPLES = 2, 64
+_LEAST_RATIO = 1.5  # between the longest and the shortest exposure
+_CURVE_PATCHES = 6  # fewer give a gamma
+
+
+@dataclass(frozen=True)
+class Response:
+    """A response curve. codes: (N,) rising from 0 to 1, code value / largest code. linear: (N, 3) rising from 0 to 1.
+
+    used: (3, 2) lowest and highest code of each channel that the curve was measured at; beyond, it is extended.
+    residual: root mean square of the relative error of the data against the curve; NaN where it is unknown.
+    """
+
+    codes: np.ndarray
+    linear: np.ndarray
+    used: np.ndarray
+    residual: float = float("nan")
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Return linear light (…, 3) float32 of code values (…, 3) in 0…1."""
+        channels = [np.interp(values[..., c], self.codes, self.linear[:, c]) for c in range(3)]
+        return np.stack(channels, axis=-1).astype(np.float32)
+
+
+def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarray]) -> Response:
+    """Return the curve of code values of the same pixels under several exposures (Debevec and Malik 1997).
+
+    samples: one array (N, F, 3) a bracket, codes / largest code, 0…1: N pixels in its F frames. exposures: one (F,)
+    array a bracket, above 0, on any scale. Each channel's curve is 1 at the largest code, so white balance is not
+    found. Raises InputError where exposures do not differ or no code stands twice.
+    """
+    for one in exposures:
+        if len(one) < _LEAST_FRAMES or max(one) < _LEAST_RATIO * min(one):
+            raise InputError(
+                "a response curve needs brackets: at least two frames of one light whose exposures differ by half a"
+                " stop or more; give their folder, with EXIF or exposures in the names"
+            )
+    codes = np.linspace(0, 1, TABLE)
+    smooth = _SMOOTH * bracket_step(exposures) ** 3
+    curves, used, squares = [], [], []
+    for channel, name in enumerate(("red", "green", "blue")):
+        rows = [_rows(s[..., channel].astype(np.float64), np.log(t)) for s, t in zip(samples, exposures, strict=True)]
+        curve, ends, residual = _solved(rows, codes, smooth, name)
+        curves.append(curve)
+        used.append(ends)
+        squares.append(residual**2)
+    return Response(codes, np.stack(curves, axis=-1), np.array(used), float(np.sqrt(np.mean(squares))))
+
+
+def bracket_step(exposures: Sequence[np.ndarray]) -> float:
+    """Return the median step between neighbouring exposures of brackets, in stops."""
+    return float(np.median(np.concatenate([np.diff(np.sort(np.log2(one))) for one in exposures])))
+
+
+def _rows(values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return codes (N, F), log exposures (N, F) and weights (N, F) of pixels that at least two frames show well."""
+    good = (values > _LOW) & (values < _HIGH)
+    enough = good.sum(axis=1) >= _LEAST_FRAMES
+    values, good = values[enough], good[enough]
+    # The hat of Debevec and Malik: codes near either end say least.
+    weights = np.where(good, values**2 * np.minimum((_HIGH - values) / 0.2 + 0.05, 1), 0.0)
+    return values, np.broadcast_to(times, values.shape), weights
+
+
+def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np.ndarray, tuple[float, float], float]:
+    """Return the curve (N,) at codes, the codes between which there were data, and the residual, of one channel."""
+    count = sum(len(values) for values, _, _ in rows)
+    if count < _LEAST_SAMPLES:
+        raise InputError(
+            f"{count} pixels are neither black nor clipped in two frames of the {name} channel, a response curve needs"
+            f" {_LEAST_SAMPLES}: expose the brackets of a subject with many tones closer to each other"
+        )
+    seen = np.concatenate([values[weights > 0] for values, _, weights in rows])
+    low, high = np.quantile(seen, (0.01, 0.99))
+    knots = np.linspace(np.log(_FIRST), 0, _KNOTS)
+    bend = np.diff(np.eye(_KNOTS), 2, axis=0)
+    robust = [np.ones(values.shape) for values, _, _ in rows]
+    for _ in range(_ROUNDS):
+        matrix, right, total = np.zeros((_KNOTS, _KNOTS)), np.zeros(_KNOTS), 0.0
+        for (values, times, weights), trust in zip(rows, robust, strict=True):
+            w = weights * trust
+            spread, wanted = _without_light(_spread(values, knots), w), _without_light(times[..., None], w)[..., 0]
+            flat = spread.reshape(-1, _KNOTS)
+            matrix += flat.T @ (flat * w.reshape(-1, 1))
+            right += flat.T @ (w * wanted).ravel()
+            total += w.sum()
+        matrix += smooth * total / _KNOTS * bend.T @ bend
+        matrix += 1e-6 * total  # the mean of the curve, which the data leave free
+        curve = np.linalg.solve(matrix, right)
+        errors = [_without_light((_spread(v, knots) @ curve - t)[..., None], w * r)[..., 0]
+                  for (v, t, w), r in zip(rows, robust, strict=True)]  # fmt: skip
+        robust = [1 / (1 + (error / _OUTLIER) ** 2) for error in errors]
+    square = sum((w * r * e**2).sum() for (_, _, w), r, e in zip(rows, robust, errors, strict=True))
+    light = np.exp(np.interp(np.log(np.maximum(codes, _FIRST)), knots, curve))
+    slope = (curve[_ENDS] - curve[0]) / (knots[_ENDS] - knots[0])
+    light = np.where(codes < _FIRST, light * (np.maximum(codes, 1e-9) / _FIRST) ** max(slope, 0.5), light)
+    light = monotone(np.where(codes > 0, light, 0))
+    return light / light[-1], (float(low), float(high)), float(np.sqrt(square / total))
+
+
+def _spread(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return (N, F, knots): the two factors with which a code's value is interpolated between its knots."""
+    place = np.clip((np.log(np.maximum(values, _FIRST)) - knots[0]) / (knots[1] - knots[0]), 0, len(knots) - 1 - 1e-9)
+    left = place.astype(int)
+    result = np.zeros((*values.shape, len(knots)))
+    np.put_along_axis(result, left[..., None], (1 - place + left)[..., None], axis=-1)
+    np.put_along_axis(result, left[..., None] + 1, (place - left)[..., None], axis=-1)
+    return result
+
+
+def _without_light(array: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return (N, F, C) less its weighted mean over a pixel's frames: its own light, the other unknown, drops out."""
+    total = np.maximum(weights.sum(axis=1), 1e-12)[:, None, None]
+    return array - (array * weights[..., None]).sum(axis=1, keepdims=True) / total
+
+
+def monotone(values: np.ndarray) -> np.ndarray:
+    """Return the nearest values that nowhere fall, in least squares (pooled adjacent violators, Ayer et al. 1955)."""
+    blocks: list[list[float]] = []
+    for value in values:
+        blocks.append([float(value), 1.0])
+        while len(blocks) > 1 and blocks[-2][0] >= blocks[-1][0]:
+            last, size = blocks.pop()
+            mean, count = blocks[-1]
+            blocks[-1] = [(mean * count + last * size) / (count + size), count + size]
+    return np.concatenate([np.full(int(size), mean) for mean, size in blocks])
+
+
+def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> Response:
+    """Return the curve of the grey patches of a chart: values (P, 3), codes / largest code, and reflectances (P,).
+
+    All patches in the same light. Up to five give the gamma that fits them best, more a monotone curve through them
+    between logarithms. Raises InputError where they are fewer than two, black, clipped, alike, or fall.
+    """
+    values, reflectances = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
+    if len(values) < 2:
+        raise InputError(
+            "one grey patch tells a scale and no curve: give two or more of different reflectance, or, where the files"
+            " are linear or sRGB, --white X,Y,W,H=REFLECTANCE"
+        )
+    if not (np.isfinite(reflectances).all() and (reflectances > 0).all()):
+        raise InputError("a patch's reflectance must be above 0, as in X,Y,W,H=0.18")
+    order = np.argsort(reflectances, kind="stable")
+    values, reflectances = values[order], reflectances[order]
+    if values.min() <= _LOW / 2 or values.max() >= _HIGH + 0.01:
+        raise InputError("a grey patch is black or clipped; choose an exposure in which none is")
+    if (np.diff(values, axis=0) <= 0).any() or (np.diff(reflectances) <= 0).any():
+        raise InputError("grey patches of greater reflectance must have greater code values; check their places")
+    codes = np.linspace(0, 1, TABLE)
+    curves, errors = [], []
+    for channel in values.T:
+        x, y = np.log(channel), np.log(reflectances)
+        slope, offset = np.polyfit(x, y, 1)
+        errors.append(y - slope * x - offset)
+        if len(x) < _CURVE_PATCHES:
+            curves.append(codes**slope)
+            continue
+        ends = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
+        logs = np.log(np.maximum(codes, 1e-9))
+        inner = np.interp(logs, x, y)
+        inner = np.where(logs < x[0], y[0] + ends[0] * (logs - x[0]), inner)
+        inner = np.where(logs > x[-1], y[-1] + ends[1] * (logs - x[-1]), inner)
+        curve = np.where(codes > 0, np.exp(inner), 0)
+        curves.append(curve / curve[-1])
+    used = np.stack([values.min(axis=0), values.max(axis=0)], axis=-1)
+    residual = float(np.sqrt(np.mean(np.square(errors)))) if len(values) < _CURVE_PATCHES else 0.0
+    return Response(codes, np.stack(curves, axis=-1), used, residual)

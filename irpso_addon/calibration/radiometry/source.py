@@ -1,0 +1,171 @@
+"""Which photographs are to be developed: those of a capture's lists, or all of a folder; alone or in brackets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...capture.formats.diligent import DIRECTIONS
+from ...capture.formats.table import TABLE
+from ...capture.images.exif import exposure_of
+from ...capture.images.headers import read_bytes
+from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.linearise import Decoder
+from ...capture.images.raw import is_raw
+from ...capture.read import read_draft
+from ...capture.spec import Draft, build_capture
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ...core.files import natural
+from ..photographs import SUFFIXES
+from .brackets import Bracket, amounts_of, brackets_of, name_amount
+from .develop import Shot
+
+_SAME_LIGHT_DEGREES = 0.01
+
+
+@dataclass(frozen=True)
+class Exposing:
+    """How exposures are told. by: "exif" or "names". merged: those of one light are a bracket.
+
+    given: exposures that the numbers at the end of names stand for.
+    """
+
+    by: str
+    merged: bool
+    given: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is developed. capture: with the lights, cameras and masks of the shots, in their order; None without lists.
+
+    warnings: what is odd, for people.
+    """
+
+    shots: tuple[Shot, ...]
+    capture: Capture | None
+    warnings: tuple[str, ...] = ()
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Return the images of a folder, by suffix, in the order in which people count."""
+    try:
+        found = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be opened ({error.strerror}); give a folder of photographs") from error
+    return sorted((p for p in found if p.suffix.lower() in SUFFIXES or is_raw(p)), key=natural)
+
+
+def read_source(
+    path: Path | str,
+    decoder: Decoder | None = None,
+    exposing: Exposing | None = None,
+    colour_space: str = "auto",
+    left_out: Sequence[Path] = (),
+) -> Source:
+    """Return what is to be developed of a capture or a folder of photographs.
+
+    left_out: files that are no photographs of the subject, as dark frames. Raises InputError where there is nothing, or
+    exposures are not told.
+    """
+    path = Path(path)
+    others = {p.resolve() for p in left_out}
+    if _has_lists(path):
+        return _listed(read_draft(path, colour_space), decoder, exposing, others)
+    if not path.is_dir():
+        raise InputError(f"{path}: is neither a capture nor a folder of photographs; give one of them")
+    images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
+    if not images:
+        raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, EXR, HDR or raw); give their folder")
+    brackets, warnings = brackets_of_images(images, exposing)
+    shots = [Shot(b.name, tuple(ImageRef(p, colour_space=colour_space) for p in b.paths), b.amounts) for b in brackets]
+    if exposing is None:
+        shots = [replace(shot, amounts=None) for shot in shots]
+    names: set[str] = set()
+    for shot in shots:
+        if shot.name in names:
+            raise InputError(f"{shot.images[0]}: another photograph has this name; keep one of them, or rename it")
+        names.add(shot.name)
+    size = ImageStore(decoder).size(shots[0].images[0])
+    return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
+
+
+def _has_lists(path: Path) -> bool:
+    if not path.is_dir():
+        return path.is_file()
+    return (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
+
+
+def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:
+    """Return photographs as brackets, each alone where they are not to be merged, and warnings."""
+    if exposing is None:
+        return [Bracket(path.stem, (path,), (1.0,)) for path in paths], []
+    if exposing.merged:
+        return brackets_of(paths, exposing.by, exposing.given)
+    found = amounts_of(paths, exposing.by, exposing.given)
+    return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, found, strict=True)], []
+
+
+def _listed(draft: Draft, decoder: Decoder | None, exposing: Exposing | None, others: set[Path]) -> Source:
+    if exposing is None:
+        capture = build_capture(draft, decoder)
+        shots = [Shot(s.name, (s.image,), None, s.camera) for s in draft.shots]
+        return Source(tuple(_sized(shots, capture)), capture)
+    if odd := [shot for shot in draft.shots if shot.image.part is not None]:
+        raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; leave the option out")
+    listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(draft.shots)))}
+    paths = [shot.image.path for shot in draft.shots]
+    if exposing.merged:
+        paths += _beside(draft, exposing, others | set(listed))
+    brackets, warnings = brackets_of_images(list(dict.fromkeys(paths)), exposing)
+    chosen: list[tuple[int, Bracket]] = []
+    for bracket in brackets:
+        named = [n for n, shot in enumerate(draft.shots) if shot.image.path.resolve() in _resolved(bracket.paths)]
+        if named:
+            _same_light(draft, named)
+            chosen.append((named[0], bracket))
+    if len(chosen) < len(brackets):
+        warnings.append(f"{draft.source}: {len(brackets) - len(chosen)} brackets beside it are not in its list")
+    chosen.sort(key=lambda pair: pair[0])
+    firsts = tuple(draft.shots[n] for n, _ in chosen)
+    capture = build_capture(replace(draft, shots=firsts), decoder)
+    shots = [
+        Shot(s.name, tuple(replace(s.image, path=p) for p in bracket.paths), bracket.amounts, s.camera)
+        for s, (_, bracket) in zip(firsts, chosen, strict=True)
+    ]
+    return Source(tuple(_sized(shots, capture)), capture, tuple(warnings))
+
+
+def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
+    return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in shots]
+
+
+def _resolved(paths: Sequence[Path]) -> set[Path]:
+    return {path.resolve() for path in paths}
+
+
+def _beside(draft: Draft, exposing: Exposing, known: set[Path]) -> list[Path]:
+    """Return the images in the folders of a list's that it does not name and that tell an exposure."""
+    masks = {view.mask.path.resolve() for view in draft.views if view.mask}
+    folders = dict.fromkeys(shot.image.path.parent for shot in draft.shots)
+    found = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
+    if exposing.by == "exif":
+        return [path for path in found if exposure_of(read_bytes(path))]
+    return [path for path in found if name_amount(path.stem, exposing.given)]
+
+
+def _same_light(draft: Draft, named: Sequence[int]) -> None:
+    first = draft.shots[named[0]]
+    a = np.asarray(first.vector) / max(np.linalg.norm(first.vector), 1e-30)
+    for n in named[1:]:
+        other = draft.shots[n]
+        b = np.asarray(other.vector) / max(np.linalg.norm(other.vector), 1e-30)
+        if np.linalg.norm(a - b) > np.radians(_SAME_LIGHT_DEGREES) or other.camera != first.camera:
+            raise InputError(
+                f"{other.where}: is in one bracket with {first.where}, and their lights differ; check the order of"
+                " exposures, or list one photograph of each bracket"
+            )

@@ -1,0 +1,121 @@
+"""The cameras of a capture table: written there, or taken from a file of another program by the images' names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import Camera, is_rotation
+from ..errors import CaptureError
+from ..images.exr_header import is_exr
+from ..images.headers import read_header
+from ..images.image import ImageRef
+from ..poses import PoseFile, moved, of_picture, read_poses, similarity
+from ..spec import ViewDraft
+from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
+
+_MASK = {"mask", "mask_part", "mask_layer"}
+_KNOWN = {"name", "width", "height", "matrix"} | _MASK | CAMERA_KEYS
+
+
+class Views:
+    """The cameras of one table, in the order in which they are written or first used.
+
+    drafts: of all so far. Raises CaptureError where keys are unknown, missing or wrong.
+    """
+
+    def __init__(self, table: dict[str, Any], path: Path):
+        self.drafts: list[ViewDraft] = []
+        self._poses = _poses(table, path)
+        self._world = _world(table, path, self._poses)
+        self._masks: dict[str, ImageRef] = {}
+        for count, row in enumerate(rows(table, "camera", path, needed=self._poses is None), 1):
+            # Of a camera that another program wrote, the table may say its mask and nothing else.
+            if self._poses is not None and {"name", "mask"} <= set(row) <= {"name"} | _MASK:
+                name = self._poses.name_of(text(row, "name", str(path)), f"{path}: camera {row['name']}")
+                self._masks[name] = image_ref(row, "mask", path, f"{path}: camera {name}")
+            else:
+                self.drafts.append(_view(row, path, count))
+        names = self._names()
+        if len(set(names)) != len(names):
+            raise CaptureError(f"{path}: two cameras have the same name; names must differ", "camera")
+
+    def index(self, row: dict[str, Any], image: ImageRef, where: str) -> int:
+        """Return the camera of an observation: the one it names, else that of its image, else the first."""
+        names = self._names()
+        if "camera" not in row and self._poses is None:
+            return 0
+        wanted = text(row, "camera", where) if "camera" in row else row["image"]
+        if wanted in names:
+            return names.index(wanted)
+        if self._poses is None:
+            raise CaptureError(
+                f"{where}: there is no camera '{wanted}'; its name must be one of {', '.join(names)}", "camera"
+            )
+        name = self._poses.name_of(wanted, where)
+        if name not in names:
+            self.drafts.append(self._posed(name, image))
+            names.append(name)
+        return names.index(name)
+
+    def _names(self) -> list[str]:
+        return [view.name for view in self.drafts]
+
+    def _posed(self, name: str, image: ImageRef) -> ViewDraft:
+        camera, where = self._poses.cameras[name], f"{self._poses.path}: camera '{name}'"
+
+        def make(width: int, height: int) -> Camera:
+            orientation = 1 if is_exr(image.path) else read_header(image.path).orientation
+            return moved(of_picture(camera, width, height, orientation, where), self._world)
+
+        return ViewDraft(name, make, where, None, self._masks.get(name), True)
+
+
+def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:
+    return read_poses(path.parent / text(table, "cameras", str(path))) if "cameras" in table else None
+
+
+def _world(table: dict[str, Any], path: Path, poses: PoseFile | None) -> np.ndarray:
+    """Return (4, 4) what brings the world of the file of cameras into the capture's."""
+    if "cameras_matrix" not in table:
+        return np.eye(4)
+    if poses is None:
+        raise CaptureError(f"{path}: cameras_matrix is of a file of cameras; add cameras, or take it out", "matrix")
+    return similarity(_sixteen(table["cameras_matrix"], f"{path}: cameras_matrix"), f"{path}: cameras_matrix")
+
+
+def _view(row: dict[str, Any], path: Path, count: int) -> ViewDraft:
+    where = f"{path}: camera {row.get('name', count)}"
+    known_keys(row, _KNOWN, where)
+    name = text(row, "name", where) if "name" in row else f"camera {count}"
+    matrix = _matrix(row["matrix"], where) if "matrix" in row else None
+    size = None
+    if "width" in row or "height" in row:
+        size = row.get("width"), row.get("height")
+        if not all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in size):
+            raise CaptureError(f"{where}: width and height must both be whole numbers above 0", "value")
+    mask = image_ref(row, "mask", path, where) if "mask" in row else None
+    placed = matrix is not None and not np.array_equal(matrix, np.eye(4))
+    return ViewDraft(name, camera_maker(row, where, matrix), where, size, mask, placed, has_lens(row))
+
+
+def _matrix(value: Any, where: str) -> np.ndarray:
+    matrix = _sixteen(value, f"{where}: matrix", ": camera to world")
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise CaptureError(f"{where}: matrix must end with the row 0, 0, 0, 1; write it row by row", "matrix")
+    if not is_rotation(matrix[:3, :3]):
+        raise CaptureError(
+            f"{where}: matrix is no rotation with a place (it scales, mirrors or has no inverse);"
+            " write the camera's matrix with its scale applied",
+            "matrix",
+        )
+    return matrix
+
+
+def _sixteen(value: Any, where: str, what: str = "") -> np.ndarray:
+    flat = sum(value, []) if isinstance(value, list) and all(isinstance(r, list) for r in value) else value
+    if not isinstance(flat, list) or len(flat) != 16 or not all(map(is_number, flat)):
+        raise CaptureError(f"{where} must be 16 numbers, row by row{what}", "matrix")
+    return np.asarray(flat, float).reshape(4, 4)

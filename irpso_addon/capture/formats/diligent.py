@@ -1,0 +1,55 @@
+"""Captures in the folder layout of DiLiGenT (Shi et al. 2016, a benchmark for photometric stereo)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import CaptureError
+from ..images.image import ImageRef, find_image
+from ..spec import Draft, Shot, ViewDraft
+from .lists import read_directions, read_intensities, read_lines
+from .toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
+
+FILENAMES, DIRECTIONS, INTENSITIES = "filenames.txt", "light_directions.txt", "light_intensities.txt"
+MASKS = ("mask.png", "mask.exr", "mask.tif", "mask.jpg")
+
+
+def is_diligent(folder: Path) -> bool:
+    """Return whether a folder holds one of the two lists that make up the layout."""
+    return (folder / FILENAMES).is_file() or (folder / DIRECTIONS).is_file()
+
+
+def draft_of_folder(folder: Path, colour_space: str = "auto") -> Draft:
+    """Return the draft of a DiLiGenT folder.
+
+    Without camera.toml its camera is orthographic, without a mask all is kept.
+    Raises CaptureError where a list is missing, damaged or of another length than the others.
+    """
+    names = read_lines(folder / FILENAMES, "write the images' names into it, one a line")
+    lights = read_directions(folder / DIRECTIONS)
+    _same_count(folder / DIRECTIONS, len(lights), len(names))
+    path = folder / INTENSITIES
+    intensities = read_intensities(path) if path.exists() else [(0, (1.0, 1.0, 1.0))] * len(names)
+    _same_count(path, len(intensities), len(names))
+    shots = []
+    for (_, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
+        # One place is told of: that of the intensity only where the light itself is sound.
+        sound = any(vector) and all(abs(v) < float("inf") for v in vector)
+        where = f"{path}: line {row}" if row and sound else f"{folder / DIRECTIONS}: line {line}"
+        image = ImageRef(find_image(folder, name), colour_space=colour_space)
+        shots.append(Shot(name, image, vector, where, intensity))
+    mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
+    camera = folder / "camera.toml"
+    table = load_toml(camera) if camera.exists() else {}
+    known_keys(table, CAMERA_KEYS, str(camera))
+    make, lens = camera_maker(table, str(camera)), has_lens(table)
+    view = ViewDraft("camera", make, str(camera), None, mask and ImageRef(mask), lens=lens)
+    return Draft(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
+
+
+def _same_count(path: Path, found: int, expected: int) -> None:
+    if found != expected:
+        raise CaptureError(
+            f"{path}: has {found} lights where {FILENAMES} has {expected} images; write one line for each image",
+            "count",
+        )

@@ -1,0 +1,39 @@
+"""Captures of reflectance transformation imaging: a .lp file of light positions (Malzbender et al. 2001) and images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import CaptureError
+from ..images.image import ImageRef, find_image
+from ..spec import Draft, Shot, ViewDraft
+from .lists import numbers, read_lines
+from .toml_file import camera_maker
+
+
+def draft_of_lp(path: Path, colour_space: str = "auto") -> Draft:
+    """Return the draft of a .lp file: a count, then lines of ``name x y z``; names may hold spaces.
+
+    Its positions lie on a dome of unknown radius, so they are taken as directions. The camera is orthographic.
+    Raises CaptureError where the count or a line is wrong.
+    """
+    remedy = "write the number of images, then one line for each: name x y z"
+    (first, head), *rows = read_lines(path, remedy)
+    if not head.isdigit():
+        raise CaptureError(f"{path}: line {first}: '{head[:40]}' is not a number of images; {remedy}", "count")
+    if int(head) != len(rows):
+        raise CaptureError(f"{path}: says {head} images and lists {len(rows)}; correct the first line", "count")
+    if not rows:
+        raise CaptureError(f"{path}: lists no images; {remedy}", "list_empty")
+    shots = []
+    for line, row in rows:
+        where = f"{path}: line {line}"
+        # Split from the right: the name is what is left, spaces and all.
+        words = row.rsplit(maxsplit=3)
+        if len(words) != 4:
+            raise CaptureError(f"{where}: is not 'name x y z'; complete it", "light_columns")
+        name = words[0].strip("\"'")
+        image = ImageRef(find_image(path.parent, name), colour_space=colour_space)
+        shots.append(Shot(image.path.name, image, tuple(numbers(words[1:], where)), where))
+    view = ViewDraft("camera", camera_maker({}, str(path)), str(path), lens=False)
+    return Draft(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))

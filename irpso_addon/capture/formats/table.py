@@ -1,0 +1,81 @@
+"""The capture table, capture.toml: everything about a capture in one file. docs/capture_format.md describes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import CaptureError
+from ..spec import Draft, Shot
+from .cameras import Views
+from .toml_file import image_ref, known_keys, load_toml, number, rows, text, vector
+
+TABLE = "capture.toml"
+FORMAT = 1
+CARD_DISTANCE = "card_distance"
+_TOP = {
+    "format", "name", "colour_space", "image", "cameras", "cameras_matrix", CARD_DISTANCE, "camera", "observation",
+}  # fmt: skip
+_EMISSION = ("light_axis", "light_cone_degrees", "light_cosine")
+_OBSERVATION = {
+    "name", "image", "part", "layer", "colour_space", "light_direction", "light_position", "light_intensity", "camera",
+    *_EMISSION,
+}  # fmt: skip
+
+
+def draft_of_table(path: Path, colour_space: str = "auto") -> Draft:
+    """Return the draft of a capture.toml. ``colour_space``, where not "auto", goes before what the file says.
+
+    Raises CaptureError where a key is unknown, missing or wrong, or a file of cameras is.
+    """
+    table = load_toml(path)
+    known_keys(table, _TOP, str(path))
+    if table.get("format", FORMAT) != FORMAT:
+        raise CaptureError(f"{path}: format is {table['format']!r}; this program reads format = {FORMAT}", "format")
+    name = text(table, "name", str(path)) if "name" in table else path.resolve().parent.name
+    distance = number(table, CARD_DISTANCE, str(path)) if CARD_DISTANCE in table else None
+    views = Views(table, path)
+    defaults = {key: table[key] for key in ("image", "colour_space") if key in table}
+    asked = {} if colour_space == "auto" else {"colour_space": colour_space}
+    shots = tuple(
+        _shot({**defaults, **row, **asked}, path, n, views) for n, row in enumerate(rows(table, "observation", path), 1)
+    )
+    return Draft(name, "capture table", path, shots, tuple(views.drafts), distance)
+
+
+def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Shot:
+    where = f"{path}: observation {row.get('name', count)}"
+    known_keys(row, _OBSERVATION, where)
+    if "image" not in row:
+        raise CaptureError(f'{where}: names no image; add image = "file.exr"', "value")
+    image = image_ref(row, "image", path, where)
+    given = [key for key in ("light_direction", "light_position") if key in row]
+    if len(given) != 1:
+        raise CaptureError(f"{where}: needs one of light_direction and light_position", "light_missing")
+    distant = given[0] == "light_direction"
+    light = vector(row, given[0], 3, where)
+    intensity = (1.0,) * 3
+    if isinstance(row.get("light_intensity"), list):
+        intensity = vector(row, "light_intensity", 3, where)
+    elif "light_intensity" in row:
+        intensity = (number(row, "light_intensity", where, positive=False),) * 3
+    camera = views.index(row, image, where)
+    name = text(row, "name", where) if "name" in row else image.path.name if image.part is None else str(image.part)
+    return Shot(name, image, light, where, intensity, distant, camera, *_emission(row, distant, where))
+
+
+def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[float, ...] | None, float | None, bool]:
+    """Return axis, cone in degrees and whether the light falls with the cosine to the axis."""
+    given = [key for key in _EMISSION if key in row]
+    if given and distant:
+        raise CaptureError(f"{where}: {given[0]} is of a light_position; a light that is far away has none", "value")
+    if given and "light_axis" not in row:
+        raise CaptureError(f"{where}: {given[0]} needs light_axis = [x, y, z], where the light shines to", "value")
+    axis = vector(row, "light_axis", 3, where) if "light_axis" in row else None
+    cone = number(row, "light_cone_degrees", where) if "light_cone_degrees" in row else None
+    if cone is not None and cone > 180:
+        raise CaptureError(f"{where}: light_cone_degrees is the angle from the axis, 180 at most", "value")
+    cosine = row.get("light_cosine", False)
+    if not isinstance(cosine, bool):
+        raise CaptureError(f"{where}: light_cosine must be true or false", "value")
+    return axis, cone, cosine

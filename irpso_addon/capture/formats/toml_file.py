@@ -1,0 +1,151 @@
+"""Reading TOML tables strictly: unknown keys and wrong types are told with file, place and remedy."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..camera import Camera
+from ..distortion import NAMES
+from ..errors import CaptureError
+from ..images.image import ImageRef
+from ..images.linearise import COLOUR_SPACES
+
+CAMERA_KEYS = {"fov_degrees", "focal_length_px", "orthographic", "world_width", "principal_point", "distortion"}
+_SQUARE_WORLD = 2.0  # the width of Blender's default plane
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """Return the table of a TOML file; CaptureError where it is missing or not TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise CaptureError(
+            f"{path}: cannot be read ({error.strerror}); write it or check its name", "missing"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: is not valid TOML: {error}; correct it there", "not_toml") from error
+
+
+def known_keys(table: dict[str, Any], known: set[str], where: str) -> None:
+    """Raise CaptureError at the first key of a table that is not known."""
+    unknown = sorted(set(table) - known)
+    if unknown:
+        raise CaptureError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(sorted(known))}", "unknown_key")
+
+
+def number(table: dict[str, Any], key: str, where: str, positive: bool = True) -> float:
+    """Return a number of a table; CaptureError where it is none, or not above 0 and finite though ``positive``."""
+    value = table[key]
+    if not is_number(value) or (positive and not 0 < value < math.inf):
+        raise CaptureError(
+            f"{where}: {key} must be a number{' above 0' if positive else ''}, as in {key} = 1.5", "value"
+        )
+    return float(value)
+
+
+def vector(table: dict[str, Any], key: str, length: int, where: str) -> tuple[float, ...]:
+    """Return a list of ``length`` numbers; CaptureError where it is anything else."""
+    value = table[key]
+    if not isinstance(value, list) or len(value) != length or not all(map(is_number, value)):
+        raise CaptureError(f"{where}: {key} must be a list of {length} numbers", "value")
+    return tuple(map(float, value))
+
+
+def text(table: dict[str, Any], key: str, where: str) -> str:
+    """Return a string of a table that is not empty; CaptureError where it is anything else."""
+    if not isinstance(table[key], str) or not table[key]:
+        raise CaptureError(f'{where}: {key} must be a text, as in {key} = "name"', "value")
+    return table[key]
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a TOML value is an integer or a float (NaN included), and no boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> list[dict[str, Any]]:
+    """Return the tables [[key]]; CaptureError where they are none, or missing though ``needed``."""
+    found = table.get(key, [])
+    if not isinstance(found, list) or not (found or not needed) or not all(isinstance(row, dict) for row in found):
+        raise CaptureError(f"{path}: has no [[{key}]]; add one such table for each {key}", key)
+    return found
+
+
+def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef:
+    """Return the image that ``image``, ``part``, ``layer`` (or ``mask``, ``mask_part``, ``mask_layer``) name."""
+    prefix = "mask_" if key == "mask" else ""
+    part, layer = row.get(f"{prefix}part"), row.get(f"{prefix}layer")
+    if part is not None and (not isinstance(part, str | int) or isinstance(part, bool)):
+        raise CaptureError(f"{where}: {prefix}part must be the name or the number of a part", "value")
+    if layer is not None and not isinstance(layer, str):
+        raise CaptureError(f"{where}: {prefix}layer must be a text", "value")
+    space = row.get("colour_space", "auto")
+    if space not in COLOUR_SPACES:
+        raise CaptureError(f"{where}: colour_space must be one of {', '.join(COLOUR_SPACES)}", "value")
+    return ImageRef(path.parent / text(row, key, where), part, layer, space)
+
+
+def has_lens(table: Mapping[str, Any]) -> bool:
+    """Return whether a camera's table says what the camera shows, and so in which unit lengths before it are."""
+    return not {"fov_degrees", "focal_length_px", "world_width"}.isdisjoint(table)
+
+
+def camera_maker(table: dict[str, Any], where: str, matrix=None):
+    """Return (width, height) → Camera of the keys CAMERA_KEYS; without any, an orthographic camera 2 units wide.
+
+    Raises CaptureError where keys are wrong or contradict each other.
+    """
+    perspective = not {"fov_degrees", "focal_length_px"}.isdisjoint(table)
+    orthographic = table.get("orthographic", "world_width" in table or not perspective)
+    if not isinstance(orthographic, bool):
+        raise CaptureError(f"{where}: orthographic must be true or false", "value")
+    wrong = {"fov_degrees", "focal_length_px"} if orthographic else {"world_width"}
+    if wrong & set(table) or {"fov_degrees", "focal_length_px"} <= set(table):
+        raise CaptureError(
+            f"{where}: give one of fov_degrees, focal_length_px, or orthographic = true with world_width", "camera"
+        )
+    if not orthographic and not perspective:
+        raise CaptureError(f"{where}: a perspective camera needs fov_degrees or focal_length_px", "camera")
+    world_width = number(table, "world_width", where) if "world_width" in table else _SQUARE_WORLD
+    fov = number(table, "fov_degrees", where) if "fov_degrees" in table else None
+    if fov is not None and fov >= 180:
+        raise CaptureError(f"{where}: fov_degrees must be below 180", "value")
+    focal = _focal(table, where) if "focal_length_px" in table else None
+    centre = vector(table, "principal_point", 2, where) if "principal_point" in table else None
+    distortion = _distortion(table["distortion"], orthographic, where) if "distortion" in table else ()
+
+    def make(width: int, height: int) -> Camera:
+        middle = centre or (width / 2, height / 2)
+        if orthographic:
+            camera = Camera.orthographic(width, height, world_width, matrix)
+        elif fov is not None:
+            camera = Camera.from_fov(width, height, fov, matrix)
+        else:
+            camera = Camera.from_fov(width, height, 90.0, matrix)
+        scale = focal or camera.scale
+        return Camera(width, height, scale, middle, camera.matrix, camera.perspective, distortion)
+
+    return make
+
+
+def _distortion(value: Any, orthographic: bool, where: str) -> tuple[float, ...]:
+    if orthographic:
+        raise CaptureError(f"{where}: distortion is of perspective cameras; take it out or give fov_degrees", "camera")
+    if not isinstance(value, list) or not 0 < len(value) <= len(NAMES) or not all(map(is_number, value)):
+        raise CaptureError(f"{where}: distortion must be a list of up to 8 numbers: {', '.join(NAMES)}", "value")
+    if not all(map(math.isfinite, value)):
+        raise CaptureError(f"{where}: distortion must hold finite numbers only", "value")
+    return tuple(map(float, value))
+
+
+def _focal(table: dict[str, Any], where: str) -> tuple[float, float]:
+    if isinstance(table["focal_length_px"], list):
+        focal = vector(table, "focal_length_px", 2, where)
+        if not min(focal) > 0:
+            raise CaptureError(f"{where}: focal_length_px must be above 0", "value")
+        return focal
+    return (number(table, "focal_length_px", where),) * 2

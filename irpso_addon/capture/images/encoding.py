@@ -1,0 +1,120 @@
+"""Whether the image files of a capture hold linear or sRGB values, where they do not say so themselves."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...core.steps import run_steps
+from ..errors import CaptureError
+from ..inspect.falloff import EncodingTest, encoding_test
+from .image import ImageRef, ImageStore, KnownBy
+
+_IMAGES, _PIXELS, _CANDIDATES = 24, 400, 4000  # at most, of those looked at
+_BACKGROUND = 0.2  # of the brightest pixel: of a capture without a mask most pixels may lie under it
+_WORDS = {"linear": "linear values", "srgb": "sRGB values"}
+
+
+@dataclass(frozen=True)
+class LitImage:
+    """An image under a distant light. direction: (3,) unit, toward it. power: its mean intensity. camera: an index."""
+
+    image: ImageRef
+    direction: tuple[float, float, float]
+    power: float
+    camera: int
+
+
+@dataclass(eq=False)
+class Encoding:
+    """How the images of one camera are encoded, by what their files state and by how light falls off in them.
+
+    images: all alike in what their files state. mask: (H, W) bool. store: reads them. taken_as: "linear" or "srgb",
+    what they are without a test; only where that is a guess may the test change it.
+    """
+
+    images: tuple[LitImage, ...]
+    mask: np.ndarray
+    store: ImageStore
+    taken_as: str
+    known_by: KnownBy
+    _test: EncodingTest | None = field(default=None, init=False)
+
+    @property
+    def test(self) -> EncodingTest:
+        """The test, for which at most 24 images are read once."""
+        return run_steps(self.testing())
+
+    def testing(self) -> Generator[None, None, EncodingTest]:
+        """Yield before each image is read, and return the test."""
+        if self._test is None:
+            chosen = np.unique(np.linspace(0, len(self.images) - 1, _IMAGES).round().astype(int))
+            lit = [self.images[k] for k in chosen]
+            places = np.random.default_rng(0).permutation(np.flatnonzero(self.mask))[:_CANDIDATES]
+            store, samples = ImageStore(self.store.decoder), []  # its own: a part that is read leaves its store
+            for one in lit:
+                yield
+                # Faults are reported by whoever reads the image for itself.
+                with suppress(CaptureError):
+                    rgba = store.samples(replace(one.image, colour_space="linear")).rgba
+                    if rgba.shape[:2] == self.mask.shape:
+                        samples.append((one, rgba.reshape(-1, 4)[places]))
+            self._test = _test(samples)
+        return self._test
+
+    def settling(self) -> Generator[None, None, None]:
+        """Yield before each image that is read to decide on the encoding: none, where the files state it."""
+        if self.known_by == "guess":
+            yield from self.testing()
+
+    @property
+    def colour_space(self) -> str:
+        """What the images are read as, "linear" or "srgb"."""
+        return (self.test.sure if self.known_by == "guess" else "") or self.taken_as
+
+    def message(self) -> str:
+        """Return what is to be said about the encoding, "" where nothing is."""
+        likely = self.test.likely
+        if not likely or likely == self.taken_as:
+            return ""
+        first = f"{self.images[0].image}: this and the other images"
+        exponents = (
+            f"radiance goes with the power {self.test.linear.exponent:.2f} of the cosine if they are linear,"
+            f" {self.test.srgb.exponent:.2f} if they are sRGB, and 0.8 to 1.3 on matt surfaces"
+        )
+        if self.colour_space == likely:
+            return (
+                f"{first} do not state their encoding and are read as {_WORDS[likely]}: {exponents}; if that is wrong,"
+                f" set --colour-space {self.taken_as} (Color Space)"
+            )
+        return (
+            f"{first} are read as {_WORDS[self.taken_as]} and {'' if self.test.sure else 'may '}hold {_WORDS[likely]}:"
+            f" {exponents}; if so, set --colour-space {likely} (Color Space)"
+        )
+
+
+def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: ImageStore) -> Encoding | None:
+    """Return the encoding of the largest group of images that can be tested together, None where there are none."""
+    groups = defaultdict(list)
+    for one in images:
+        groups[one.camera, *store.encoding(one.image)].append(one)
+    if not groups:
+        return None
+    (camera, taken_as, known_by), group = max(groups.items(), key=lambda item: len(item[1]))
+    return Encoding(tuple(group), masks[camera], store, taken_as, known_by)
+
+
+def _test(samples: Sequence[tuple[LitImage, np.ndarray]]) -> EncodingTest:
+    """Return the test of the subject's pixels, of (T, 4) samples of each image."""
+    if not samples:
+        return EncodingTest(None, None)
+    stack = np.stack([rgba for _, rgba in samples])
+    bright = np.percentile(stack[..., :3].mean(axis=-1), 80, axis=0)
+    kept = np.flatnonzero(bright >= _BACKGROUND * bright.max(initial=0))[:_PIXELS]
+    directions = np.array([one.direction for one, _ in samples], np.float64)
+    power = np.array([one.power for one, _ in samples])
+    return encoding_test(stack[:, kept, :3], stack[:, kept, 3], directions, power)

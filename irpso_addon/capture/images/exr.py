@@ -1,0 +1,151 @@
+"""OpenEXR files to arrays and back: parts, layers, half and float, windows. Rows are flipped: row 0 is the bottom."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...core.files import replacing_file
+from ..errors import CaptureError
+from .exr_header import ExrPart, read_exr_header
+from .linearise import Samples, samples
+
+_HALF_MAX = 65504.0
+
+
+@dataclass(frozen=True)
+class ExrImage:
+    """One part of an EXR file. channels: name → (H, W) over the display window. inside: (H, W) bool, the data window.
+
+    Pixels of the display window that the data window leaves out are 0; what lies beyond it (overscan) is dropped.
+    """
+
+    channels: dict[str, np.ndarray]
+    inside: np.ndarray
+
+
+def read_exr(path: Path | str) -> dict[str, dict[str, np.ndarray]]:
+    """Return part name → channel name → (H, W) float16, float32 or uint32, row 0 at the bottom.
+
+    An unnamed single part is called "". Raises CaptureError where the file is missing, damaged or subsampled.
+    """
+    return {name: image.channels for name, image in load_exr(Path(path)).items()}
+
+
+def load_exr(path: Path) -> dict[str, ExrImage]:
+    """Return part name → ExrImage, in the file's order; see read_exr."""
+    import OpenEXR
+
+    headers = read_exr_header(path)
+    if any(part.subsampled for part in headers):
+        raise CaptureError(f"{path}: has chroma of lower resolution (Y, RY, BY); save it as RGB", "image_unknown")
+    try:
+        # OpenEXR's Python layer prints warnings; what they say is found by counting parts and channels.
+        with contextlib.redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
+            images = {h.name: _image(part) for h, part in zip(headers, file.parts, strict=True)}
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise CaptureError(
+            f"{path}: cannot be decoded as OpenEXR ({error}); export it again", "image_truncated"
+        ) from error
+    if any(set(h.channels) != set(images[h.name].channels) for h in headers):
+        raise CaptureError(f"{path}: some of its channels cannot be decoded; export it again", "image_truncated")
+    return images
+
+
+def _image(part) -> ExrImage:
+    (x0, y0), (x1, y1) = (np.asarray(corner, int) for corner in part.header["displayWindow"])
+    (left, top), (right, bottom) = (np.asarray(corner, int) for corner in part.header["dataWindow"])
+    inside = np.zeros((y1 - y0 + 1, x1 - x0 + 1), bool)
+    # The overlap of both windows, in the coordinates of the file; its end is never before its start.
+    a, b = max(x0, left), max(y0, top)
+    c, d = max(min(x1, right) + 1, a), max(min(y1, bottom) + 1, b)
+    target = slice(b - y0, d - y0), slice(a - x0, c - x0)
+    source = slice(b - top, d - top), slice(a - left, c - left)
+    inside[target] = True
+    channels = {}
+    for name, channel in part.channels.items():
+        full = np.zeros(inside.shape, channel.pixels.dtype)
+        full[target] = channel.pixels[source]
+        channels[name] = full[::-1]
+    return ExrImage(channels, inside[::-1])
+
+
+def colour_channels(part: ExrPart, layer: str | None, where: str) -> tuple[list[str], str | None]:
+    """Return the three channels that are red, green and blue, and the one that is alpha or None.
+
+    layer: the text before the last dot, as in "diffuse.R"; None takes the unnamed layer, or the only one there is.
+    One channel (Y, or any lone one) serves as all three. Raises CaptureError naming the layers there are.
+    """
+    layers: dict[str, dict[str, str]] = {}
+    for name in part.channels:
+        prefix, _, last = name.rpartition(".")
+        layers.setdefault(prefix, {})[last.upper()] = name
+    colours = {prefix: found for prefix, table in layers.items() if (found := _rgb(table))}
+    if layer is None and "" not in colours and len(colours) == 1:
+        layer = next(iter(colours))
+    chosen = colours.get(layer or "")
+    if chosen is None:
+        if not colours:
+            raise CaptureError(f"{where}: has no channels R, G, B or Y; export it as RGB", "layer")
+        names = ", ".join(repr(name) for name in sorted(colours) if name) or "none with a name"
+        what = "has several image layers" if layer is None else f"has no image layer '{layer}'"
+        raise CaptureError(f"{where}: {what}; set layer in a capture.toml to one it has ({names})", "layer")
+    return chosen, layers[layer or ""].get("A")
+
+
+def _rgb(table: dict[str, str]) -> list[str] | None:
+    if all(c in table for c in "RGB"):
+        return [table[c] for c in "RGB"]
+    if "Y" in table:
+        return [table["Y"]] * 3
+    lone = [name for last, name in table.items() if last != "A"]
+    return lone * 3 if len(lone) == 1 else None
+
+
+def samples_of_exr(image: ExrImage, rgb: list[str], alpha: str | None) -> Samples:
+    """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
+
+    Alpha becomes the weight. Pixels outside the data window have weight 0.
+    """
+    colour = np.stack([image.channels[name] for name in rgb], axis=-1)
+    clipped = colour >= _HALF_MAX if colour.dtype == np.float16 else np.zeros(colour.shape, bool)
+    found = samples(colour.astype(np.float32), None if alpha is None else image.channels[alpha], clipped)
+    found.rgba[~image.inside] = found.bounds[~image.inside] = 0
+    return found
+
+
+def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], half: bool = False) -> None:
+    """Write part name → channel name → (H, W), row 0 at the bottom, as one ZIP-compressed EXR file.
+
+    The file is written whole or not at all.
+    Floats are written as half where ``half`` is set, else as float; uint32 stays. A single part may be called "".
+    Raises InputError where the place cannot be written, ValueError where shapes differ (the format has one display
+    window for all parts).
+    """
+    import OpenEXR
+
+    path = Path(path)
+    if len({np.shape(array) for channels in parts.values() for array in channels.values()}) != 1:
+        raise ValueError(f"{path}: all channels of an EXR file must have one shape, and there must be some")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    made = [
+        OpenEXR.Part(dict(header), {c: _stored(array, half) for c, array in channels.items()}, name)
+        for name, channels in parts.items()
+    ]
+    with replacing_file(path) as partial:
+        try:
+            OpenEXR.File(made).write(str(partial))
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
+
+
+def _stored(array: np.ndarray, half: bool) -> np.ndarray:
+    array = np.asarray(array)
+    kind = np.uint32 if array.dtype.kind == "u" else np.float16 if half else np.float32
+    with np.errstate(over="ignore"):  # what half cannot hold becomes infinite, and reads as clipped
+        return np.ascontiguousarray(array[::-1], kind)

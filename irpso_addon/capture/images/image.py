@@ -1,0 +1,173 @@
+"""One image of a capture, in any format: found, looked at, decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Literal
+
+import numpy as np
+
+from ...core.errors import InputError
+from ..errors import CaptureError
+from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
+from .exr_header import ExrPart, is_exr, read_exr_header
+from .headers import ImageHeader, read_header
+from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
+from .raw import decode_raw, is_raw, raw_size
+
+# By what the encoding of an image is known: its file states it, its format or its 16 bits do, or nothing does.
+KnownBy = Literal["file", "format", "depth", "guess"]
+
+
+@dataclass(frozen=True)
+class ImageRef:
+    """Where an image is: a file, the part of a multi-part EXR by name or number, the layer, how it is encoded."""
+
+    path: Path
+    part: str | int | None = None
+    layer: str | None = None
+    colour_space: str = "auto"
+
+    def __str__(self) -> str:
+        return str(self.path) if self.part is None else f"{self.path}: part {self.part!r}"
+
+
+@dataclass
+class ImageStore:
+    """Decodes images, and keeps the parts of a multi-part EXR that have not been asked for yet.
+
+    OpenEXR's Python reader has no way to read one part: without this, a capture of K parts would be read K times.
+    A part leaves the store when it is read, so that memory shrinks as a capture streams through.
+    """
+
+    decoder: Decoder | None = None
+    _headers: dict[Path, tuple[ExrPart, ...]] = field(default_factory=dict)
+    _parts: dict[Path, dict[str, ExrImage]] = field(default_factory=dict)
+    _pictures: dict[Path, ImageHeader] = field(default_factory=dict)
+
+    def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
+        """Return what colour_space "auto" takes an image for, "srgb" or "linear", and by what that is known.
+
+        8-bit files are sRGB unless they state to be linear; all others are linear. Raises CaptureError.
+        """
+        if is_exr(image.path) or is_raw(image.path):
+            return "linear", "format"
+        header = self._header(image.path)
+        if header.bits == 8:
+            return (header.states, "file") if header.states else ("srgb", "guess")
+        return "linear", "depth" if header.bits == 16 else "format"
+
+    def coarse(self, image: ImageRef) -> bool:
+        """Return whether an image holds 8-bit sRGB codes, as far as that is stated. Raises CaptureError."""
+        space, known_by = self.encoding(image)
+        eight = known_by in ("file", "guess")
+        return eight and (space if image.colour_space == "auto" else image.colour_space) == "srgb"
+
+    def _header(self, path: Path) -> ImageHeader:
+        """Return the header of an image that is no EXR, which takes reading the whole file, once."""
+        if path not in self._pictures:
+            self._pictures[path] = read_header(path)
+        return self._pictures[path]
+
+    def size(self, image: ImageRef) -> tuple[int, int]:
+        """Return (width, height) from the file's header. Raises CaptureError where it cannot be read as asked."""
+        if is_exr(image.path):
+            part = self._part(image)
+            colour_channels(part, image.layer, str(image))
+            return part.width, part.height
+        if image.part is not None or image.layer is not None:
+            read_header(image.path)  # what is no image at all is told first
+            raise CaptureError(f"{image.path}: only an EXR file has parts and layers; take part and layer out", "layer")
+        if is_raw(image.path):
+            return raw_size(image.path)
+        header = self._header(image.path)
+        if self.decoder is None:
+            raise CaptureError(
+                f"{image.path}: is a {header.kind} file, and only EXR can be read without Blender; give read_capture"
+                " a decoder (irpso_addon.blender.images.decode) or convert the image to EXR",
+                "no_decoder",
+            )
+        return header.width, header.height
+
+    def samples(self, image: ImageRef) -> Samples:
+        """Return an image's linear radiance and weight."""
+        if not is_exr(image.path):
+            space = self.encoding(image)[0] if image.colour_space == "auto" else image.colour_space
+            return samples_of_picture(self.picture(image), space)
+        part = self._part(image)
+        rgb, alpha = colour_channels(part, image.layer, str(image))
+        return samples_of_exr(self._pixels(image.path, part), rgb, alpha)
+
+    def mask(self, image: ImageRef) -> np.ndarray:
+        """Return an image as a mask, (H, W) bool."""
+        if not is_exr(image.path):
+            return mask_of_picture(self.picture(image))
+        part = self._part(image)
+        rgb, alpha = colour_channels(part, image.layer, str(image))
+        channels = self._pixels(image.path, part).channels
+        names = rgb if alpha is None else [*rgb, alpha]
+        return mask_of_picture(Picture(np.stack([channels[n].astype(np.float32) for n in names], axis=-1), 32))
+
+    def picture(self, image: ImageRef) -> Picture:
+        """Return the code values of an image that is no EXR, raw files developed without a curve."""
+        if is_raw(image.path):
+            return decode_raw(image.path)
+        if self.decoder is None:
+            self.size(image)  # raises, naming the remedy
+        try:
+            return self.decoder(image.path)
+        except CaptureError:
+            raise
+        except InputError as error:  # a decoder knows no codes
+            raise CaptureError(str(error), "image_truncated") from error
+
+    def _part(self, image: ImageRef) -> ExrPart:
+        if image.path not in self._headers:
+            self._headers[image.path] = read_exr_header(image.path)
+        parts = self._headers[image.path]
+        wanted = image.part
+        if isinstance(wanted, int) and 0 <= wanted < len(parts):
+            return parts[wanted]
+        if wanted is None and len(parts) == 1:
+            return parts[0]
+        named = [part for part in parts if part.name == wanted and wanted is not None]
+        if not named:
+            what = "has several parts" if wanted is None else f"has no part {wanted!r}"
+            some = ", ".join(repr(part.name) for part in parts[:6] if part.name) + (", …" if len(parts) > 6 else "")
+            remedy = (
+                f"set part in a capture.toml to one it has ({some})" if some else "take part out: it has one, unnamed"
+            )
+            raise CaptureError(f"{image.path}: {what}; {remedy}", "part")
+        return named[0]
+
+    def _pixels(self, path: Path, part: ExrPart) -> ExrImage:
+        several = len(self._headers[path]) > 1
+        parts = self._parts.get(path, {})
+        if part.name not in parts:
+            parts = load_exr(path)
+        image = parts.pop(part.name, None)
+        if image is None or set(image.channels) != set(part.channels):
+            raise CaptureError(f"{path}: has changed since it was opened; start again once it is complete", "changed")
+        if several:
+            self._parts[path] = parts
+        return image
+
+
+def find_image(folder: Path, name: str) -> Path:
+    """Return the path of an image that a list beside it names, the name being relative, absolute or long dead.
+
+    Looked for: as named; the last part of the name beside the list; the same whatever the case of its letters.
+    The path is returned though nothing is there: reading it reports that.
+    """
+    here = folder / name
+    if here.is_file():
+        return here
+    # A Windows path has backslashes, which POSIX takes for letters of a name, so both readings are tried.
+    for last in (PurePosixPath(name).name, PureWindowsPath(name).name):
+        if (folder / last).is_file():
+            return folder / last
+        same = [path for path in sorted(folder.iterdir()) if path.name.lower() == last.lower()]
+        if same:
+            return same[0]
+    return folder / PureWindowsPath(name).name

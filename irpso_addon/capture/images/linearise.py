@@ -1,0 +1,104 @@
+"""From the code values of an image file to linear radiance with a weight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..bounds import bounded
+
+COLOUR_SPACES = ("auto", "srgb", "linear")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image as its file has it, upright: what a decoder hands over.
+
+    values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
+    bottom. An integer file's values are code / largest code, in 0…1, with no colour curve undone. bits: 8 or 16 for
+    those, 32 for files of floats.
+    """
+
+    values: np.ndarray
+    bits: int
+
+
+# Reads one image that is no EXR. Gets the path; honours the file's orientation tag; raises InputError naming the file.
+Decoder = Callable[[Path], Picture]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One observation's pixels, and what was found wrong with them.
+
+    rgba: (H, W, 4) float32, row 0 at the bottom: linear radiance and weight. clipped, not_finite, negative: (H, W)
+    bool. The first two have weight 0. bounds: the rgba, but for the weights of what is clipped (capture/bounds.py).
+    """
+
+    rgba: np.ndarray
+    bounds: np.ndarray
+    clipped: np.ndarray
+    not_finite: np.ndarray
+    negative: np.ndarray
+
+
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """Return linear light of sRGB-encoded values, both 0…1 (IEC 61966-2-1)."""
+    values = np.asarray(values)
+    curve = np.power((np.maximum(values, 0.04045) + 0.055) / 1.055, 2.4)
+    return np.where(values <= 0.04045, values / 12.92, curve).astype(values.dtype, copy=False)
+
+
+def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
+    """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
+
+    colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB, all others linear.
+    """
+    colour, alpha = _colour_and_alpha(picture.values)
+    clipped = np.zeros(colour.shape, bool)
+    if picture.bits < 32:
+        # Half a code below the top, for decoders that scale with rounding.
+        clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
+    if colour_space == "srgb" or (colour_space == "auto" and picture.bits == 8):
+        colour = srgb_to_linear(colour)
+    return samples(colour, alpha, clipped)
+
+
+def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -> Samples:
+    """Return Samples of (H, W, 3) linear colour, an (H, W) alpha or None, and (H, W, 3) bool: what is clipped."""
+    not_finite = ~np.isfinite(colour).all(axis=-1)
+    weight = np.ones(colour.shape[:2], np.float32) if alpha is None else alpha.astype(np.float32)
+    not_finite |= ~np.isfinite(weight)
+    rgba = np.empty((*colour.shape[:2], 4), np.float32)
+    rgba[..., :3] = colour
+    rgba[..., 3] = np.clip(weight, 0, 1)
+    rgba[not_finite] = 0
+    bounds, any_clipped = rgba, clipped.any(axis=-1)
+    if any_clipped.any():
+        bounds = rgba.copy()
+        bounds[..., 3] = bounded(rgba[..., 3], clipped)
+        rgba[..., 3][any_clipped] = 0
+    negative = (rgba[..., :3] < 0).any(axis=-1)
+    return Samples(rgba, bounds, any_clipped & ~not_finite, not_finite, negative)
+
+
+def mask_of_picture(picture: Picture) -> np.ndarray:
+    """Return (H, W) bool: where a mask, be it grey, RGB or with alpha, is above half of its largest value.
+
+    An alpha that varies and colours that do not make the alpha the mask.
+    """
+    colour, alpha = _colour_and_alpha(picture.values)
+    grey = np.nan_to_num(colour.max(axis=-1))
+    if alpha is not None and alpha.min() != alpha.max():
+        return alpha > 0.5 * alpha.max() if grey.min() == grey.max() else (grey > 0.5 * grey.max()) & (alpha > 0.5)
+    return grey > 0.5 * grey.max()
+
+
+def _colour_and_alpha(values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    channels = values.shape[-1]
+    alpha = values[..., -1] if channels in (2, 4) else None
+    colour = values[..., :3] if channels >= 3 else np.repeat(values[..., :1], 3, axis=-1)
+    return colour, alpha

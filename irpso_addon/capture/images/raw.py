@@ -1,0 +1,102 @@
+"""Raw files of cameras, developed without any curve by rawpy (LibRaw), which is an extra: nothing else needs it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import CaptureError
+from .linearise import Picture
+
+_SUFFIXES = (
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .rw2 .rwl .sr2 .srf"
+    " .srw .x3f"
+)
+_FULL = 0.99  # of the way from black to white: a photosite at its end
+_FOOTPRINT = 2  # pixels on each side that demosaicing takes a clipped photosite to
+
+
+def is_raw(path: Path) -> bool:
+    """Return whether a file's suffix is that of a camera's raw format. Many of them are TIFF inside."""
+    return path.suffix.lower() in _SUFFIXES.split()
+
+
+def raw_size(path: Path) -> tuple[int, int]:
+    """Return (width, height), upright, of a raw file. Raises CaptureError as ``decode_raw`` does."""
+    with _opened(path) as raw:
+        sizes = raw.sizes
+        return (sizes.iheight, sizes.iwidth) if sizes.flip & 4 else (sizes.iwidth, sizes.iheight)
+
+
+def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:
+    """Return a raw file as a linear 16-bit Picture of four channels, Rec. 709 primaries, upright.
+
+    White balance is the one that the camera noted, or, not ``camera_white``, none; brightness is not touched. Alpha is
+    0 where a photosite is full, whatever the colour matrix makes of it. Raises CaptureError where rawpy is not
+    installed, or the file is missing, damaged or of a camera that LibRaw does not know.
+    """
+    path = Path(path)
+    with _opened(path) as raw:
+        import rawpy
+
+        # LibRaw would also take the brightest photosite for white where it is near it: another scale for each frame.
+        white = {"use_camera_wb": True} if camera_white else {"user_wb": [1.0, 1.0, 1.0, 1.0]}
+        try:
+            codes = raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                adjust_maximum_thr=0.0,
+                output_bps=16,
+                output_color=rawpy.ColorSpace.sRGB,
+                **white,
+            )
+        except (rawpy.LibRawError, ValueError) as error:
+            raise _damaged(path, error) from error
+        full = _full(raw)
+    values = np.ones((*codes.shape[:2], 4), np.float32)
+    values[..., :3] = codes / np.float32(65535)
+    if full.shape == codes.shape[:2]:
+        values[..., 3][full] = 0
+    return Picture(np.ascontiguousarray(values[::-1]), 16)
+
+
+def _opened(path: Path):
+    try:
+        import rawpy
+    except ImportError as error:
+        raise CaptureError(
+            f"{path}: is a camera's raw file, which needs rawpy: run '{sys.executable} -m pip install rawpy', or"
+            " develop it to a linear 16-bit TIFF",
+            "no_decoder",
+        ) from error
+    if not path.is_file():
+        raise CaptureError(f"{path}: this image is not there; put it there or take its line out", "missing")
+    try:
+        return rawpy.imread(str(path))
+    except (rawpy.LibRawError, OSError) as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> CaptureError:
+    what = error.args[0] if error.args else error
+    what = what.decode(errors="replace") if isinstance(what, bytes) else what
+    return CaptureError(f"{path}: LibRaw cannot read it ({what}); copy it again or develop it to TIFF", "image_unknown")
+
+
+def _full(raw) -> np.ndarray:
+    """Return (H, W) bool, top row first and upright: pixels that a full photosite has part in."""
+    levels = raw.camera_white_level_per_channel
+    white = min(level for level in levels if level > 0) if levels and any(levels) else raw.white_level
+    black = max(raw.black_level_per_channel)
+    full = raw.raw_image_visible >= black + _FULL * (white - black)
+    height, width = full.shape[:2]
+    padded = np.pad(full, _FOOTPRINT)
+    wide = np.zeros_like(full)
+    for i in range(2 * _FOOTPRINT + 1):
+        for j in range(2 * _FOOTPRINT + 1):
+            wide |= padded[i : i + height, j : j + width]
+    flip = raw.sizes.flip
+    wide = wide[:: -1 if flip & 2 else 1, :: -1 if flip & 1 else 1]
+    return wide.T if flip & 4 else wide

@@ -1,0 +1,93 @@
+"""Images of a capture that cannot be read: found by decoding each one, and left out where that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ...core.steps import run_steps
+from ..errors import CaptureError
+from ..images.image import ImageRef, ImageStore
+from ..images.linearise import Samples
+from ..spec import Draft, common_size, size_fault
+from ..types import LeftOut
+
+# Codes of a CaptureError that tell of one image: not there, no image, cut short, of another size, without a number.
+DAMAGE = frozenset({"missing", "image_unknown", "image_truncated", "size", "image_nan"})
+_REMEDY = "or have it left out with --skip-damaged"
+_sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of images that were found whole, by their file's time and length
+
+
+@contextmanager
+def naming_remedy(skipping: bool) -> Iterator[None]:
+    """Have the error of a damaged image name the option that leaves it out, unless that is set already."""
+    try:
+        yield
+    except CaptureError as error:
+        if skipping or error.code not in DAMAGE:
+            raise
+        raise CaptureError(f"{error.message}; {_REMEDY}", error.code, error.others) from error
+
+
+def without_damaged(draft: Draft, store: ImageStore) -> Draft:
+    """Return a draft without its damaged images, which it names. Raises CaptureError where none is whole."""
+    return run_steps(sound_steps(draft, store))
+
+
+def sound_steps(draft: Draft, store: ImageStore) -> Generator[None, None, Draft]:
+    """Yield before each image is decoded, and return what ``without_damaged`` does.
+
+    A camera whose images are all damaged is left out with them. What is wrong with the list rather than with an image
+    (a part that an EXR does not have) stays in, for ``build_capture`` to refuse.
+    """
+    sizes: dict[int, tuple[int, int]] = {}
+    why: dict[int, str] = {}
+    for k, shot in enumerate(draft.shots):
+        yield
+        try:
+            sizes[k] = _whole_size(shot.image, store)
+        except CaptureError as error:
+            if error.code in DAMAGE:
+                why[k] = error.message
+    for index, view in enumerate(draft.views):
+        seen = {k: size for k, size in sizes.items() if draft.shots[k].camera == index}
+        expected = common_size(view, list(seen.values())) if seen else None
+        why |= {k: size_fault(draft.shots[k].image, size, expected).message
+                for k, size in seen.items() if size != expected}  # fmt: skip
+    if len(why) == len(draft.shots):
+        raise CaptureError(f"{why[0]} (and so it is with all images of {draft.source})", "list_empty")
+    left_out = tuple(LeftOut(k, str(draft.shots[k].image), why[k]) for k in sorted(why))
+    kept = [shot for k, shot in enumerate(draft.shots) if k not in why]
+    gone = {shot.camera for shot in draft.shots} - {shot.camera for shot in kept}
+    views = [index for index in range(len(draft.views)) if index not in gone]
+    shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in kept)
+    return replace(draft, shots=shots, views=tuple(draft.views[index] for index in views), left_out=left_out)
+
+
+def check_numbers(image: ImageRef | str, found: Samples) -> None:
+    """Raise CaptureError where no pixel of an image is a number."""
+    if found.not_finite.all():
+        raise CaptureError(f"{image}: none of its pixels is a number; render or export it again", "image_nan")
+
+
+def _whole_size(image: ImageRef, store: ImageStore) -> tuple[int, int]:
+    """Return (width, height) of an image that is decoded for it, once as long as its file stays the same."""
+    key = (image, *_stamp(image.path))
+    if key not in _sizes:
+        store.size(image)
+        found = store.samples(image)
+        check_numbers(image, found)
+        height, width = found.rgba.shape[:2]
+        _sizes[key] = width, height
+    return _sizes[key]
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        stat = path.stat()
+    except OSError:  # which reading it says better
+        return 0, 0
+    return stat.st_mtime_ns, stat.st_size

@@ -1,0 +1,157 @@
+"""How radiance falls off with the slant of the light, and what that tells of the encoding of image files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..images.linearise import srgb_to_linear
+from .checks import flatness
+
+_EXPONENTS = np.geomspace(0.25, 4, 13)
+_LOWEST = 0.4  # of a pixel's bright samples, as code values: what is darker is shadow more often than not
+_BRIGHT = 90.0  # percentile of a pixel's samples
+_DARK = 0.06  # code value under which even a pixel's bright samples are mostly noise
+_WIDTH = 0.03  # of the Cauchy weight, as a fraction of a pixel's bright samples
+_ROUNDS = 3  # of reweighting
+_GROUPS = 6  # of pixels, by their slant
+_LEAST_LIGHTS, _LEAST_PIXELS = 6, 60
+_FLAT = 0.05  # flatness of lights that lie in a plane, or at one place
+# Measured on rendered captures: linear values of matt and glossy dielectrics have an exponent of 0.96 to 1.22, and of
+# 2.0 to 2.65 once they are decoded as sRGB. sRGB values of rough metals come as near as 0.86 to 1.14, but then differ
+# over the subject, by a factor of 1.5 or more once decoded, where those of dielectrics differ by less than 1.2. On a
+# subject that faces one way nothing differs, so it decides nothing.
+_MATT, _DECODED_TWICE, _NEVER_DECODED = (0.88, 1.22), (1.95, 2.7), (0.4, 0.51)
+_SPREAD, _MISFIT, _VARIETY = 1.2, 0.022, 20.0
+
+
+@dataclass(frozen=True)
+class FallOff:
+    """exponent: k of radiance in proportion to (n·l)^k (Minnaert 1941), one for all pixels.
+
+    spread: how the exponent differs over the subject: the second largest over the second smallest of six groups of
+    pixels, in the order of their angle from the mean normal, or along one of the two axes in which normals differ most,
+    whichever order shows the most. misfit: the median error over a pixel's bright samples. variety: degrees, root mean
+    square, between the normals and their mean.
+    """
+
+    exponent: float
+    spread: float
+    misfit: float
+    variety: float
+
+    @property
+    def matt(self) -> bool:
+        """Whether it is that of a surface whose radiance goes with n·l, beyond doubt."""
+        return _within(self.exponent, _MATT) and self.misfit <= _MISFIT and self.variety >= _VARIETY
+
+
+@dataclass(frozen=True)
+class EncodingTest:
+    """The fall-offs of values taken as linear, and decoded from sRGB first; None where they cannot be told."""
+
+    linear: FallOff | None
+    srgb: FallOff | None
+
+    @property
+    def sure(self) -> str:
+        """The encoding, "linear" or "srgb", where the fall-off leaves no doubt; else ""."""
+        if not self.likely or max(self.linear.spread, self.srgb.spread) > _SPREAD:
+            return ""
+        return self.likely if (self.linear if self.likely == "linear" else self.srgb).matt else ""
+
+    @property
+    def likely(self) -> str:
+        """The encoding that the exponents speak for, whether or not they are to be trusted; else ""."""
+        if self.linear is None or self.srgb is None:
+            return ""
+        exponents = self.linear.exponent, self.srgb.exponent
+        if _within(exponents[0], _MATT) and _within(exponents[1], _DECODED_TWICE):
+            return "linear"
+        return "srgb" if _within(exponents[1], _MATT) and _within(exponents[0], _NEVER_DECODED) else ""
+
+
+def encoding_test(codes: np.ndarray, weight: np.ndarray, directions: np.ndarray, power: np.ndarray) -> EncodingTest:
+    """Return the fall-offs of code values (K, T, 3), 0…1, of T pixels under K distant lights.
+
+    weight: (K, T), 0 for samples that do not count. directions: (K, 3) unit vectors toward the lights. power: (K,)
+    their intensities. Values above 1 are no sRGB.
+    """
+    codes = np.where(weight[..., None] > 0, codes, 0).astype(np.float64)
+    dark = np.percentile(codes.mean(axis=-1), 80, axis=0) < _DARK
+    codes = codes[:, ~dark]
+    return EncodingTest(
+        fall_off(codes.mean(axis=-1) / power[:, None], directions, _LOWEST),
+        None if codes.max(initial=0) > 1 else
+        fall_off(srgb_to_linear(codes).mean(axis=-1) / power[:, None], directions, _LOWEST**2.2),
+    )  # fmt: skip
+
+
+def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> FallOff | None:
+    """Return the fall-off of radiances (K, T) of T pixels under distant lights (K, 3), None where too few tell.
+
+    For every exponent k on a grid the pixels' scaled normals b are fitted to m = (b·l)^k by weighted least squares of
+    m^(1/k), reweighted so that highlights and shadow count little; the k of least loss is the answer. lowest: samples
+    under this fraction of a pixel's bright ones do not count.
+    """
+    if len(directions) < _LEAST_LIGHTS or samples.shape[1] < _LEAST_PIXELS or flatness(directions) < _FLAT:
+        return None
+    bright = np.maximum(np.percentile(samples, _BRIGHT, axis=0), 1e-9)
+    relative = samples / bright
+    used = (samples > 0) & (relative > lowest)
+    told = used.sum(axis=0) >= _LEAST_LIGHTS
+    if told.sum() < _LEAST_PIXELS:
+        return None
+    relative, used = relative[:, told], used[:, told]
+    fits = [_fit(relative, used, directions, k) for k in _EXPONENTS]
+    losses = np.stack([np.log1p((error / _WIDTH) ** 2).sum(axis=0) for _, error in fits])
+    scaled, error = fits[int(losses.sum(axis=1).argmin())]
+    normals = scaled / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-12)
+    mean = normals.mean(axis=0)
+    slant = np.degrees(np.arccos(np.clip(normals @ (mean / np.linalg.norm(mean)), -1, 1)))
+    axes = np.linalg.svd(normals - mean, full_matrices=False)[2]
+    spreads = [_spread_along(losses, key) for key in (slant, *(normals @ axes[:2].T).T)]
+    return FallOff(
+        _lowest_at(losses.sum(axis=1)),
+        max(spreads),
+        float(np.median(np.abs(error[used]))),
+        float(np.sqrt((slant**2).mean())),
+    )
+
+
+def _spread_along(losses: np.ndarray, key: np.ndarray) -> float:
+    """Return how the exponents of groups of pixels, in the order of a key, differ: see FallOff."""
+    groups = np.array_split(np.argsort(key, kind="stable"), _GROUPS)
+    exponents = sorted(_lowest_at(losses[:, group].sum(axis=1)) for group in groups)
+    return exponents[-2] / exponents[1]
+
+
+def _fit(relative: np.ndarray, used: np.ndarray, directions: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3) scaled normals and (K, T) errors of (b·l)^k, 0 where not used."""
+    root = np.where(used, relative, 1) ** (1 / k)
+    # An error of the root is one of k·m^(1−1/k) times as much of the sample.
+    slope = np.where(used, k * np.maximum(relative, 1e-3) ** (1 - 1 / k), 0) ** 2
+    squares = (directions[:, :, None] * directions[:, None, :]).reshape(-1, 9)
+    weight = slope
+    for _ in range(_ROUNDS):
+        gram = (weight.T @ squares).reshape(-1, 3, 3)
+        gram += (1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
+        scaled = np.linalg.solve(gram, ((weight * root).T @ directions)[..., None])[..., 0]
+        error = np.where(used, np.maximum(directions @ scaled.T, 0) ** k - relative, 0)
+        weight = slope / (1 + (error / _WIDTH) ** 2)
+    return scaled, error
+
+
+def _lowest_at(losses: np.ndarray) -> float:
+    """Return the exponent at which losses over the grid are least, by a parabola through the three around it."""
+    i = int(losses.argmin())
+    if i in (0, len(losses) - 1):
+        return float(_EXPONENTS[i])
+    a, b, c = losses[i - 1 : i + 2]
+    step = np.log(_EXPONENTS[1] / _EXPONENTS[0])
+    return float(_EXPONENTS[i] * np.exp(0.5 * step * (a - c) / max(a - 2 * b + c, 1e-12)))
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]

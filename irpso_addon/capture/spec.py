@@ -1,0 +1,232 @@
+"""A capture as its files describe it, before any image is opened, and the checks that make it a Capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..core.steps import run_steps
+from .camera import Camera
+from .errors import CaptureError, raise_all
+from .images.encoding import Encoding, LitImage, encoding_of
+from .images.image import ImageRef, ImageStore
+from .images.linearise import Decoder
+from .types import Capture, LeftOut, Light, Observation
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One observation as written. vector, axis: as in the file, of any length. where: the file and place that says so.
+
+    axis, cone, cosine: as Light's.
+    """
+
+    name: str
+    image: ImageRef
+    vector: tuple[float, ...]
+    where: str
+    intensity: tuple[float, ...] = (1.0, 1.0, 1.0)
+    distant: bool = True
+    camera: int = 0
+    axis: tuple[float, ...] | None = None
+    cone: float | None = None
+    cosine: bool = False
+
+
+@dataclass(frozen=True)
+class ViewDraft:
+    """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
+
+    placed: whether it stands anywhere but at the world's origin, looking down. where: the file and place that says so.
+    lens: whether the file says what the camera shows; else it is taken as orthographic, 2 units wide.
+    """
+
+    name: str
+    make: Callable[[int, int], Camera]
+    where: str
+    size: tuple[int, int] | None = None
+    mask: ImageRef | None = None
+    placed: bool = False
+    lens: bool = True
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
+
+    card_distance, left_out: as Capture's.
+    """
+
+    name: str
+    kind: str
+    source: Path
+    shots: tuple[Shot, ...]
+    views: tuple[ViewDraft, ...]
+    card_distance: float | None = None
+    left_out: tuple[LeftOut, ...] = ()
+
+
+def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
+    """Return the Capture that a draft describes; masks are read now, images when they are asked for.
+
+    Every image's header is looked at. Raises CaptureError naming the first fault and carrying the others.
+    """
+    return run_steps(build_steps(draft, decoder))
+
+
+def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
+    """Yield before each image's header is looked at and each mask is read, and return what ``build_capture`` does."""
+    store = ImageStore(decoder)
+    faults: list[CaptureError] = []
+    lights = [_light(shot, faults) for shot in draft.shots]
+    sizes = []
+    for shot in draft.shots:
+        yield
+        sizes.append(_size(shot.image, store, faults))
+    raise_all(faults)
+    cameras, masks = [], []
+    for index, view in enumerate(draft.views):
+        yield
+        seen = [(s, size) for s, size in zip(draft.shots, sizes, strict=True) if s.camera == index]
+        width, height = _camera_size(view, seen, faults)
+        cameras.append(view.make(width, height))
+        masks.append(_mask(view, (width, height), store, faults))
+    raise_all(faults)
+    tested = [
+        LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
+        for shot, light in zip(draft.shots, lights, strict=True)
+        if light.distant and shot.image.colour_space == "auto"
+    ]
+    encoding = encoding_of(tested, masks, store)
+    observations = tuple(
+        Observation(
+            shot.name,
+            _Reader(shot.image, store, cameras[shot.camera], encoding),
+            light,
+            shot.camera,
+            store.coarse(shot.image),
+        )  # fmt: skip
+        for shot, light in zip(draft.shots, lights, strict=True)
+    )
+    return Capture(
+        draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance, draft.left_out,
+        encoding,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads one observation: what Observation.read is."""
+
+    image: ImageRef
+    store: ImageStore
+    camera: Camera
+    encoding: Encoding | None = None
+
+    def __call__(self) -> np.ndarray:
+        return self.samples().bounds
+
+    def samples(self):
+        """Return the Samples of the image, checked against the camera's size."""
+        found = self.store.samples(self._decoded())
+        height, width = found.rgba.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise size_fault(self.image, (width, height), (self.camera.width, self.camera.height))
+        return found
+
+    def _decoded(self) -> ImageRef:
+        """Return the image with the colour space that was found, where its file does not state one."""
+        guessed = self.image.colour_space == "auto" and self.store.encoding(self.image)[1] == "guess"
+        if not guessed or self.encoding is None or self.encoding.known_by != "guess":
+            return self.image
+        return replace(self.image, colour_space=self.encoding.colour_space)
+
+
+def written_lights(draft: Draft) -> list[Light]:
+    """Return the lights of a draft's observations; none where one of them is not sound."""
+    faults: list[CaptureError] = []
+    lights = [_light(shot, faults) for shot in draft.shots]
+    return [] if faults else lights
+
+
+def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
+    vector, intensity = np.asarray(shot.vector, float), np.asarray(shot.intensity, float)
+    length = np.linalg.norm(vector)
+    axis = np.asarray(shot.axis or (), float)
+    if not np.isfinite(vector).all():
+        fault = f"{shot.where}: the light is not a number; write three finite numbers", "light_nan"
+    elif shot.distant and length == 0:
+        fault = f"{shot.where}: the light direction is zero; write the direction toward the light", "light_zero"
+    elif shot.axis is not None and (not np.isfinite(axis).all() or not axis.any()):
+        fault = f"{shot.where}: light_axis is no direction; write where the light shines to", "light_zero"
+    elif not np.isfinite(intensity).all():
+        fault = f"{shot.where}: the intensity is not a number; write one or three finite numbers", "intensity"
+    elif (intensity < 0).any() or not intensity.any():
+        what = "negative" if (intensity < 0).any() else "zero"
+        fault = f"{shot.where}: the intensity is {what}; write what the light gives, or take the image out", "intensity"
+    else:
+        direction = vector / length if shot.distant else vector
+        towards = None if shot.axis is None else tuple(map(float, axis / np.linalg.norm(axis)))
+        return Light(
+            tuple(map(float, direction)), tuple(map(float, intensity)), shot.distant, towards, shot.cone, shot.cosine
+        )
+    faults.append(CaptureError(*fault))
+    return None
+
+
+def _size(image: ImageRef, store: ImageStore, faults: list[CaptureError]) -> tuple[int, int] | None:
+    try:
+        return store.size(image)
+    except CaptureError as error:
+        faults.append(error)
+        return None
+
+
+def _camera_size(
+    view: ViewDraft, seen: list[tuple[Shot, tuple[int, int]]], faults: list[CaptureError]
+) -> tuple[int, int]:
+    if not seen and view.size is None:
+        faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
+        return 1, 1
+    expected = common_size(view, [size for _, size in seen])
+    faults += [size_fault(shot.image, size, expected) for shot, size in seen if size != expected]
+    return expected
+
+
+def common_size(view: ViewDraft, sizes: list[tuple[int, int]]) -> tuple[int, int]:
+    """Return the size that a camera's images must have: as written, or that of most: then the odd ones are at fault."""
+    return view.size or max(sizes, key=sizes.count)
+
+
+def size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]) -> CaptureError:
+    """Return the error for an image that is not of the size (width, height) that its camera's images have."""
+    return CaptureError(
+        f"{image}: is {size[0]}×{size[1]} pixels where its camera has {expected[0]}×{expected[1]};"
+        " all images of a camera must be of one size, unscaled and uncropped",
+        "size",
+    )
+
+
+def _mask(view: ViewDraft, size: tuple[int, int], store: ImageStore, faults: list[CaptureError]) -> np.ndarray:
+    everything = np.ones(size[::-1], bool)
+    if view.mask is None:
+        return everything
+    try:
+        found = store.size(view.mask)
+        if found != size:
+            raise CaptureError(
+                f"{view.mask}: the mask is {found[0]}×{found[1]} pixels, the images {size[0]}×{size[1]};"
+                " save it at the images' size",
+                "mask_size",
+            )
+        mask = store.mask(view.mask)
+        if not mask.any():
+            raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
+        return mask
+    except CaptureError as error:  # with a code of its own: no image can be left out for it
+        code = error.code if error.code.startswith("mask") else f"mask_{error.code}"
+        faults.append(CaptureError(error.message, code))
+        return everything

@@ -1,0 +1,138 @@
+"""What an MPI job needs before it begins: a device for each rank, and that all ranks are of one mind."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+import traceback
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.types import Capture
+from ..core.errors import InputError, IrpsoError
+from ..core.paths import ROOT
+from .transport import Agreed, Ranks
+
+_NODES = Path("/dev/dri/by-path")  # Linux's names of devices that render, by where they are plugged in
+_SOURCES = ("irpso_addon/**/*.py", "shaders/**/*.glsl", "shaders/**/*.toml", "presets/*.toml", "blender_manifest.toml")
+_REMEDIES = {
+    "program": "install the same version of the program on all machines",
+    "Python packages": "install the same versions of Blender, numpy and Python on all machines",
+    "options": "start all ranks with the same command",
+    "capture": "let all machines read the same files",
+}
+
+
+def choose_device(ranks: Ranks) -> int:
+    """Set the environment so that ranks on one machine take a GPU each, and share its cores where there is none.
+
+    Return how many ranks have this one's device, as far as can be told: a launcher that shows each rank one of several
+    devices does not say so.
+
+    To be called before a context is made. What is set already stays. Mesa's drivers take the device from DRI_PRIME
+    (docs.mesa3d.org, envvars); NVIDIA's takes the first that the process may see, so that a launcher has to show each
+    rank its own. llvmpipe would start as many threads in each rank as the machine has cores.
+    """
+    cores = _cores()
+    told = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
+    shared = sum(not cores.isdisjoint(used) for used in told)
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, len(cores) // shared)))
+    nodes = sorted(_NODES.glob("pci-*-render")) if _NODES.is_dir() else []
+    if ranks.locals > 1 and len(nodes) > 1:
+        name = nodes[ranks.local % len(nodes)].name.removesuffix("-render")
+        os.environ.setdefault("DRI_PRIME", name.replace(":", "_").replace(".", "_"))
+    here = ranks.host, os.environ.get("DRI_PRIME")
+    return ranks.all(here).count(here)
+
+
+def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:
+    """Raise Agreed on all ranks, naming one, where it has another program, other options or another capture."""
+    told = ranks.all((ranks.name, _about(options, capture)))
+    ranks.agreed(lambda: _compare(told))
+
+
+def _compare(told: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
+    name, first = told[0]
+    for other, theirs in told[1:]:
+        for what, (words, digest) in first.items():
+            if theirs[what][1] != digest:
+                raise InputError(
+                    f"{what} of {other} ({theirs[what][0]}) and of {name} ({words}) are not the same; {_REMEDIES[what]}"
+                )
+
+
+@contextmanager
+def going_down_together(ranks: Ranks, busy: Any) -> Iterator[None]:
+    """End the whole job, with one line that names this rank, where it fails while others wait for it.
+
+    busy: a function that says whether they do. What is raised while none waits goes on to the caller.
+    """
+    try:
+        yield
+    except BaseException as error:
+        if isinstance(error, Agreed) or not busy():
+            raise
+        if isinstance(error, IrpsoError | KeyboardInterrupt | MemoryError):
+            text = " ".join(str(error).splitlines()) or type(error).__name__
+        else:
+            traceback.print_exc()
+            text = f"{type(error).__name__}: {error}"
+        if ranks.leads or not isinstance(error, KeyboardInterrupt):  # that has come to all
+            sys.stderr.write(f"irpso: {ranks.name}: {text}\n")
+            sys.stderr.flush()
+        ranks.abort(130 if isinstance(error, KeyboardInterrupt) else getattr(error, "exit_code", 1))
+        raise
+
+
+def _about(options: Namespace, capture: Capture) -> dict[str, tuple[str, str]]:
+    """Return what must be the same on all ranks: what it is, in words and as a digest."""
+    import bpy
+
+    packages = f"Blender {bpy.app.version_string}, numpy {np.__version__}, Python {platform.python_version()}"
+    given = {name: str(value) for name, value in sorted(vars(options).items())}
+    return {
+        "program": (f"version {_version()}", _digest_of_files()),
+        "Python packages": (packages, packages),
+        "options": (f"{len(given)} of them", repr(given)),
+        "capture": (f"'{capture.name}', {len(capture.observations)} observations", _digest_of_capture(capture)),
+    }
+
+
+def _version() -> str:
+    for line in (ROOT / "blender_manifest.toml").read_text(encoding="utf-8").splitlines():
+        if line.startswith("version"):
+            return line.partition("=")[2].strip().strip('"')
+    return "unknown"
+
+
+def _digest_of_files() -> str:
+    digest = hashlib.sha256()
+    for pattern in _SOURCES:
+        for path in sorted(ROOT.glob(pattern)):
+            digest.update(path.relative_to(ROOT).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _digest_of_capture(capture: Capture) -> str:
+    """Return a digest of all that is known of a capture before its images are read."""
+    digest = hashlib.sha256(repr(capture.card_distance).encode())
+    for observation in capture.observations:
+        digest.update(repr((observation.name, observation.light, observation.camera)).encode())
+    for camera, mask in zip(capture.cameras, capture.masks, strict=True):
+        digest.update(repr(camera.key).encode())
+        digest.update(np.packbits(np.asarray(mask, bool)))
+    return digest.hexdigest()
+
+
+def _cores() -> set[int]:
+    if hasattr(os, "sched_getaffinity"):
+        return os.sched_getaffinity(0)
+    return set(range(os.cpu_count() or 1))

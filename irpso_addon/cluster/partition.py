@@ -1,0 +1,93 @@
+"""Which texels go to which rank, and whether they fit there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..solver.planning.cost import Need
+from ..solver.planning.memory import Memory, amount
+from ..solver.planning.plan import Borders, Tile, divided, tile_of
+from .transport import Ranks
+
+
+@dataclass(frozen=True)
+class Split:
+    """A domain over ranks. shape: (H, W). tiles: of the ranks that have texels, the first ones. halo: around each.
+
+    state: bytes that rank 0 gathers for a checkpoint.
+    """
+
+    shape: tuple[int, int]
+    tiles: tuple[Tile, ...]
+    halo: int
+    ranks: int
+    observations: int
+    state: int
+
+    @property
+    def boxes(self) -> tuple[tuple[int, int, int, int] | None, ...]:
+        """The box of every rank, None for those that are left without."""
+        boxes = [(tile.x0, tile.y0, tile.width, tile.height) for tile in self.tiles]
+        return (*boxes, *[None] * (self.ranks - len(boxes)))
+
+    def as_dict(self) -> dict:
+        """Return it as plain data."""
+        return {
+            "shape": list(self.shape), "ranks": self.ranks, "halo": self.halo, "observations": self.observations,
+            "tiles": [vars(tile) for tile in self.tiles], "texels": sum(tile.texels for tile in self.tiles),
+            "checkpoint": self.state,
+        }  # fmt: skip
+
+    def lines(self) -> list[str]:
+        """Return it for people."""
+        texels = [tile.texels for tile in self.tiles]
+        idle = self.ranks - len(self.tiles)
+        return [
+            f"domain        {self.shape[1]} × {self.shape[0]}, {sum(texels)} texels covered,"
+            f" {self.observations} observations",
+            f"ranks         {self.ranks}" + (f", {idle} of them without texels" if idle else ""),
+            f"texels        {min(texels)} to {max(texels)} to a rank, and a halo of {self.halo} around them",
+            f"device        {amount(max(tile.device for tile in self.tiles))} at most",
+            f"host          {amount(max(tile.host for tile in self.tiles))} at most, beside the geometry of the whole",
+            f"checkpoint    {amount(self.state)}, gathered on rank 0",
+        ]
+
+
+def split(coverage: np.ndarray, need: Need, ranks: int, borders: Borders | None = None) -> Split:
+    """Return boxes for so many ranks, about even in covered texels, (H, W) bool, of whole domains all alike."""
+    if not coverage.any():
+        raise InputError("no texel is covered; raise the resolution or check the mask")
+    height, width = coverage.shape
+    boxes = divided(coverage, (0, 0, width, height), ranks)
+    tiles = tuple(tile_of(coverage, box, need, borders) for box in boxes)
+    state = need.kept * sum(tile.texels for tile in tiles)
+    return Split(coverage.shape, tiles, need.reach, ranks, need.observations, state)
+
+
+def check_gathered(found: Split, memory: Memory) -> None:
+    """Raise InputError where a checkpoint of all ranks does not fit the memory of rank 0's machine."""
+    if found.state > memory.host:
+        raise InputError(
+            f"--checkpoint-every: a checkpoint takes {amount(found.state)} on rank 0, where there are"
+            f" {amount(memory.host)} ({memory.host_from}); leave it out, or say with --memory host=… what there is"
+        )
+
+
+def check_fits(found: Split, ranks: Ranks, memory: Memory, sharing: int) -> None:
+    """Raise InputError where this rank's texels do not fit its device.
+
+    memory: of this machine's devices each. sharing: how many ranks have this one's device.
+    """
+    if ranks.rank >= len(found.tiles):
+        return
+    tile = found.tiles[ranks.rank]
+    allowed = memory.device // sharing
+    if tile.device > allowed:
+        raise InputError(
+            f"{tile.texels} texels with a halo of {found.halo} take {amount(tile.device)} on the device, where there"
+            f" are {amount(allowed)} for each of {sharing} ranks ({memory.device_from}); start more ranks on more"
+            " machines, or say with --memory device=… what there is"
+        )

@@ -1,0 +1,199 @@
+"""The processes of an MPI job: who they are, and what they say to one another. Nothing else knows of MPI."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..core.errors import GpuUnavailableError, InputError, IrpsoError
+
+# How many processes a launcher says it has started: Open MPI's mpirun, MPICH's and Intel's, and Slurm's srun.
+_STARTED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_NUM_TASKS")
+_REMEDY = 'install it with pip ("mpi4py", beside an MPI library), or start one process'
+_COMMAND, _VALUES, _STRIP = 1, 2, 3  # tags of messages
+_LARGEST = 1 << 30  # bytes of one message: MPI counts them in 32 bits
+_NAP_SECONDS = 5e-4  # between looks for an order: a rank that waits for one leaves its core to those that work
+
+Result = TypeVar("Result")
+
+
+class Agreed(Exception):
+    """An error that every rank has been told of and raises. ``error``: what rank 0 is to tell the person."""
+
+    def __init__(self, error: IrpsoError):
+        super().__init__(str(error))
+        self.error = error
+
+
+class Ranks:
+    """The processes of one job, of which this is number ``rank`` of ``size``; without MPI there is one alone.
+
+    host: this machine's name. local, locals: this rank's number among those on its machine, and how many they are.
+    sent: messages and bytes that ``exchanged`` has sent so far.
+    """
+
+    def __init__(self, mpi: Any = None, world: Any = None):
+        self._mpi = mpi
+        self._world = world or (mpi.COMM_WORLD if mpi else None)
+        self.rank, self.size = (self._world.Get_rank(), self._world.Get_size()) if mpi else (0, 1)
+        self.host = socket.gethostname()
+        here = self._world.Split_type(mpi.COMM_TYPE_SHARED) if mpi else None
+        self.local, self.locals = (here.Get_rank(), here.Get_size()) if mpi else (0, 1)
+        self.sent = (0, 0)
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is rank 0, the only one that prints and writes."""
+        return self.rank == 0
+
+    @property
+    def name(self) -> str:
+        """This rank, for people."""
+        return f"rank {self.rank} on {self.host}"
+
+    def among(self, included: bool) -> Ranks | None:
+        """Return the ranks that are included; None on those that are not. To be called on all."""
+        if self._world is None:
+            return self
+        some = self._world.Split(0 if included else self._mpi.UNDEFINED, self.rank)
+        return Ranks(self._mpi, some) if included else None
+
+    def all(self, value: Any) -> list[Any]:
+        """Return what all ranks have given, in their order, to every one of them."""
+        return self._world.allgather(value) if self._world else [value]
+
+    def given(self, value: Any = None, by: int = 0) -> Any:
+        """Return to every rank what one of them gives."""
+        return self._world.bcast(value, root=by) if self._world else value
+
+    def agreed(self, work: Callable[[], Result]) -> Result:
+        """Return what ``work`` does; where it raises an IrpsoError on a rank, raise Agreed on all, naming the rank."""
+        result, error = None, None
+        try:
+            result = work()
+        except IrpsoError as raised:
+            error = raised
+        told = self.all(None if error is None else (type(error), str(error), self.name))
+        failed = [one for one in told if one is not None]
+        if not failed:
+            return result
+        if len({text for _, text, _ in failed}) > 1 or len(failed) < self.size:
+            kind, text, name = failed[0]
+            more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+            error = (GpuUnavailableError if kind is GpuUnavailableError else InputError)(f"{name}{more}: {text}")
+        raise Agreed(error)
+
+    def order(self, order: Any) -> None:
+        """Send every other rank an order."""
+        for rank in range(1, self.size):
+            self._world.send(order, dest=rank, tag=_COMMAND)
+
+    def next_order(self) -> Any:
+        """Wait for rank 0's next order and return it."""
+        while not self._world.iprobe(source=0, tag=_COMMAND):
+            time.sleep(_NAP_SECONDS)
+        return self._world.recv(source=0, tag=_COMMAND)
+
+    def collected(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
+        """Yield to rank 0 the arrays of every rank, None where one has none, as they come; to the others nothing.
+
+        Rank 0 has to take all of them.
+        """
+        if not self.leads:
+            self._send_arrays(arrays, 0)
+            return iter(())
+        own = None if arrays is None else dict(arrays)
+        return itertools.chain([own], (self._receive_arrays(rank) for rank in range(1, self.size)))
+
+    def dealt(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
+        """Return to every rank its own of what rank 0 has for each; the others give nothing."""
+        if not self.leads:
+            return self._receive_arrays(0)
+        for rank in range(1, self.size):
+            self._send_arrays(arrays[rank], rank)
+        return None if arrays[0] is None else dict(arrays[0])
+
+    def exchanged(
+        self, outgoing: Mapping[int, np.ndarray], incoming: Mapping[int, tuple[int, ...]]
+    ) -> dict[int, np.ndarray]:
+        """Return float32 arrays from other ranks, by rank, whose shapes are ``incoming``; send them ``outgoing``."""
+        received = {rank: np.empty(shape, np.float32) for rank, shape in incoming.items()}
+        requests = [
+            self._world.Irecv(part, source=rank, tag=_STRIP)
+            for rank, array in received.items()
+            for part in _parts(array)
+        ]
+        parts = [(rank, part) for rank, array in outgoing.items() for part in _parts(array)]
+        requests += [self._world.Isend(part, dest=rank, tag=_STRIP) for rank, part in parts]
+        self.sent = self.sent[0] + len(parts), self.sent[1] + sum(part.nbytes for _, part in parts)
+        if requests:
+            self._mpi.Request.Waitall(requests)
+        return received
+
+    def abort(self, code: int) -> None:
+        """End all ranks at once, without a word to them."""
+        if self._world:
+            self._world.Abort(code)
+
+    def close(self) -> None:
+        """Take leave of the others, when all is done: who goes without has failed, to the launcher."""
+        if self._mpi and not self._mpi.Is_finalized():
+            self._mpi.Finalize()
+
+    def _send_arrays(self, arrays: Mapping[str, np.ndarray] | None, rank: int) -> None:
+        arrays = None if arrays is None else {name: np.ascontiguousarray(a) for name, a in arrays.items()}
+        told = None if arrays is None else {name: (a.shape, a.dtype.str) for name, a in arrays.items()}
+        self._world.send(told, dest=rank, tag=_VALUES)
+        for array in (arrays or {}).values():
+            for part in _parts(array):
+                self._world.Send(part, dest=rank, tag=_VALUES)
+
+    def _receive_arrays(self, rank: int) -> dict[str, np.ndarray] | None:
+        told = self._world.recv(source=rank, tag=_VALUES)
+        if told is None:
+            return None
+        arrays = {name: np.empty(shape, dtype) for name, (shape, dtype) in told.items()}
+        for array in arrays.values():
+            for part in _parts(array):
+                self._world.Recv(part, source=rank, tag=_VALUES)
+        return arrays
+
+
+def joined() -> Ranks | None:
+    """Return the ranks of the MPI job that this process belongs to, None where it was started alone.
+
+    Raises InputError where a launcher has started several processes that cannot find one another: each would do the
+    whole work, and the last one's result would replace the others'.
+    """
+    started = max(int(text) for name in _STARTED if (text := os.environ.get(name, "1")).isdigit())
+    if started == 1:
+        return None
+    try:
+        # Threads are Blender's own: MPI is called from one.
+        import mpi4py
+
+        mpi4py.rc.thread_level = "funneled"
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        raise InputError(
+            f"{started} processes were started together, but Python's mpi4py does not load ({error}); {_REMEDY}"
+        ) from error
+    ranks = Ranks(MPI)
+    if ranks.size == 1:
+        raise InputError(
+            f"{started} processes were started together, but MPI knows of one alone: the launcher is of another MPI"
+            " than mpi4py's; start them with that one's mpirun, or with srun --mpi=pmix"
+        )
+    return ranks
+
+
+def _parts(array: np.ndarray) -> list[np.ndarray]:
+    """Return a contiguous array's bytes in pieces that are no larger than a message may be."""
+    flat = array.reshape(-1).view(np.uint8)
+    return [flat[start : start + _LARGEST] for start in range(0, len(flat), _LARGEST)]

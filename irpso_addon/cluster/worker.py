@@ -1,0 +1,298 @@
+"""One rank's share of a recovery: its box of the domain, and what it does of it when all ranks are told to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..geometry.domain import Domain, subset
+from ..geometry.tiles import tile
+from ..gpu import context
+from ..reflectance.model import ReflectanceModel
+from ..results.maps import Maps
+from ..solver.engine.halo import Box, own_of, part_of, place_of, rectangle
+from ..solver.engine.progress import Progress
+from ..solver.engine.tiled import TileRecovery
+from ..solver.lights.sample import with_lights
+from ..solver.phases.mixture import merged
+from ..solver.settings.fixed import full_map
+from ..solver.settings.schedule import Schedule
+from ..solver.state import prepare
+from ..solver.state.checkpoint import Checkpoint, named
+from ..solver.state.layout import digest_of_texels
+from .exchange import Exchange
+from .transport import Ranks
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a rank holds of a domain.
+
+    whole: the domain, without its samples. boxes: of every rank, None for one that is left without texels. halo: texels
+    around them. window: the domain of this rank's box and its halo, None where it has none.
+    """
+
+    whole: Domain
+    boxes: tuple[Box | None, ...]
+    halo: int
+    window: Domain | None
+
+
+def around(shape: tuple[int, int], box: Box, halo: int) -> Box:
+    """Return a box with its halo, as far as a domain of (H, W) goes."""
+    (height, width), (x0, y0, wide, high) = shape, box
+    left, bottom = max(0, x0 - halo), max(0, y0 - halo)
+    return left, bottom, min(width, x0 + wide + halo) - left, min(height, y0 + high + halo) - bottom
+
+
+class Member:
+    """What every rank is told to do at the same time; rank 0 is given the result.
+
+    Each method is called on all ranks, in one order and with the same arguments.
+    """
+
+    def __init__(
+        self,
+        ranks: Ranks,
+        share: Share,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        known: Mapping[str, np.ndarray],
+    ):
+        self.ranks, self.share = ranks, share
+        self.model, self.schedule, self.seed = model, schedule, seed
+        self.known = {name: full_map(model, name, value, share.whole.shape) for name, value in known.items()}
+        self._box = share.boxes[ranks.rank]
+        self.domain: Domain | None = None  # the whole, of the observations that are fitted
+        self._own: np.ndarray | None = None  # (K, h, w, 4) the samples of those, without the halo
+        self._recovery: TileRecovery | None = None
+        self._exchange: Exchange | None = None
+        self._progress: Progress | None = None
+
+    def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
+        """Take other lights than the capture's."""
+        window = self.share.window
+        window = window and with_lights(window, lights, intensities)
+        self.share = replace(self.share, whole=with_lights(self.share.whole, lights, intensities), window=window)
+
+    def layer(self, observation: int) -> np.ndarray | None:
+        """Return (H, W, 4) the samples of one observation."""
+        return self._pasted(None if self._box is None else {"layer": self._samples()[observation]}).get("layer")
+
+    def samples(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+        """Return (K, N, 4) the samples of observations at N texels."""
+        found = np.zeros((len(observations), 0, 4), np.float32)
+        here = np.zeros(len(rows), bool)
+        if self._box is not None:
+            x0, y0, width, height = self._box
+            here = (columns >= x0) & (columns < x0 + width) & (rows >= y0) & (rows < y0 + height)
+            found = self._samples()[:, rows[here] - y0, columns[here] - x0][list(observations)]
+        told = self.ranks.collected({"here": np.flatnonzero(here), "found": found})
+        whole = np.zeros((len(observations), len(rows), 4), np.float32)
+        for one in told:
+            whole[:, one["here"]] = one["found"]
+        return whole
+
+    def lit(self, observations: Sequence[int]) -> np.ndarray:
+        """Return (H, W) bool: covered texels that one of the observations sees lit. Every rank is told."""
+        mask = np.zeros(self.share.whole.shape, bool)
+        own = None
+        if self._box is not None:
+            own = subset(self.share.window, observations).solvable[self._within()]
+        told = self.ranks.all(None if own is None else np.packbits(own))
+        for box, bits in zip(self.share.boxes, told, strict=True):
+            if box is not None:
+                width, height = box[2:]
+                mask[part_of(box)] = np.unpackbits(bits, count=width * height).reshape(height, width).astype(bool)
+        return mask
+
+    def begin(self, fitted: Sequence[int], entry: str) -> Progress:
+        """Set up the recovery by some observations."""
+        solvable = self.lit(fitted)
+        self.domain = subset(replace(self.share.whole), fitted)
+        vars(self.domain)["solvable"] = solvable
+        boxes = self.share.boxes
+        works = [box is not None and bool(solvable[part_of(box)].any()) for box in boxes]
+        works[0] |= not any(works)
+        self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
+        works_here = works[self.ranks.rank]
+        part = self._tile(fitted, solvable) if works_here else None
+        brightness = self._brightness(part)
+        self._team = self.ranks.among(works_here)
+        if part is not None:
+            self._solved = int(np.count_nonzero(solvable[part_of(self._box)]))
+            self._recovery = self._begun(part, brightness, entry)
+        places = self.ranks.all(None if part is None else place_of(self._box, part))
+        self.places = {rank: place for rank, place in enumerate(places) if place is not None}
+        if part is not None:
+            self._exchange = Exchange(self.ranks, self.places, part)
+        return self._told_progress()
+
+    def advance(self, iterations: int | None) -> Progress:
+        """Make so many iterations, or all, in step with the others."""
+        recovery, threshold = self._recovery, self.schedule.threshold
+        if recovery is not None:
+            recovery.step(iterations=0)
+            made = 0
+            while not recovery.progress.done and (iterations is None or made < iterations):
+                self._exchange.before_iteration(recovery)
+                if (sample := recovery.sample()) is not None:
+                    recovery.take_sample(merged(self._team.all(sample)))
+                recovery.reached = False
+                recovery.step(iterations=1)
+                made += 1
+                if threshold and all(self._team.all(recovery.reached)):
+                    recovery.finish_stage()
+        return self._told_progress()
+
+    def maps(self, confidence: bool) -> Maps | None:
+        """Return what has been found so far."""
+        parts = None
+        if self._recovery is not None:
+            found = self._recovery.maps(confidence)
+            own = own_of(self._recovery.domain)
+            parts = {"residual": found.residual[own]}
+            parts |= {f"value {name}": value[own] for name, value in found.values.items()}
+            parts |= {f"deviation {name}": value[own] for name, value in (found.confidence or {}).items()}
+            parts |= {f"alternative {name}": value[own] for name, value in (found.alternatives or {}).items()}
+        whole = self._pasted(parts)
+        if not self.ranks.leads:
+            return None
+        values = {p.name: whole[f"value {p.name}"] for p in self.model.parameters}
+        covered = np.zeros(self.domain.shape, bool)
+        for rank in self.places:
+            covered[part_of(self.share.boxes[rank])] = True
+        for p in self.model.parameters:
+            values[p.name][~covered] = p.default
+        deviations = alternatives = None
+        if confidence:
+            deviations, alternatives = named(whole, "deviation "), named(whole, "alternative ")
+        return Maps(self.model, values, self.domain.solvable, whole["residual"], deviations, alternatives=alternatives)
+
+    def mean_error(self) -> float:
+        """Return the mean error over a few thousand texels of each rank."""
+        told = self.ranks.all(None if self._recovery is None else (self._recovery.mean_error(), self._solved))
+        told = [one for one in told if one is not None]
+        return float(np.average([error for error, _ in told], weights=[max(1, count) for _, count in told]))
+
+    def state(self) -> Checkpoint | None:
+        """Return the state of the whole domain, texel by texel of those that are solved, row by row."""
+        rows, at = None, None
+        if self._recovery is not None:
+            state = self._recovery.rows()
+            rows, at = state.arrays, (state.stage, state.iteration)
+        at = self.ranks.given(at, self._lead)
+        parts = self.ranks.collected(rows)
+        if not self.ranks.leads:
+            return None
+        numbers = self._numbers()
+        whole: dict[str, np.ndarray] = {}
+        for rank, arrays in enumerate(parts):
+            if arrays is None:
+                continue
+            box = part_of(self.share.boxes[rank])
+            chosen = numbers[box][self.domain.solvable[box]]
+            for name, value in arrays.items():
+                held = whole.setdefault(name, np.zeros((self._total, *value.shape[1:]), np.float32))
+                held[chosen] = value
+        return Checkpoint(*at, self._progress.evaluations, whole)
+
+    def restore(self, stage: int, iteration: int, evaluations: int, whole: Mapping[str, np.ndarray] | None) -> Progress:
+        """Go on from what ``state`` returned; rank 0 has the arrays."""
+        parts: list[dict[str, np.ndarray] | None] = []
+        if self.ranks.leads:
+            for rank in range(self.ranks.size):
+                chosen = self._texels(self.places[rank]) if rank in self.places else None
+                parts.append(None if chosen is None else {name: value[chosen] for name, value in whole.items()})
+        arrays = self.ranks.dealt(parts)
+        if self._recovery is not None:
+            here = evaluations // max(1, self._total) * self._solved
+            self._recovery.take_rows(Checkpoint(stage, iteration, here, arrays))
+        return self._told_progress()
+
+    def renderers(self) -> list[str]:
+        """Return the names of all ranks' devices."""
+        return self.ranks.all(str(context.describe()["renderer"]))
+
+    def sent(self) -> list[tuple[int, int]]:
+        """Return the messages and bytes that each rank has sent to others before iterations."""
+        return self.ranks.all(self.ranks.sent)
+
+    def digest(self) -> int:
+        """Return a number that tells the samples of all solved texels, however the domain is cut."""
+        found = 0
+        if self._recovery is not None:
+            found = digest_of_texels(self._recovery.domain)
+        return sum(self.ranks.all(found)) % 2**64
+
+    def close(self) -> None:
+        """Free what lies on the GPU."""
+        if self._recovery is not None:
+            self._recovery.close()
+        self._recovery = self._exchange = None
+
+    def _begun(self, part: Domain, brightness: float, entry: str) -> TileRecovery:
+        prepared = replace(prepare.prepare(part, self.model, self.schedule, pack=False), brightness=brightness)
+        texels = rectangle(self._box, part.halo)
+        known = {name: value[texels] for name, value in self.known.items()}
+        return TileRecovery(part, self.model, self.schedule, self.seed, known, entry, prepared)
+
+    def _tile(self, fitted: Sequence[int], solvable: np.ndarray) -> Domain:
+        """This rank's own texels with their halo, as a tile of the whole would be."""
+        cut = tile(self.domain, *self._box, halo=self.share.halo)
+        part = replace(cut, stack=subset(self.share.window, fitted).stack)
+        vars(part)["solvable"] = solvable[rectangle(self._box, part.halo)]
+        return part
+
+    def _brightness(self, part: Domain | None) -> float:
+        """The lights' mean irradiance/π over the texels of all ranks: sums of whole numbers, exact in any order."""
+        told = None
+        if part is not None:
+            counted = np.zeros(part.shape, bool)
+            counted[own_of(part)] = True
+            told = prepare.brightness_sums(part, counted & part.solvable)
+        found = [one for one in self.ranks.all(told) if one is not None]
+        return prepare.brightness_of(self.domain, sum(s for s, _ in found), sum(count for _, count in found))
+
+    def _told_progress(self) -> Progress:
+        """The progress of the whole, told to every rank: in lock step it is the same but for the evaluations."""
+        progress = None
+        if self.ranks.rank == self._lead:
+            progress = self._recovery.progress
+            each = progress.evaluations // max(1, self._solved)
+            progress = replace(progress, evaluations=each * self._total)
+        self._progress = self.ranks.given(progress, self._lead)
+        return self._progress
+
+    def _within(self) -> tuple[slice, slice]:
+        """Where the rank's own texels lie in its window."""
+        x0, y0, width, height = self._box
+        left, bottom = x0 - self.share.window.origin[0], y0 - self.share.window.origin[1]
+        return slice(bottom, bottom + height), slice(left, left + width)
+
+    def _samples(self) -> np.ndarray:
+        return self.share.window.stack[:, *self._within()]
+
+    def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
+        """Return to rank 0, by name, (H, W, …) of the ranks' own (h, w, …), 0 where there is none."""
+        whole: dict[str, np.ndarray] = {}
+        for rank, arrays in enumerate(self.ranks.collected(parts)):
+            for name, value in (arrays or {}).items():
+                held = whole.setdefault(name, np.zeros((*self.share.whole.shape, *value.shape[2:]), value.dtype))
+                held[part_of(self.share.boxes[rank])] = value
+        return whole
+
+    def _numbers(self) -> np.ndarray:
+        numbers = np.full(self.domain.shape, -1)
+        numbers[self.domain.solvable] = np.arange(self._total)
+        return numbers
+
+    def _texels(self, place: Any) -> np.ndarray:
+        """Return which of the solved texels a rank holds, as its textures do: its own, the halo's, then the annex's."""
+        numbers, texels = self._numbers(), rectangle(place.box, place.halo)
+        x, y = place.annex.T
+        return np.concatenate([numbers[texels][self.domain.solvable[texels]], numbers[y, x]])

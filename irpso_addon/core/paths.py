@@ -1,0 +1,13 @@
+"""Where the program's own data lie, and what the package is called once Blender has installed it."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SHADERS = ROOT / "shaders"
+MODELS = SHADERS / "models"
+PRESETS = ROOT / "presets"
+DEFAULT_MODEL = "metallic_roughness"  # in MODELS
+
+# Installed as an extension this module is bl_ext.REPOSITORY.irpso.irpso_addon.core.paths; Blender's own functions
+# (preferences, extension_path_user) want the part before irpso_addon.
+BASE_PACKAGE = __package__.rpartition(".")[0] or __package__

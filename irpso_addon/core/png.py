@@ -1,0 +1,40 @@
+"""Writing PNG files of 8 and 16 bits."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from .files import replacing_file
+
+_COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
+
+
+def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
+    """Write (H, W, C) values in 0…1, already encoded, row 0 at the bottom, as a PNG of 8 or 16 bits; C of 1 to 4.
+
+    Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Blender's saver takes pixels
+    through its scene's colour management and gives no say over rounding. Raises InputError where it cannot be written.
+    """
+    array = np.asarray(array, np.float64)
+    array = array[..., None] if array.ndim == 2 else array
+    height, width, channels = array.shape
+    largest = 2**bits - 1
+    codes = np.rint(np.clip(np.nan_to_num(array[::-1]), 0, 1) * largest).astype(">u2" if bits == 16 else np.uint8)
+    bytes_per_pixel = channels * codes.itemsize
+    rows = codes.reshape(height, -1).view(np.uint8)
+    filtered = np.empty((height, 1 + rows.shape[1]), np.uint8)
+    filtered[:, 0] = 1  # filter "Sub": each byte less that of the pixel to the left, which photographs deflate well by
+    filtered[:, 1:] = rows
+    filtered[:, 1 + bytes_per_pixel :] -= rows[:, :-bytes_per_pixel]
+    header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
+    with replacing_file(Path(path)) as partial:
+        partial.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks))
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

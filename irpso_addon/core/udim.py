@@ -1,0 +1,73 @@
+"""UDIM sets: several squares of texture coordinates, side by side in one domain, and a file for each of them.
+
+Numbers are Blender's and Mari's: 1001 is the unit square, one more for each square to the right, ten for each row up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError
+
+FIRST = 1001
+COLUMNS = 10
+ROWS = 100  # Blender's last number is 2000
+ONE_SQUARE = (FIRST,)
+PATTERN = "<UDIM>"
+_NUMBER = re.compile(r"(1\d\d\d|2000)")
+
+
+def tile_number(column: int, row: int) -> int:
+    """Return the number of the square whose lower left corner has these texture coordinates."""
+    return FIRST + column + COLUMNS * row
+
+
+def tile_place(number: int) -> tuple[int, int]:
+    """Return (column, row): the texture coordinates of a square's lower left corner."""
+    row, column = divmod(number - FIRST, COLUMNS)
+    return column, row
+
+
+def tile_stem(stem: str, number: int, tiles: Sequence[int]) -> str:
+    """Return the stem of a tile's file: "base_color.1002", and "base_color" where the unit square is all there is."""
+    return stem if tuple(tiles) == ONE_SQUARE else f"{stem}.{number}"
+
+
+def tile_part(array: np.ndarray, index: int, count: int) -> np.ndarray:
+    """Return the view (H, W / count, …) of the tile with this index in a domain (H, W, …)."""
+    width = array.shape[1] // count
+    return array[:, index * width : (index + 1) * width]
+
+
+def tile_files(path: Path, tiles: Sequence[int]) -> list[Path]:
+    """Return the file of each tile. path: with <UDIM>, or with one of the numbers, in its name; without, of one square.
+
+    Raises InputError where one name is given for several tiles, or a tile's file is missing.
+    """
+    if PATTERN not in path.name:
+        if tuple(tiles) == ONE_SQUARE:
+            return [path]
+        numbered = _pattern_of(path)
+        if numbered is None:
+            names = ", ".join(map(str, tiles))
+            raise InputError(
+                f"{path}: is one picture, the UV map has the UDIM tiles {names}; name a file of each, as in"
+                f" {path.stem}.{PATTERN}{path.suffix}"
+            )
+        path = numbered
+    files = [path.with_name(path.name.replace(PATTERN, str(number))) for number in tiles]
+    if missing := [number for number, file in zip(tiles, files, strict=True) if not file.is_file()]:
+        raise InputError(
+            f"{path}: has no file for UDIM tile {missing[0]} ({len(missing)} of {len(files)} are missing); add it"
+        )
+    return files
+
+
+def _pattern_of(path: Path) -> Path | None:
+    """Return normal.<UDIM>.exr for normal.1002.exr, None for names that hold no such number before their ending."""
+    stem, dot, number = path.stem.rpartition(".")
+    return path.with_name(f"{stem}.{PATTERN}{path.suffix}") if dot and _NUMBER.fullmatch(number) else None

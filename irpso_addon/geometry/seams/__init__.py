@@ -1,0 +1,1 @@
+"""UV seams: which texels are neighbours on the surface though the UV map cuts them apart."""

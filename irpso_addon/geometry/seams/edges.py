@@ -1,0 +1,165 @@
+"""Where a UV map cuts a mesh: islands, their border edges, and where what lies past an edge is found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..mesh import MeshData
+
+# Texture coordinates of one corner that differ by less than this part of a texel are one place: rounding, not a cut.
+_SAME_PLACE = 0.01
+# An unfolded triangle that stretches lengths by more than this against those along the edge is a sliver, of which
+# nothing can be told so far away: lengths then count alike in all directions.
+_SLIVER = 8.0
+
+
+@dataclass(frozen=True)
+class SeamEdges:
+    """The E border edges of a UV map's islands, in texels: a texel's centre lies at (x + ½, y + ½).
+
+    start, end: (E, 2) float64. outward: (E, 2) unit, away from the island. island: (E,) int32 its number. other: (E,)
+    int32 the island on the other side of the seam, −1 at a border of the surface. across: (E, 2, 3) the affine map
+    from places past the edge to where they lie on the other side.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    outward: np.ndarray
+    island: np.ndarray
+    other: np.ndarray
+    across: np.ndarray
+
+    def some(self, chosen: np.ndarray) -> SeamEdges:
+        """Return some of the edges, by (E,) bool."""
+        return SeamEdges(**{item.name: getattr(self, item.name)[chosen] for item in fields(SeamEdges)})
+
+    def halved(self) -> SeamEdges:
+        """Return the edges in texels twice as large."""
+        across = self.across.copy()
+        across[..., 2] /= 2
+        return replace(self, start=self.start / 2, end=self.end / 2, across=across)
+
+
+def seam_edges(mesh: MeshData, width: int, height: int) -> tuple[SeamEdges, np.ndarray]:
+    """Return the borders of a mesh's islands on width × height texels, and each triangle's island, (T,) int32.
+
+    Triangles are of one island where they share an edge at one place of the surface and of the UV map, to a hundredth
+    of a texel. An edge of more than two triangles is a border of the surface.
+    """
+    uv = mesh.uvs.astype(np.float64) * (width, height)
+    corners = _welded(mesh.positions.reshape(-1, 3)).reshape(-1, 3)
+    first, second = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    turned = first > second  # so that all sides of an edge name its ends in one order
+    a, b = uv.reshape(-1, 2), np.roll(uv, -1, axis=1).reshape(-1, 2)
+    a, b = np.where(turned[:, None], b, a), np.where(turned[:, None], a, b)
+    edge = _numbered(np.minimum(first, second), np.maximum(first, second))
+    place = _welded(np.pad(mesh.uvs.reshape(-1, 2), ((0, 0), (0, 1)))).reshape(-1, 3)
+    place, other = place.ravel(), np.roll(place, -1, axis=1).ravel()
+    place = _numbered(np.where(turned, other, place), np.where(turned, place, other))
+    shared, left = _paired(_numbered(edge, place), first != second)
+    pairs, alone = _paired(edge, np.isin(np.arange(len(edge)), left))
+    apart = np.ptp(np.concatenate([a, b], axis=-1)[pairs], axis=1).max(axis=-1, initial=0)
+    same = apart < _SAME_PLACE
+    islands = components(len(corners), np.concatenate([shared, pairs[same]]) // 3)
+    one, two = pairs[~same].T
+    here, there = np.concatenate([one, two, alone]), np.concatenate([two, one, np.full(len(alone), -1)])
+    return _described(mesh, uv, a, b, here, there, islands), islands
+
+
+def _numbered(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return (N,) numbers of pairs of whole numbers, equal where both are."""
+    return np.unique(first.astype(np.int64) * (int(second.max()) + 1) + second, return_inverse=True)[1]
+
+
+def _welded(points: np.ndarray) -> np.ndarray:
+    """Return (N,) numbers, equal where points (N, 3) float32 are equal to the last bit."""
+    bits = (np.ascontiguousarray(points, np.float32) + np.float32(0)).view(np.uint32).astype(np.uint64)  # no −0
+    # One number a point sorts ten times faster than three; it is checked below.
+    mixed = bits @ np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+    _, first, number = np.unique(mixed, return_index=True, return_inverse=True)
+    if (bits[first][number] != bits).any():
+        number = np.unique(bits, axis=0, return_inverse=True)[1].ravel()
+    return number
+
+
+def _paired(keys: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (P, 2) indices of keys that occur twice, and (A,) those of all others that are usable."""
+    order = np.flatnonzero(usable)
+    order = order[np.argsort(keys[order], kind="stable")]
+    start = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    count = np.diff(start, append=len(order))
+    twice = start[count == 2]
+    alone = np.repeat(count != 2, count)
+    return np.stack([order[twice], order[twice + 1]], axis=-1), order[alone]
+
+
+def components(count: int, links: np.ndarray) -> np.ndarray:
+    """Return (count,) int32 numbers of the connected components of a graph with links (L, 2)."""
+    label = np.arange(count)
+    while True:
+        ends = label[links]
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        if not len(ends):
+            return np.unique(label, return_inverse=True)[1].astype(np.int32)
+        np.minimum.at(label, ends.max(axis=1), ends.min(axis=1))
+        while (label[label] != label).any():
+            label = label[label]
+
+
+def _described(
+    mesh: MeshData, uv: np.ndarray, a: np.ndarray, b: np.ndarray, here: np.ndarray, there: np.ndarray, islands
+) -> SeamEdges:
+    """Return the border edges ``here``, (E,) corners at which they begin; there: their other sides, −1 for none.
+
+    a, b: (3T, 2) texels of the ends of every edge, both sides in one order.
+    """
+    outward, along, across = _sides(mesh, uv, a, b, here)
+    inward, along_there, across_there = _sides(mesh, uv, a, b, np.maximum(there, 0))
+    with np.errstate(all="ignore"):
+        linear = np.stack([along_there, -across_there], axis=-1) @ _inverse(np.stack([along, across], axis=-1))
+    lost = (there < 0) | ~np.isfinite(linear).all(axis=(1, 2))
+    linear[lost] = 0
+    shift = a[np.maximum(there, 0)] - np.einsum("nij,nj->ni", linear, a[here])
+    return SeamEdges(
+        a[here], b[here], outward, islands[here // 3], np.where(lost, -1, islands[there // 3]).astype(np.int32),
+        np.concatenate([linear, shift[..., None]], axis=-1),
+    )  # fmt: skip
+
+
+def _sides(mesh: MeshData, uv: np.ndarray, a: np.ndarray, b: np.ndarray, edge: np.ndarray) -> tuple:
+    """Return of edges: the unit vector out of their triangle; and the texels to a unit of length on the surface, along
+    the edge and out of the triangle at a right angle to it."""
+    triangle, corner = edge // 3, edge % 3
+    third = (corner + 2) % 3
+    points = mesh.positions.astype(np.float64)
+    p, q, r = points[triangle, corner], points[triangle, (corner + 1) % 3], points[triangle, third]
+    # Both sides name the edge's ends in one order.
+    swapped = ((uv[triangle, corner] != a[edge]).any(axis=-1))[:, None]
+    p, q = np.where(swapped, q, p), np.where(swapped, p, q)
+    length = np.linalg.norm(q - p, axis=-1, keepdims=True)
+    unit = (q - p) / length
+    x = ((r - p) * unit).sum(axis=-1, keepdims=True)
+    y = np.linalg.norm(r - p - x * unit, axis=-1, keepdims=True)
+    side, apex = b[edge] - a[edge], uv[triangle, third] - a[edge]
+    outward = np.stack([side[:, 1], -side[:, 0]], axis=-1)
+    with np.errstate(all="ignore"):
+        outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+        outward *= -np.sign((outward * apex).sum(axis=-1, keepdims=True))
+        along = side / length
+        across = (x * along - apex) / y
+        stretch = np.linalg.norm(across, axis=-1) / np.linalg.norm(along, axis=-1)
+        upright = (across * outward).sum(axis=-1) / np.linalg.norm(along, axis=-1)
+    sliver = ~((stretch < _SLIVER) & (upright > 1 / _SLIVER))
+    across[sliver] = outward[sliver] * np.linalg.norm(along[sliver], axis=-1, keepdims=True)
+    return np.nan_to_num(outward), along, across
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverses of (N, 2, 2) matrices; not finite where there is none."""
+    (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return adjugate / (a * d - b * c)[:, None, None]

@@ -1,0 +1,189 @@
+"""Gaps within an island: the banks of a gap are near each other in the UV map, but neighbours only across a seam.
+
+Where the island around a block of texels falls into several pieces, each piece that the block has a share in is a chart
+of its own; all other texels of an island are one chart. Texels of one piece see each other, and past its border the
+piece sees what its own edges say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .edges import SeamEdges, components
+from .places import places_beyond, texel_at
+
+FIRST_CHART = -2  # charts that are parts of an island count down from here; −1 is no texel
+_WINDOWS = 512  # looked at at a time
+# Windows reach so many blocks past a block: what a texel sees past its border lies a block away at most, and if another
+# bank is nearer to that, this lies another block away at most.
+_BLOCKS = 2
+_SIDE = 2 * _BLOCKS + 1
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Blocks of B × B texels around which an island falls into pieces, and the Q charts that this makes.
+
+    corner: (A, 2) x, y of a block's first texel. island: (A,). label: (A, 5B, 5B) int16 the piece that each texel of
+    the window of two blocks around a block belongs to, −1 where none of the island. block, piece: (Q,) of each chart.
+    """
+
+    corner: np.ndarray
+    island: np.ndarray
+    label: np.ndarray
+    block: np.ndarray
+    piece: np.ndarray
+
+    def number(self) -> np.ndarray:
+        """Return (A, most pieces) the chart of a piece, −1 where the block has no share in it."""
+        result = np.full((len(self.corner), max(int(self.label.max(initial=0)), 0) + 1), -1)
+        result[self.block, self.piece] = np.arange(len(self.block))
+        return result
+
+
+def pieces_of(island: np.ndarray, reach: int) -> Pieces:
+    """Return the pieces that islands (H, W) fall into around blocks of ``reach`` texels."""
+    height, width = island.shape
+    rows, columns = -(-height // reach), -(-width // reach)
+    before = _BLOCKS * reach
+    after = (rows * reach - height + before, columns * reach - width + before)
+    padded = np.pad(island, ((before, after[0]), (before, after[1])), constant_values=-1)
+    low, high = (_around_blocks(padded, reach, f) for f in (np.minimum, np.maximum))
+    mixed = low != high  # a window of one island alone is in one piece
+    y, x = np.nonzero((island >= 0) & np.kron(mixed, np.ones((reach, reach), bool))[:height, :width])
+    pairs = np.unique(np.stack([y // reach * columns + x // reach, island[y, x]], axis=-1), axis=0)
+    corner = np.stack([pairs[:, 0] % columns, pairs[:, 0] // columns], axis=-1) * reach
+    kept, labels = [np.zeros(0, np.int64)], [np.zeros((0, _SIDE * reach, _SIDE * reach), np.int16)]
+    steps = np.arange(_SIDE * reach)
+    for start in range(0, len(pairs), _WINDOWS):
+        part = slice(start, start + _WINDOWS)
+        window = padded[corner[part, 1, None, None] + steps[:, None], corner[part, 0, None, None] + steps]
+        label, count = _labelled(window == pairs[part, 1, None, None])
+        kept.append(start + np.flatnonzero(count > 1))
+        labels.append(label[count > 1].astype(np.int16))
+    kept, label = np.concatenate(kept), np.concatenate(labels)
+    core = label[:, before : before + reach, before : before + reach]
+    block, piece = np.unique(np.stack([np.nonzero(core >= 0)[0], core[core >= 0]], axis=-1), axis=0).T.astype(np.int64)
+    return Pieces(corner[kept], pairs[kept, 1], label, block, piece)
+
+
+def charts_of(island: np.ndarray, pieces: Pieces) -> np.ndarray:
+    """Return (H, W) int32 the chart of each texel: its island, or from −2 downward the number of a piece's chart."""
+    chart = island.copy()
+    if len(pieces.block):
+        a, x, y, label = _texels(pieces, 0)
+        chart[y, x] = FIRST_CHART - pieces.number()[a, label]
+    return chart
+
+
+def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N, 2) places and (N,) charts that see the texel there, for all that cannot be told from its chart.
+
+    A texel of a piece is seen by the rest of its island, and by the other charts of that piece.
+    """
+    if not len(pieces.block):
+        return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
+    y, x = np.nonzero(chart <= FIRST_CHART)
+    of_rest = np.stack([x, y], axis=-1), island[y, x].astype(np.int64)
+    a, x, y, label = _texels(pieces, 1)
+    number = pieces.number()[a, label]
+    seen = (number >= 0) & (chart[y, x] <= FIRST_CHART) & (chart[y, x] != FIRST_CHART - number)
+    of_pieces = np.stack([x, y], axis=-1)[seen], FIRST_CHART - number[seen]
+    return tuple(np.concatenate(both) for both in zip(of_rest, of_pieces, strict=True))
+
+
+def beyond_pieces(
+    edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (N, 2) places past the borders of pieces, (N,) the edge that each is nearest to, and (N,) their charts."""
+    if not len(pieces.block):
+        return np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    edge, view = _edges_of(edges, island, pieces, reach)
+
+    def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:
+        block = pieces.block[looking]
+        x, y = (place - pieces.corner[block] + _BLOCKS * reach).T
+        # What a chart sees lies a block away from it at most.
+        outside = np.minimum(x, y) < (_BLOCKS - 1) * reach
+        outside |= np.maximum(x, y) >= (_BLOCKS + 2) * reach
+        x, y = np.where(outside, 0, x), np.where(outside, 0, y)
+        return outside | (pieces.label[block, y, x] == pieces.piece[looking])
+
+    mine = edges.some(edge)
+    place, nearest = places_beyond(mine, view, covered, island.shape, reach)
+    return place, edge[nearest], FIRST_CHART - view[nearest]
+
+
+def _around_blocks(padded: np.ndarray, reach: int, extreme: np.ufunc) -> np.ndarray:
+    """Return the least, or largest, number in the window of every block."""
+    rows, columns = padded.shape[0] // reach, padded.shape[1] // reach
+    each = extreme.reduce(extreme.reduce(padded.reshape(rows, reach, columns, reach), axis=3), axis=1)
+    rows, columns = rows - _SIDE + 1, columns - _SIDE + 1
+    down = extreme.reduce([each[step : step + rows] for step in range(_SIDE)])
+    return extreme.reduce([down[:, step : step + columns] for step in range(_SIDE)])
+
+
+def _labelled(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (M, S, S) numbers from 0 of the pieces of masks (M, S, S), touching at corners too, and (M,) how many."""
+    begins = mask.copy()
+    begins[..., 1:] &= ~mask[..., :-1]
+    runs = np.where(mask, np.cumsum(begins).reshape(mask.shape) - 1, -1)
+    size, links = mask.shape[-1], [np.zeros((0, 2), np.int64)]
+    for step in (-1, 0, 1):
+        above = runs[:, :-1, max(0, step) : size + min(0, step)]
+        below = runs[:, 1:, max(0, -step) : size + min(0, -step)]
+        touch = (above >= 0) & (below >= 0)
+        known = touch[..., :-1] & (above[..., 1:] == above[..., :-1]) & (below[..., 1:] == below[..., :-1])
+        touch[..., 1:] &= ~known
+        links.append(np.stack([above[touch], below[touch]], axis=-1))
+    piece = components(int(begins.sum()), np.concatenate(links))
+    window = np.nonzero(begins)[0]
+    first = np.full(len(mask), np.iinfo(np.int64).max)
+    np.minimum.at(first, window, piece)
+    count = np.bincount(window[np.unique(piece, return_index=True)[1]], minlength=len(mask))
+    label = np.where(mask, piece[np.maximum(runs, 0)] - first[:, None, None], -1) if len(piece) else runs
+    return label, count
+
+
+def _texels(pieces: Pieces, around: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return of the pieces' texels up to ``around`` blocks from theirs: which block, x, y, and the label."""
+    reach = pieces.label.shape[1] // _SIDE
+    low = (_BLOCKS - around) * reach
+    part = slice(low, low + (2 * around + 1) * reach)
+    a, y, x = np.nonzero(pieces.label[:, part, part] >= 0)
+    label = pieces.label[:, part, part][a, y, x].astype(np.int64)
+    x, y = (step + pieces.corner[a, axis] - around * reach for axis, step in enumerate((x, y)))
+    return a, x, y, label
+
+
+def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs of an edge and a chart at whose piece, in its window, it lies."""
+    width = island.shape[1]
+    length = np.linalg.norm(edges.end - edges.start, axis=-1)
+    count = np.ceil(length).astype(np.int64) + 1
+    edge = np.repeat(np.arange(len(count)), count)
+    t = ((np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count[edge] - 1, 1))[:, None]
+    at = edges.start[edge] * (1 - t) + edges.end[edge] * t - 0.5 * edges.outward[edge]
+    texel = texel_at(at, edges.island[edge], island)
+    edge, texel = edge[texel >= 0], texel[texel >= 0]
+    y, x = np.divmod(texel, width)
+    columns = -(-width // reach) + 2 * _BLOCKS
+    islands = int(island.max()) + 1
+    blocks = pieces.corner // reach + _BLOCKS
+    keys = (blocks[:, 1] * columns + blocks[:, 0]) * islands + pieces.island
+    order = np.argsort(keys)
+    number, found = pieces.number(), []
+    for dy in range(_SIDE):
+        for dx in range(_SIDE):
+            wanted = ((y // reach + dy) * columns + x // reach + dx) * islands + edges.island[edge]
+            index = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
+            a = order[index]
+            there = np.flatnonzero(keys[a] == wanted)
+            a = a[there]
+            wx, wy = (at[there] - pieces.corner[a, axis] + _BLOCKS * reach for axis, at in enumerate((x, y)))
+            label = pieces.label[a, wy, wx]
+            chart = np.where(label >= 0, number[a, np.maximum(label, 0)], -1)
+            found.append(np.stack([edge[there], chart], axis=-1)[chart >= 0])
+    return tuple(np.unique(np.concatenate(found), axis=0).T)

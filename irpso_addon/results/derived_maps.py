@@ -1,0 +1,92 @@
+"""What may be written besides a model's maps: normals in other spaces, and the relief."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..core.errors import InputError
+from ..geometry.domain import GeometryBake
+from ..geometry.height import Height
+from ..geometry.mesh import MeshData
+from ..geometry.relief import card_height, mesh_height
+from ..geometry.spaces import object_normals, turned, world_normals
+from ..reflectance.model import ReflectanceModel
+from .extra_maps import NORMAL_SPACES, ExtraMap, height_map, normal_maps
+from .maps import Maps
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What is wanted. normals: some of "object", "world" and "directx". height: the relief, as a map.
+
+    displacement: the relief as displacement of the material, and as a map as well.
+    """
+
+    normals: tuple[str, ...] = ()
+    height: bool = False
+    displacement: bool = False
+
+    def check(self, model: ReflectanceModel) -> None:
+        """Raise InputError where one is asked for and the model has no normals to make it of."""
+        if (self.normals or self.relief) and not any(parameter.is_normal for parameter in model.parameters):
+            raise InputError(
+                f"model {model.name}: has no normal, so there are no other normal maps and no height of it"
+            )
+
+    @property
+    def relief(self) -> bool:
+        """Whether heights are to be found."""
+        return self.height or self.displacement
+
+
+def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
+    """Return the spaces that "object,world,directx" names, each once, in that order. Raises InputError."""
+    wanted = [part.strip().lower() for part in text.split(",")] if text else []
+    if unknown := [part for part in wanted if part not in NORMAL_SPACES]:
+        raise InputError(f"{option}: '{unknown[0]}' is no normal map; choose some of {', '.join(NORMAL_SPACES)}")
+    return tuple(space for space in NORMAL_SPACES if space in wanted)
+
+
+def extra_maps(
+    wanted: Extras,
+    found: Maps,
+    written: Maps,
+    bake: GeometryBake,
+    mesh: MeshData | None,
+    camera: Camera,
+) -> tuple[list[ExtraMap], Height | None]:
+    """Return the maps that are wanted, and the relief by itself.
+
+    found: with normals in the solver's frames; written: in those of Blender's normal maps. bake: the domain's; mesh:
+    None for a card, whose ``camera`` it is: there object space is the camera's, and the world the capture's.
+    """
+    name = next((parameter.name for parameter in found.model.parameters if parameter.is_normal), None)
+    if name is None or not (wanted.normals or wanted.relief):
+        return [], None
+    solver, tangent = (_everywhere(maps.values[name], found.covered.shape) for maps in (found, written))
+    spaces = {}
+    for space in wanted.normals:
+        if space == "directx":
+            spaces[space] = tangent
+        elif mesh is None:
+            spaces[space] = tangent if space == "object" else turned(camera.matrix, tangent)
+        else:
+            world = world_normals(bake, solver)
+            spaces[space] = world if space == "world" else object_normals(mesh.matrix, world)
+    made = normal_maps(spaces, found.covered, written.margin)
+    if not wanted.relief:
+        return made, None
+    if mesh is None:
+        height = card_height(camera, solver, found.covered)
+    else:
+        height = mesh_height(mesh, bake, solver, found.covered)
+    return [*made, height_map(height)], height
+
+
+def _everywhere(normals: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return (H, W, 3) of normals for each texel, or of one for all."""
+    normals = np.asarray(normals)
+    return np.broadcast_to(normals.reshape(1, 1, 3), (*shape, 3)) if normals.size == 3 else normals.reshape(*shape, 3)

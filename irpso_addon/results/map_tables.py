@@ -1,0 +1,118 @@
+"""Which parameters share a map, and how a map's numbers become channels of a picture."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.encode import FLAT_NORMAL, encode_normal, fill_margin, srgb_from_linear
+from ..core.errors import InputError
+from ..reflectance.model import Parameter, ReflectanceModel
+from .maps import Maps
+
+CHANNELS = {1: "Y", 2: "RG", 3: "RGB", 4: "RGBA"}
+_FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
+_RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "convergence", "strip", "live"}
+
+
+@dataclass(frozen=True)
+class MapTable:
+    """One result texture. name: its file stem. parameters: whose components are its channels, in order."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def components(self) -> int:
+        """How many channels carry something."""
+        return sum(p.components for p in self.parameters)
+
+    @property
+    def channels(self) -> str:
+        """Channel names in an EXR: Y, RG, RGB or RGBA, which every reader takes for a picture."""
+        return CHANNELS[self.components]
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether it is a normal map."""
+        return self.parameters[0].is_normal
+
+    @property
+    def color_space(self) -> str:
+        """Colour space of its 8/16-bit picture, in Blender's words."""
+        return self.parameters[0].color_space
+
+    @property
+    def fits_unit(self) -> bool:
+        """Whether the numbers themselves, or their defined encoding, fit 0…1, so that a PNG holds them as they are."""
+        in_unit = all(p.range[0] >= 0 and p.range[1] <= 1 for p in self.parameters)
+        return self.is_normal or self.color_space == "sRGB" or in_unit
+
+
+def map_tables(model: ReflectanceModel) -> list[MapTable]:
+    """Return the maps of a model in the table's order; InputError where a map cannot be written."""
+    grouped: dict[str, list[Parameter]] = {}
+    for parameter in model.parameters:
+        grouped.setdefault(parameter.map, []).append(parameter)
+    tables = [MapTable(name, tuple(parameters)) for name, parameters in grouped.items()]
+    for table in tables:
+        what = f"model {model.name}: the map '{table.name}'"
+        if not _FILE_STEM.match(table.name) or table.name.lower() in _RESERVED:
+            raise InputError(f"{what} cannot be a file name; use letters, digits, _ and -, and no name of the report")
+        if table.components > 4:
+            raise InputError(f"{what} is shared by {table.components} components; a picture has 4, so use two maps")
+        if len(table.parameters) > 1 and (any(p.is_normal for p in table.parameters)):
+            raise InputError(f"{what} is shared with a normal; give the normal a map of its own")
+        if len({p.color_space for p in table.parameters}) > 1:
+            raise InputError(f"{what} is shared by parameters of two colour spaces; give each its own map")
+    return tables
+
+
+def map_values(table: MapTable, maps: Maps) -> np.ndarray:
+    """Return (H, W, components) float32 of a map, with a margin of 8 texels past what is covered.
+
+    Farther out lies the mean, or a flat normal. A parameter that ``maps`` does not hold is at its default.
+    """
+    shape = maps.covered.shape
+    values = [
+        np.asarray(maps.values[p.name], np.float32).reshape(*shape, p.components)
+        if p.name in maps.values
+        else np.broadcast_to(np.asarray(p.default, np.float32), (*shape, p.components))
+        for p in table.parameters
+    ]
+    far = FLAT_NORMAL if table.is_normal else None
+    return fill_margin(np.concatenate(values, axis=-1), maps.covered, far=far, given=maps.margin)
+
+
+def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
+    """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or the numbers as they are.
+
+    Numbers of a range that does not fit 0…1 are stored as a fraction of it. Two channels get a third, black one.
+    """
+    if table.is_normal:
+        return encode_normal(values)
+    if table.color_space == "sRGB":
+        encoded = srgb_from_linear(values)
+    elif table.fits_unit:
+        encoded = values
+    else:
+        low = np.concatenate([np.full(p.components, p.range[0]) for p in table.parameters])
+        high = np.concatenate([np.full(p.components, p.range[1]) for p in table.parameters])
+        encoded = (values - low) / (high - low)
+    if table.components == 2:
+        encoded = np.concatenate([encoded, np.zeros_like(encoded[..., :1])], axis=-1)
+    return np.clip(np.nan_to_num(encoded), 0, 1).astype(np.float32)
+
+
+def encoding_text(table: MapTable) -> str:
+    """Say in words what the PNG of a map holds, for the report."""
+    if table.is_normal:
+        return "0.5 * n + 0.5, OpenGL (Y+)"
+    if table.color_space == "sRGB":
+        return "sRGB"
+    if table.fits_unit:
+        return "linear"
+    ranges = ", ".join(f"{p.name} {p.range[0]:g} to {p.range[1]:g}" for p in table.parameters)
+    return f"fraction of the range ({ranges})"

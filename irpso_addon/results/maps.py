@@ -1,0 +1,78 @@
+"""The result of a recovery, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..core.udim import ONE_SQUARE, tile_part
+from ..reflectance.model import ReflectanceModel
+
+UNKNOWN = 0.25  # of a parameter's range: who is uncertain by more than this does not know
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Recovered parameters of H×W texels, row 0 at the bottom.
+
+    values: parameter name → (H, W, components) float32 in the parameter's own units; a normal is a unit vector in
+    tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
+    mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
+    parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
+    one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
+    bool, texels past UV seams whose values are those of the seam's other side, or None. wrapped: whether what lies past
+    one border of the UV square may be what lies within the opposite one, as where a mesh is unwrapped all around.
+    alternatives: parameter name → (H, W, components), how much worse materials fit that are far from the estimate in
+    that number, as a deviance from −9 to 9 (solver/engine/alternatives.py); measured with the confidence, else None.
+    two_modes: parameter name → (H, W) bool, the covered texels whose material leaves that number open; {} before
+    solver.modes.with_modes.
+    """
+
+    model: ReflectanceModel
+    values: dict[str, np.ndarray]
+    covered: np.ndarray
+    residual: np.ndarray | None = None
+    confidence: dict[str, np.ndarray] | None = field(default=None)
+    tiles: tuple[int, ...] = ONE_SQUARE
+    margin: np.ndarray | None = None
+    wrapped: bool = False
+    alternatives: dict[str, np.ndarray] | None = None
+    two_modes: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def unknown(self) -> dict[str, np.ndarray]:
+        """Return, for each searched number, (H, W) bool: covered texels of which it is not known.
+
+        ``confidence`` is wide there, or it has two modes.
+        """
+        return {
+            p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * (p.range[1] - p.range[0]))
+            | self.two_modes.get(p.name, False)
+            for p in self.model.parameters
+            if self.confidence is not None and p.kind == "search" and p.components == 1
+        }
+
+
+def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
+    """Yield (number, its maps) for each tile, as views."""
+    count = len(maps.tiles)
+    for index, number in enumerate(maps.tiles):
+
+        def part(value, index=index):
+            return value if np.ndim(value) < 2 else tile_part(np.asarray(value), index, count)
+
+        yield (
+            number,
+            replace(
+                maps,
+                values={name: part(value) for name, value in maps.values.items()},
+                covered=part(maps.covered),
+                residual=None if maps.residual is None else part(maps.residual),
+                confidence=maps.confidence and {name: part(value) for name, value in maps.confidence.items()},
+                tiles=(number,),
+                margin=None if maps.margin is None else part(maps.margin),
+                alternatives=maps.alternatives and {name: part(value) for name, value in maps.alternatives.items()},
+                two_modes={name: part(value) for name, value in maps.two_modes.items()},
+            ),
+        )

@@ -1,0 +1,100 @@
+"""Reading maps back: our own maps.exr, or pictures of other origin, as the parameters of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..capture.images.exr import read_exr
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE, PATTERN, tile_files
+from ..reflectance.model import Parameter, ReflectanceModel
+from .map_tables import MapTable, map_tables
+
+_COLOUR_NAMES = ("R", "G", "B", "A")
+_VECTOR_NAMES = ("X", "Y", "Z")
+
+
+def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
+    """Return parameter name → (H, W, components) of all the model's maps in an EXR, or in a result's folder.
+
+    A file of several parts holds a map in each part, by name (our maps.exr); one of a single part holds the map that
+    its name begins with, as in ``normal_gt.exr``. tiles: the UDIM tiles that are wanted, side by side from the left;
+    each has a file of its own, whose name holds its number, or <UDIM> in ``path``. Raises InputError where a file holds
+    none of the model's maps, is missing, or differs from the others in size or maps.
+    """
+    path = Path(path)
+    if path.is_dir():
+        one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
+        path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
+    found = [_maps_of_file(file, model) for file in tile_files(path, tiles)]
+    if any(set(values) != set(found[0]) for values in found):
+        raise InputError(f"{path}: the files of its UDIM tiles hold different maps; write them all anew")
+    return {name: _side_by_side(path, [values[name] for values in found]) for name in found[0]}
+
+
+def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
+    parts = _parts(path)
+    tables = map_tables(model)
+    values: dict[str, np.ndarray] = {}
+    for table in tables:
+        channels = parts.get(table.name)
+        if channels is None and len(parts) == 1 and path.stem.startswith(table.name):
+            channels = next(iter(parts.values()))
+        if channels is not None:
+            values |= _split(table, _stacked(table, channels, path))
+    if not values:
+        names = ", ".join(table.name for table in tables)
+        raise InputError(
+            f"{path}: holds no map of model {model.name}; name the file or its parts after one of: {names}"
+        )
+    return values
+
+
+def read_parameter(path: str | Path, parameter: Parameter, tiles: Sequence[int] = ONE_SQUARE) -> np.ndarray:
+    """Return (H, W, components) of one parameter from an EXR of a single part. Raises InputError.
+
+    tiles: as in ``read_maps``.
+    """
+    return _side_by_side(Path(path), [_parameter_of_file(file, parameter) for file in tile_files(Path(path), tiles)])
+
+
+def _parameter_of_file(path: Path, parameter: Parameter) -> np.ndarray:
+    parts = _parts(path)
+    if len(parts) != 1:
+        raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {parameter.name} alone")
+    return _stacked(MapTable(parameter.name, (parameter,)), next(iter(parts.values())), path)
+
+
+def _side_by_side(path: Path, values: list[np.ndarray]) -> np.ndarray:
+    if len({value.shape for value in values}) > 1:
+        sizes = ", ".join(sorted({f"{value.shape[1]} × {value.shape[0]}" for value in values}))
+        raise InputError(f"{path}: the files of its UDIM tiles differ in size ({sizes}); bring them to one")
+    return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
+
+
+def _parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; give the path of an EXR with maps")
+    return read_exr(path)
+
+
+def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
+    wanted = table.components
+    for names in (_COLOUR_NAMES[:wanted], _VECTOR_NAMES[:wanted], ("Y",) * wanted if wanted == 1 else ()):
+        if names and all(name in channels for name in names):
+            return np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    if len(channels) == 1 and wanted == 1:
+        return next(iter(channels.values()))[..., None].astype(np.float32)
+    found = ", ".join(channels)
+    raise InputError(f"{path}: the map {table.name} has {wanted} channels, the file has {found}; save it as R, G, B")
+
+
+def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:
+    result, at = {}, 0
+    for parameter in table.parameters:
+        result[parameter.name] = values[..., at : at + parameter.components]
+        at += parameter.components
+    return result

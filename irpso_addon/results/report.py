@@ -1,0 +1,197 @@
+"""report.json: what was asked, with what, how long it took, how far off the result is."""
+
+from __future__ import annotations
+
+import platform
+import tomllib
+from collections.abc import Collection, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from ..core.paths import ROOT
+from ..reflectance.model import Parameter
+from .maps import Maps
+
+_LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative; of the covered texels
+_MODES_SHARE = 0.05  # of the covered texels
+
+
+def build_report(
+    maps: Maps,
+    *,
+    settings: Mapping[str, Any],
+    seed: int,
+    gpu: str,
+    iterations: int,
+    evaluations: int,
+    seconds: Mapping[str, float],
+    ground_truth: Mapping[str, np.ndarray] | None = None,
+    evaluated: np.ndarray | None = None,
+    noise: float = 0.0,
+) -> dict[str, Any]:
+    """Return the report as plain data, ready for JSON.
+
+    gpu: the renderer's own name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
+    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, the texels that errors are taken over, by default
+    all covered ones; the excluded fraction is stated. noise: the domain's, stated in codes of 8 bits where it is known.
+    """
+    texels = maps.covered if evaluated is None else maps.covered & evaluated
+    covered = int(maps.covered.sum())
+    report: dict[str, Any] = {
+        "model": maps.model.name,
+        "settings": plain(settings),
+        "seed": int(seed),
+        "versions": versions(),
+        "gpu": gpu,
+        "size": [int(n) for n in maps.covered.shape[::-1]],
+        "texels": covered,
+        "excluded_fraction": round(1 - int(texels.sum()) / covered, 6) if covered else 0.0,
+        "iterations": int(iterations),
+        "evaluations": int(evaluations),
+        "seconds": {phase: round(float(value), 3) for phase, value in seconds.items()},
+    }
+    if noise:
+        report["noise_codes"] = round(255 * noise, 2)
+    if maps.residual is not None:
+        report["residual"] = quantiles(np.asarray(maps.residual).reshape(maps.covered.shape)[texels])
+    if covered and (unknown := maps.unknown()):
+        report["unknown"] = {name: round(int(there.sum()) / covered, 4) for name, there in unknown.items()}
+    if maps.two_modes:
+        report["two_modes"] = mode_shares(maps)
+    if ground_truth is not None:
+        report["ground_truth"] = ground_truth_errors(maps, ground_truth, texels)
+    return report
+
+
+def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
+    """Return a line for each linear weight, of those not ``given``, that is at its upper limit on many of the texels.
+
+    Nothing reflects more than all light: a capture without intensities or with wrong ones is often brighter than a
+    white surface under them, and then normals bend to make up for it (37° in the mean at five times the brightness).
+    """
+    lines = []
+    for parameter in maps.model.parameters:
+        if parameter.kind != "linear" or parameter.name in given or not maps.covered.any():
+            continue
+        high = parameter.range[1]
+        share = float((maps.values[parameter.name][maps.covered].max(axis=-1) >= high * (1 - _LIMIT_NEAR)).mean())
+        if share > _LIMIT_SHARE:
+            lines.append(
+                f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
+                " the lights allow, and normals suffer; give the lights greater intensities"
+            )
+    return lines
+
+
+def mode_shares(maps: Maps) -> dict[str, float]:
+    """Return, for each number that was asked, the share of the texels whose material leaves it two modes."""
+    return {name: round(float(there[maps.covered].mean()), 4) for name, there in maps.two_modes.items()}
+
+
+def mode_warnings(maps: Maps, priors: bool) -> list[str]:
+    """Return a line for each number that has two modes on many of the texels. priors: whether priors were believed."""
+    lines = []
+    for name, share in mode_shares(maps).items():
+        if share > _MODES_SHARE:
+            decided = priors and maps.model.parameter(name).prior is not None
+            lines.append(
+                f"{name} of {share:.0%} of the texels could as well be far from what the map holds: no photograph shows"
+                f" a highlight that tells, and {'the prior decided' if decided else 'the map has one of the two'}."
+                " Lamps from more directions would tell"
+            )
+    return lines
+
+
+def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
+    """Return, for each parameter with a prior that is not ``given``, the share of the texels where that decided.
+
+    There it says more than the samples do. The variance of the maps is that of the samples, with a normal prior's
+    precision in it already: such a one decides where more than half of its own variance is left.
+    """
+    model, shares = maps.model, {}
+    for p in model.parameters:
+        if p.prior is None or p.name in given or maps.confidence is None or not maps.covered.any():
+            continue
+        place = None
+        if p.prior.vanishes_with:
+            other = model.parameter(p.prior.vanishes_with)
+            place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
+        variance = p.prior.variance(maps.values[p.name][maps.covered], p.range[1] - p.range[0], place)
+        told = np.square(maps.confidence[p.name][maps.covered])
+        decided = (2 * told if p.prior.kind == "normal" else told) > variance
+        shares[p.name] = round(float(decided.mean()), 4)
+    return shares
+
+
+def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:
+    """Return for each known parameter the unit and quantiles of its error: degrees, or per cent of the range."""
+    result = {}
+    for parameter in maps.model.parameters:
+        if parameter.name not in truth or parameter.name not in maps.values:
+            continue
+        error = parameter_error(parameter, maps.values[parameter.name], truth[parameter.name])
+        result[parameter.name] = {"unit": error_unit(parameter), **quantiles(error[texels])}
+    return result
+
+
+def error_unit(parameter: Parameter) -> str:
+    """Return the unit of ``parameter_error``: "°" or "%"."""
+    return "°" if parameter.is_normal else "%"
+
+
+def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return (H, W) float64: the angle between normals in degrees, or the mean absolute difference in % of the range.
+
+    NaN where the truth says nothing: a normal that is not a vector of about unit length, or a number that is none.
+    """
+    values = np.asarray(values, np.float64)
+    truth = np.asarray(truth, np.float64).reshape(values.shape)
+    if not parameter.is_normal:
+        low, high = parameter.range
+        return np.abs(values - truth).mean(axis=-1) * (100 / (high - low))
+    length = np.linalg.norm(truth, axis=-1)
+    # atan2 of cross and dot keeps its precision at small angles, where arccos of a rounded dot has none.
+    cross = np.linalg.norm(np.cross(values, truth), axis=-1)
+    angle = np.degrees(np.arctan2(cross, (values * truth).sum(axis=-1)))
+    return np.where(np.abs(length - 1) < 0.1, angle, np.nan)
+
+
+def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
+    """Return mean, median, 90th and 99th percentile and maximum of the numbers that are finite, and how many."""
+    values = np.asarray(values, np.float64).ravel()
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"mean": None, "median": None, "p90": None, "p99": None, "max": None, "count": 0}
+    median, p90, p99 = np.percentile(finite, (50, 90, 99))
+    numbers = {"mean": finite.mean(), "median": median, "p90": p90, "p99": p99, "max": finite.max()}
+    return {**{key: float(value) for key, value in numbers.items()}, "count": int(finite.size)}
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of IRPSO and of what it stands on; Blender's is absent outside Blender."""
+    import OpenEXR
+
+    with open(ROOT / "blender_manifest.toml", "rb") as file:
+        own = tomllib.load(file)["version"]
+    found = {"irpso": own, "python": platform.python_version(), "numpy": np.__version__, "openexr": OpenEXR.__version__}
+    try:
+        import bpy
+    except ImportError:
+        return found
+    return found | {"blender": bpy.app.version_string}
+
+
+def plain(value: Any) -> Any:
+    """Return a value that JSON can hold: arrays become lists, what is not a finite number null, other objects text."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | type(None)) else str(value)

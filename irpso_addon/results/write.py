@@ -1,0 +1,191 @@
+"""Writing a result into a folder: every file under a temporary name first, then renamed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.images.exr import write_exr
+from ..core.errors import InputError
+from ..core.files import synced
+from ..core.png import encode_png
+from ..core.udim import tile_part, tile_stem
+from .extra_maps import ExtraMap
+from .map_tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
+from .maps import Maps, split_maps
+from .report import plain
+
+REPORT = "report.json"
+_OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
+_PARTIAL = ".irpso-result-"  # before the name of a folder in which a result is written
+
+
+def check_output_folder(folder: str | Path) -> Path:
+    """Return the folder as a Path if a result can be written there, made now or later; else raise InputError.
+
+    Nothing is left behind: the trial file has no name or is removed at once.
+    """
+    if not str(folder):
+        raise InputError("the output folder's name is empty; give one")
+    folder = Path(folder)
+    place = folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"{place}: is a file, so no result can be written to {folder}; choose another folder")
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            return folder
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+
+
+def write_maps(
+    maps: Maps,
+    folder: str | Path,
+    report: Mapping[str, Any],
+    pictures: Mapping[str, np.ndarray] | None = None,
+    extras: Sequence[ExtraMap] = (),
+) -> list[Path]:
+    """Write maps, residual, confidence, report and pictures into ``folder`` and return the paths written.
+
+    Each map is a 16-bit PNG and a 32-bit EXR; normal.exr holds the unit vector; maps.exr holds everything, a part each.
+    Of UDIM tiles each has files of its own: normal.1001.exr, normal.1002.exr, and so on.
+    pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. extras: maps that
+    are not the model's, in files of their own. report: plain
+    data, to which "maps" and "files" are added. A former result's files that this one does not have are removed, by
+    the list in its report. Raises InputError where the folder or the model's table of maps cannot be used.
+    """
+    tables = map_tables(maps.model)
+    if taken := {extra.name for extra in extras} & {table.name for table in tables}:
+        raise InputError(f"model {maps.model.name}: has a map '{taken.pop()}' of its own; give it another name")
+    folder = check_output_folder(folder)
+    created = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed while it wrote
+            shutil.rmtree(left, ignore_errors=True)
+        with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
+            names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
+            names += _write_extras(extras, maps.tiles, Path(temporary))
+            _write_report(Path(temporary), report, tables, extras, names)
+            former = _former_files(folder)
+            # The report goes last: a folder whose report lists a file holds that file.
+            for name in (*names, REPORT):
+                synced(Path(temporary) / name)
+            for name in (*names, REPORT):
+                os.replace(Path(temporary) / name, folder / name)
+            synced(folder)
+    except (OSError, InputError) as error:
+        _remove_empty(created)
+        why = error.strerror or error if isinstance(error, OSError) else error
+        raise InputError(f"{folder}: the result cannot be written ({why}); choose another folder") from error
+    for name in former - set(names):
+        (folder / name).unlink(missing_ok=True)
+    return [folder / name for name in (*names, REPORT)]
+
+
+def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
+    """Write every file but the report, and return the names."""
+    names = []
+    for number, part in split_maps(maps):
+        names += _write_tile(part, tables, folder, lambda stem, number=number: tile_stem(stem, number, maps.tiles))
+    for stem, image in pictures.items():
+        encode_png(folder / f"{stem}.png", image, bits=8)
+        names.append(f"{stem}.png")
+    return names
+
+
+def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Callable[[str], str]) -> list[str]:
+    """Write the maps, residual, confidence and all of them together, and return the names."""
+    everything: dict[str, dict[str, np.ndarray]] = {}
+    names = []
+    for table in tables:
+        values = map_values(table, maps)
+        everything[table.name] = _channels(values)
+        stem = stem_of(table.name)
+        encode_png(folder / f"{stem}.png", encoded_values(table, values), bits=16)
+        write_exr(folder / f"{stem}.exr", {table.name: everything[table.name]})
+        names += [f"{stem}.png", f"{stem}.exr"]
+    outside = ~maps.covered
+    if maps.residual is not None:
+        residual = np.where(outside, 0, np.asarray(maps.residual, np.float32).reshape(outside.shape))
+        everything["residual"] = _channels(residual[..., None])
+        names.append(f"{stem_of('residual')}.exr")
+        write_exr(folder / names[-1], {"residual": everything["residual"]})
+    if maps.confidence is not None:
+        parts = {}
+        for name, deviation in maps.confidence.items():
+            deviation = np.asarray(deviation, np.float32).reshape(*outside.shape, -1)
+            parts[f"confidence_{name}"] = _channels(np.where(outside[..., None], 0, deviation))
+        names.append(f"{stem_of('confidence')}.exr")
+        write_exr(folder / names[-1], parts)
+        everything |= parts
+    everything["coverage"] = _channels(maps.covered[..., None].astype(np.float32))
+    names.append(f"{stem_of('maps')}.exr")
+    write_exr(folder / names[-1], everything)
+    return names
+
+
+def _write_extras(extras: Sequence[ExtraMap], tiles: Sequence[int], folder: Path) -> list[str]:
+    names = []
+    for extra in extras:
+        for index, number in enumerate(tiles):
+            stem = tile_stem(extra.name, number, tiles)
+            names.append(f"{stem}.png")
+            encode_png(folder / names[-1], tile_part(extra.encoded, index, len(tiles)), bits=16)
+            if extra.exr:
+                names.append(f"{stem}.exr")
+                write_exr(folder / names[-1], {extra.name: _channels(tile_part(extra.values, index, len(tiles)))})
+    return names
+
+
+def _channels(values: np.ndarray) -> dict[str, np.ndarray]:
+    """Name the channels of (H, W, C) values: Y, RG, RGB or RGBA."""
+    names = CHANNELS[values.shape[-1]]
+    return {name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate(names)}
+
+
+def _write_report(
+    folder: Path, report: Mapping[str, Any], tables: list[MapTable], extras: Sequence[ExtraMap], names: list[str]
+) -> None:
+    described = {
+        table.name: {
+            "channels": [
+                p.name if p.components == 1 else f"{p.name}[{i}]" for p in table.parameters for i in range(p.components)
+            ],
+            "color_space": table.color_space,
+            "png": encoding_text(table),
+        }
+        for table in tables
+    }
+    for extra in extras:
+        described[extra.name] = {"channels": [extra.name], "color_space": "Non-Color", "png": extra.text}
+    data = {**plain(report), "maps": described, "files": [*names, REPORT]}
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+
+
+def _former_files(folder: Path) -> set[str]:
+    """Return the pictures that the report of a former result in this folder lists, if there is one."""
+    try:
+        listed = json.loads((folder / REPORT).read_text(encoding="utf-8"))["files"]
+    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        return set()
+    return {n for n in listed if isinstance(n, str) and _OWN_FILE.match(n)} if isinstance(listed, list) else set()
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove the folders this call made, deepest first, as far as they are empty."""
+    for folder in folders:
+        if not folder.is_dir() or any(folder.iterdir()):
+            return
+        folder.rmdir()

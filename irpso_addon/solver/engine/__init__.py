@@ -1,0 +1,1 @@
+"""Recoveries: whole, coarse to fine, in tiles. Steps, halos between tiles, maps, confidence."""

@@ -1,0 +1,236 @@
+"""Coarse to fine: a recovery of the domain at half the size, or a quarter, is the first guess of the next finer one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...geometry.coarsen import coarser, coarser_map, finer_map
+from ...geometry.domain import Domain
+from ...gpu import probe
+from ...gpu.passes import Pass
+from ...reflectance.model import ReflectanceModel
+from ...results.maps import Maps
+from ..planning.cost import work_of
+from ..settings.fixed import full_map
+from ..settings.resolve import resolve
+from ..settings.schedule import Schedule
+from ..state import checkpoint, prepare
+from ..state.checkpoint import Checkpoint
+from .progress import Progress
+from .reconfigure import given
+from .recovery import Recovery
+
+_AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations made at those before it
+
+
+class Pyramid:
+    """One run over ``levels`` sizes of a domain, driven as a Recovery is, which it is where levels is 1.
+
+    schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest
+    make. The others are as Recovery has them. The same seed, settings and device give the same maps bit for bit,
+    however the steps were sliced or the run interrupted. Errors are those of Recovery; a domain with a halo raises
+    ValueError.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int = 0,
+        known: Mapping[str, np.ndarray] | None = None,
+        entry: Literal["auto", "fragment", "compute"] = "auto",
+    ):
+        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
+        self._schedules = level_schedules(schedule)
+        known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
+        self._domains, self._known = _sizes(domain, model, known, schedule.levels)
+        self.entry = probe.faster_entry() if entry == "auto" else entry
+        self._count()
+        self._level, self._before = 0, 0  # evaluations of the levels that are done
+        self._live = self._begin(None, None)
+
+    def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
+        """Advance by whole iterations of whichever level, or for about so long, or to the end; as Recovery.step.
+
+        A level that is done hands over to the next one in the step that ends it.
+        """
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        left = iterations
+        while True:
+            before = self._live.progress
+            budget = None if deadline is None else max(0.0, deadline - time.perf_counter())
+            after = self._live.step(left if not left else 1, budget)
+            if after.done and self._level < self.schedule.levels - 1:
+                self._next()
+            elif after.done:
+                return self.progress
+            made = after.iteration_in_all > before.iteration_in_all
+            left = left - 1 if left and made else left
+            placed = self._live.progress.iteration >= 0
+            if (left == 0 and placed) or (deadline is not None and time.perf_counter() >= deadline):
+                return self.progress
+
+    @property
+    def progress(self) -> Progress:
+        """How far the run is: stages and iterations count through all levels, the fraction goes by texels."""
+        live, level = self._live.progress, self._level
+        size = "" if level == self.schedule.levels - 1 else f" at 1/{2 ** (self.schedule.levels - 1 - level)}"
+        done = sum(self._costs[:level]) + live.fraction * self._costs[level]
+        return replace(
+            live,
+            stage=level * live.stages + live.stage,
+            stages=self.schedule.levels * live.stages,
+            title=live.title + size,
+            iteration_in_all=sum(self._iterations[:level]) + live.iteration_in_all,
+            iterations_in_all=sum(self._iterations),
+            fraction=done / sum(self._costs),
+            stage_end=(done + (live.stage_end - live.fraction) * self._costs[level]) / sum(self._costs),
+            evaluations=self._before + live.evaluations,
+            done=live.done and level == self.schedule.levels - 1,
+        )
+
+    def maps(self, confidence: bool = True) -> Maps:
+        """Return what has been found so far, as Recovery.maps; a coarse level's between its texels."""
+        found = self._live.maps(confidence)
+        for level in range(self._level, self.schedule.levels - 1):
+            found = self._finer(found, level)
+        return found
+
+    def mean_error(self) -> float:
+        """Return the mean error of the level that is being solved, as Recovery.mean_error."""
+        return self._live.mean_error()
+
+    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
+        """Find what maps() tells of the level that is being solved, as Recovery.refresh_confidence."""
+        return self._live.refresh_confidence(time_budget_s)
+
+    def view(self) -> AbstractContextManager[dict[str, Any]]:
+        """Lend the live textures of the level that is being solved, as Recovery.view."""
+        return self._live.view()
+
+    def confidence_view(self) -> AbstractContextManager[dict[str, Any]]:
+        """Lend the deviations of the level that is being solved, as Recovery.confidence_view."""
+        return self._live.confidence_view()
+
+    def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
+        """Return what Recovery.deviation_pass does."""
+        return self._live.deviation_pass()
+
+    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
+        """Write a checkpoint, as Recovery.save."""
+        state = self._live.state()
+        arrays = state.arrays | {_AT: np.array([self._level, self._before])}
+        checkpoint.write(Path(path), self._identity, replace(state, arrays=arrays, notes=notes))
+
+    def load(self, path: str | Path) -> dict[str, np.ndarray]:
+        """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
+        saved = checkpoint.read(Path(path), self._identity)
+        level, before = (int(number) for number in saved.arrays[_AT])
+        self._live.close()
+        self._level, self._before = level, before
+        self._live = self._begin(None, saved)
+        return dict(saved.notes)
+
+    def changed(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
+        """Return a run that goes on from here under another schedule, as Recovery.changed; levels must be as many."""
+        if schedule.levels != self.schedule.levels:
+            raise InputError(f"levels = {schedule.levels}: a run under way has {self.schedule.levels}; begin another")
+        result = copy(self)
+        result.schedule, result.seed = schedule, self.seed if seed is None else seed
+        result._schedules = level_schedules(schedule)
+        result._live = self._live.changed(result._schedules[self._level], seed)
+        result._count()
+        return result
+
+    def close(self) -> None:
+        """Free all that lies on the GPU."""
+        self._live.close()
+
+    def __enter__(self) -> Pyramid:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _count(self) -> None:
+        known, observations = set(self._known[-1]), self.domain.observations
+        self._iterations, self._costs = [], []
+        for schedule, domain in zip(self._schedules, self._domains, strict=True):
+            stages = resolve(schedule, self.model, known, observations)
+            work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
+            self._iterations.append(sum(stage.iterations for stage in stages))
+            self._costs.append(work * int(np.count_nonzero(domain.solvable)))
+
+    def _begin(self, guess: Maps | None, state: Checkpoint | None) -> Recovery:
+        """Return the recovery of the level that is next. guess: at its size, None where there is no coarser one."""
+        domain, schedule = self._domains[self._level], self._schedules[self._level]
+        prepared = prepare.prepare(domain, self.model, schedule)
+        if guess is not None:
+            prepared = replace(prepared, guess=guess.values)
+        known = self._known[self._level]
+        return Recovery(domain, self.model, schedule, self.seed, known, self.entry, prepared, state)
+
+    def _next(self) -> None:
+        guess = self._finer(self._live.maps(confidence=False), self._level)
+        self._before += self._live.progress.evaluations
+        self._live.close()
+        self._level += 1
+        self._live = self._begin(guess, None)
+
+    def _finer(self, maps: Maps, level: int) -> Maps:
+        """Return the maps of a level at the size of the next finer one."""
+        coarse, domain = self._domains[level], self._domains[level + 1]
+        values = {
+            p.name: finer_map(coarse, domain, maps.values[p.name], np.asarray(p.default), p.is_normal)
+            for p in self.model.parameters
+        }
+        residual = finer_map(coarse, domain, maps.residual[..., None], 0.0)[..., 0]
+        deviations, alternatives = (
+            told and {name: finer_map(coarse, domain, one, 0.0) for name, one in told.items()}
+            for told in (maps.confidence, maps.alternatives)
+        )
+        return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        known = self._known[-1]
+        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, known)
+
+
+def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
+    """Return the schedules of the levels, coarsest first: the others begin at what that has found, and are shorter."""
+    first = schedule.replaced(levels=1)
+    part = schedule.level_iterations
+    stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
+    survey = replace(first.survey, iterations=_part(first.survey.iterations, part))
+    finer = replace(given(first.replaced(survey=survey)), stages=stages)
+    return (first, *[finer] * (schedule.levels - 1))
+
+
+def _part(iterations: int, part: float) -> int:
+    return max(1, round(part * iterations)) if iterations else 0
+
+
+def _sizes(
+    domain: Domain, model: ReflectanceModel, known: dict[str, np.ndarray], levels: int
+) -> tuple[list[Domain], list[dict[str, np.ndarray]]]:
+    """Return the domains of all levels and what is known of each, coarsest first."""
+    domains, maps = [domain], [known]
+    for _ in range(levels - 1):
+        fine = domains[0]
+        coarse = coarser(fine)
+        values = {n: coarser_map(fine, coarse, value, model.parameter(n).is_normal) for n, value in maps[0].items()}
+        domains.insert(0, coarse)
+        maps.insert(0, values)
+    return domains, maps

@@ -1,0 +1,95 @@
+"""How far each recovered number is to be trusted: its standard deviation, from the observations alone."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from typing import Any
+
+import numpy as np
+
+from ...gpu import textures
+from ...gpu.bands import Bands
+from ...gpu.passes import Pass
+from ...reflectance.model import ReflectanceModel
+from ..kernels.free_parameters import build_unknowns
+from ..kernels.kernels import confidence_pass
+from ..settings.schedule import Fitness
+from ..state.textures import DomainTextures, Estimates, loss_constants
+
+
+def deviation_pass(
+    model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+) -> Pass:
+    """Return the pass of Confidence."""
+    unknowns = build_unknowns(model, known)
+    return confidence_pass(model, unknowns.source, fitness, {**domain_defines, **unknowns.defines})
+
+
+class Confidence:
+    """The pass that tells the standard deviation of every parameter at every texel.
+
+    It linearises the render around the estimates and takes the noise from what is left of the samples there: σ² =
+    variance · (JᵀJ)⁻¹, over all n numbers that are not ``known`` jointly. Its variance is a Σ w e² / (3 Σ w − n (1 + a)
+    / 2), over weighted samples and three channels, with a = Σ w (e_r + e_g + e_b)² / Σ w e² for how much channels err
+    together (1 to 3: shifts, shading and JPEG's luminance are one error and not three), and where the loss is robust no
+    less than 0.3 % of the texel's scale. It does not see a model that is wrong in itself. Another optimum is told by
+    alternatives.py and modes.py. A number that the samples do not determine has its range for σ: one
+    whose column of J is lost in rounding, that is a mixture of others, or that noise moves by more than its range when
+    all others may move with it. Numbers that can be traded for it take their share, up to their own range: two lobes of
+    one width leave r1, r2 and w open (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than numbers all
+    have their range.
+    """
+
+    def __init__(
+        self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+    ):
+        self.model, self._known, self._fitness = model, frozenset(known), fitness
+        self._pass = deviation_pass(model, self._known, fitness, domain_defines)
+        self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
+
+    def deviations(
+        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+    ) -> dict[str, np.ndarray]:
+        """Return parameter name → (h, w, components) float32, packed, in the parameter's units; 0 where it is known.
+
+        A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
+        seconds: about how long one draw may take.
+        """
+        for _ in self.measuring(domain, estimates, resolved, bands, seconds):
+            self._pass.fence(self._targets)
+        return self.read()
+
+    def measuring(
+        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
+    ) -> Iterator[None]:
+        """Find what ``read`` returns, in bands of rows; yields after each."""
+        if not self._targets:
+            self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
+        targets = self._targets
+        inputs = {**domain.textures, **estimates.bindings(resolved)}
+        constants = loss_constants(domain, self._fitness.delta)
+        yield from bands.run(
+            "confidence",
+            targets[0].height,
+            seconds,
+            lambda rows: self._pass.run(targets, inputs, constants, rows),
+            lambda: self._pass.fence(targets),
+        )
+
+    def bindings(self) -> dict[str, Any]:
+        """Return u_deviation_0 …, packed as the estimates are: each parameter's components where its own begin."""
+        return {f"u_deviation_{i}": texture for i, texture in enumerate(self._targets)}
+
+    def read(self) -> dict[str, np.ndarray]:
+        """Return what was measured last, as ``deviations`` does."""
+        packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
+        deviations = {}
+        for p in self.model.parameters:
+            at, size = self.model.offset(p.name), 1 if p.is_normal else p.components
+            deviations[p.name] = packed[..., at : at + size]
+        return deviations
+
+    def close(self) -> None:
+        """Free the shader and its targets."""
+        self._pass.close()
+        self._targets = []

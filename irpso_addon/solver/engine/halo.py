@@ -1,0 +1,115 @@
+"""Which texels of one tile others read: those in their halo, and those that they see across UV seams."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.domain import Domain
+
+Box = tuple[int, int, int, int]  # x0, y0, width, height
+Part = tuple[slice, slice]  # rows, columns
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Texels of one tile's own that another reads.
+
+    other: the number of the one that reads them. here, there: where those in its halo lie in either's arrays. seen:
+    (M,) rows and columns, in the arrays of the one that has them, of those in the annex of its seams; annex: (M,)
+    which of the annex they are.
+    """
+
+    other: int
+    here: Part
+    there: Part
+    seen: tuple[np.ndarray, np.ndarray]
+    annex: np.ndarray
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a tile lies in the whole domain: box, halo, its arrays' origin, and (M, 2) the annex of its seams."""
+
+    box: Box
+    halo: tuple[int, int, int, int]  # left, right, bottom, top
+    origin: tuple[int, int]
+    annex: np.ndarray
+
+
+def place_of(box: Box, domain: Domain) -> Place:
+    """Return where a tile lies. box: its own texels; domain: the tile with its halo."""
+    annex = np.zeros((0, 2), np.int32) if domain.seams is None else domain.seams.annex
+    return Place(box, domain.halo, domain.origin, annex)
+
+
+def meetings_of(places: Sequence[Place]) -> list[list[Meeting]]:
+    """Return for each tile which others read its own texels."""
+    pairs = [
+        [meeting(place, there, other) for other, there in enumerate(places) if number != other]
+        for number, place in enumerate(places)
+    ]
+    return [[found for found in of_one if found is not None] for of_one in pairs]
+
+
+def meeting(place: Place, there: Place, other: int, reach: int | None = None) -> Meeting | None:
+    """Return what of a tile's own texels another reads, None where it reads none.
+
+    other: the number that the meeting names. reach: how much of the other's halo is read; all of it where None.
+    """
+    here, beside = _in_halo(place, there, reach)
+    seen, annex = _in_annex(place, there)
+    if not len(annex) and here[0].stop <= here[0].start:
+        return None
+    return Meeting(other, here, beside, seen, annex)
+
+
+def part_of(box: Box) -> Part:
+    """Return a box as rows and columns."""
+    x0, y0, width, height = box
+    return slice(y0, y0 + height), slice(x0, x0 + width)
+
+
+def rectangle(box: Box, halo: tuple[int, int, int, int]) -> Part:
+    """Return where a tile lies in the whole domain with the halo that it has there."""
+    x0, y0, width, height = box
+    left, right, bottom, top = halo
+    return slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right)
+
+
+def own_of(domain: Domain) -> Part:
+    """Return where a tile's own texels lie in its arrays."""
+    left, right, bottom, top = domain.halo
+    height, width = domain.shape
+    return slice(bottom, height - top), slice(left, width - right)
+
+
+def annex_of(domain: Domain) -> int:
+    """Return how many texels a tile sees across seams."""
+    return 0 if domain.seams is None else len(domain.seams.annex)
+
+
+def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:
+    """Return where a tile's own texels that lie in another's halo are in either's arrays: nowhere where none do."""
+    read = other.halo if reach is None else tuple(min(side, reach) for side in other.halo)
+    shared = [
+        slice(max(a.start, b.start), min(a.stop, b.stop))
+        for a, b in zip(part_of(place.box), rectangle(other.box, read), strict=True)
+    ]
+    if any(s.start >= s.stop for s in shared):
+        return ((slice(0, 0), slice(0, 0)),) * 2
+    return tuple(
+        tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, around, strict=True))
+        for around in (rectangle(place.box, place.halo), rectangle(other.box, other.halo))
+    )
+
+
+def _in_annex(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return rows and columns of a tile's own texels in another's annex, and which of that they are."""
+    x, y = (other.annex - np.array(place.origin, np.int32)).T
+    left, _, bottom, _ = place.halo
+    _, _, width, height = place.box
+    annex = np.flatnonzero((x >= left) & (x < left + width) & (y >= bottom) & (y < bottom + height))
+    return (y[annex], x[annex]), annex

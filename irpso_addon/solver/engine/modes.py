@@ -1,0 +1,59 @@
+"""Which materials of a surface leave a number open between two values that lie far apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ...results.maps import Maps
+from ..phases.mixture import belonging, features_of, merged, mixture, sampled
+from ..settings.schedule import Materials
+
+_TEXELS = 40  # that decide together: as many as the spatial prior looks at (prior_kernels.taps_of)
+_CONTRADICTED = 9.0  # −2 log of the likelihoods' ratio: three standard deviations
+_AT_ONCE = 1 << 16  # texels
+
+
+def with_modes(maps: Maps) -> Maps:
+    """Return the maps of a whole domain with ``two_modes`` set; the same maps where there are no alternatives.
+
+    The texels of a material decide together. One texel cannot: matt paint is nearly always met by a mirror, too, whose
+    highlight falls between the lamps. Materials are a mixture (phases/mixture.py) over a sample of the maps. A number
+    has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS of them (all, where they
+    are fewer), is under _CONTRADICTED.
+    """
+    if not maps.alternatives or not maps.covered.any():
+        return maps
+    parameters, names = maps.model.parameters, list(maps.alternatives)
+    sample = np.zeros((0, 3 + maps.model.components))
+    for rows, columns, values in _texels(maps):
+        sample = merged([sample, sampled(rows, columns, values)])
+    features = features_of(maps.model, parameters, sample)
+    finite = np.isfinite(features).all(axis=1)
+    if not finite.any():
+        return maps
+    materials = mixture(features[finite], Materials().count)
+    count = len(materials[0])
+    weights, worse = np.zeros(count), np.zeros((count, len(names)))
+    material = np.zeros(maps.covered.shape, np.uint8)
+    for rows, columns, values in _texels(maps):
+        weight = belonging(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
+        material[rows, columns] = weight.argmax(axis=1)
+        told = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
+        weights += weight.sum(axis=0)
+        worse += weight.T @ told.astype(np.float64)
+    mean = worse / np.maximum(weights, 1e-9)[:, None]
+    two = mean * np.minimum(weights, _TEXELS)[:, None] < _CONTRADICTED
+    return replace(maps, two_modes={name: two[material, i] & maps.covered for i, name in enumerate(names)})
+
+
+def _texels(maps: Maps) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield (n,) rows, (n,) columns and (n, C) float64 components of the covered texels, some rows at a time."""
+    height, width = maps.covered.shape
+    step = max(1, _AT_ONCE // width)
+    for first in range(0, height, step):
+        rows, columns = np.nonzero(maps.covered[first : first + step])
+        values = [maps.values[p.name][first : first + step][rows, columns] for p in maps.model.parameters]
+        yield rows + first, columns, np.concatenate(values, axis=-1).astype(np.float64)

@@ -1,0 +1,1 @@
+"""Shader passes of the phases: sources, constants, bindings; and the GLSL generated for one model."""

@@ -1,0 +1,66 @@
+"""What the numbers of a particle mean: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...reflectance.model import ReflectanceModel
+from ..settings.resolve import ResolvedStage
+from ..settings.schedule import NormalSearch
+
+
+@dataclass(frozen=True)
+class Codec:
+    """dimensions: n of 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
+
+    lambert_tells: a bit for every dimension of which a Lambertian seed knows something: the normal and the albedo.
+    """
+
+    dimensions: int
+    source: str
+    defines: dict[str, int]
+    lambert_tells: int
+
+    @property
+    def blocks(self) -> int:
+        """How many RGBA texels hold one particle."""
+        return 1 if self.dimensions <= 4 else 2
+
+
+def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSearch) -> Codec:
+    """Return the codec of a stage: its parameters one after the other, each component scaled to its range."""
+    decode, encode, places = [], [], {}
+    defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
+    at = tells = 0
+    for p in stage.parameters:
+        places[p.name] = at
+        if p.is_normal or p.is_albedo:
+            tells |= (1 << stage.size(p, normal)) - 1 << at
+        if p.is_normal:
+            size = 2 if normal == "hemisphere" else 3
+            arguments = ", ".join(f"x[{at + i}]" for i in range(size))
+            decode.append(f"s.{p.name} = normal_from_{normal}(vec{size}({arguments}));")
+            encode.append(f"vec{size} place = {normal}_from_normal(s.{p.name});")
+            encode += [f"x[{at + i}] = place[{i}];" for i in range(size)]
+            defines |= {"NORMAL_SIZE": size, "NORMAL_AT": at}
+            at += size
+            continue
+        low, width = p.range[0], p.range[1] - p.range[0]
+        span = f"{width!r} * reach" if p.is_albedo else repr(width)
+        for i in range(p.components):
+            field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
+            decode.append(f"{field} = {low!r} + {span} * x[{at}];")
+            encode.append(f"x[{at}] = clamp(({field} - {low!r}) / ({span}), 0.0, 1.0);")
+            at += 1
+    found = {*places, *(p.name for p in stage.solved)}  # what is solved afterwards follows the order by itself
+    if model.ordered and set(model.ordered) <= set(places) and set(model.complement) <= found:
+        defines |= {"LOBE_FIRST": places[model.ordered[0]], "LOBE_SECOND": places[model.ordered[1]]}
+        if model.complement and model.complement[0] in places:
+            defines["LOBE_WEIGHT"] = places[model.complement[0]]
+    clear = "for (int i = 0; i < 8; i++) { x[i] = 0.0; }"
+    source = "\n".join(
+        ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
+         "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
+         "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
+    )  # fmt: skip
+    return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2}, tells)

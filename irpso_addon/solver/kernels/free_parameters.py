@@ -1,0 +1,161 @@
+"""The numbers that a model leaves to be found, of all its parameters at once, as GLSL."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from ...reflectance.model import Parameter, ReflectanceModel, Start
+
+NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the observations say nothing
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The numbers that a model leaves to be found. count: a normal is two.
+
+    source: their table, and which of them are searched, as GLSL.
+    """
+
+    count: int
+    source: str
+    defines: dict[str, int]
+
+
+def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
+    """Return the unknowns of a model of which the parameters named ``known`` are given.
+
+    ``bool searched(int u)`` says which are neither a normal nor linear; SEARCHED is how many.
+    """
+    rows: list[tuple[int, float, float]] = []
+    searched: list[int] = []
+    defines = {"NORMAL_UNKNOWN": -1}
+    for p in _unknown(model, known):
+        at = model.offset(p.name)
+        if p.is_normal:
+            defines = {"NORMAL_UNKNOWN": len(rows), "NORMAL_COMPONENT": at}
+            rows += [(at, 0.0, NORMAL_RANGE)] * 2
+        else:
+            searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
+            rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
+    cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
+             for u, (at, low, width) in enumerate(rows)]  # fmt: skip
+    source = "\n".join(
+        ["void unknown_at(int u, out int component, out float low, out float width)", "{",
+         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", "bool searched(int u)", "{",
+         f"    return {' || '.join(f'u == {u}' for u in searched) or 'false'};", "}", ""]
+    )  # fmt: skip
+    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows), "SEARCHED": len(searched)})
+
+
+def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool) -> tuple[Unknowns, str]:
+    """Return the unknowns, and slopes.glsl: sums of the normal equations.
+
+    STEPPED unknowns have no derivative but by differences: normals and what is searched. The others' derivative is
+    their basis. central: differences to both sides, else to one. LOBE_… name the components of
+    interchangeable lobes.
+
+    slopes.glsl is written out, number by number: in loops over arrays a compiler that does not unroll them copies whole
+    arrays at every observation, which took half of a step's time.
+    """
+    unknowns = build_unknowns(model, known)
+    stepped, channels = [], []
+    lines = ["vec3 basis = vec3(0.0);"]
+    for p in _unknown(model, known):
+        u, count = len(channels), 2 if p.is_normal else p.components
+        if has_basis(p, model):
+            lines.append(f"basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
+            lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
+            # A colour's number has a slope in its own channel alone.
+            channels += [""] if p.components == 1 else list("rgb")
+        else:
+            for i in range(u, u + count):
+                other = f"reflectance(p.behind_{i}, l, v)" if central else "render"
+                lines.append(f"vec3 slope_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
+            stepped += range(u, u + count)
+            channels += [""] * count
+    defines = unknowns.defines | {"STEPPED": len(stepped)}
+    names = (*model.ordered, *model.complement)
+    if model.ordered and not set(names) & set(known):
+        first, second = (model.offset(name) for name in model.ordered)
+        defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
+        if model.complement:
+            defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
+    return Unknowns(unknowns.count, unknowns.source, defines), _slopes(stepped, central, lines, channels)
+
+
+def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channels: Sequence[str]) -> str:
+    n = len(channels)
+    pairs = [(row, column) for row in range(n) for column in range(row, n)]
+    sides = ("ahead", "behind") if central else ("ahead",)
+    steps = [f"float by_{u};" for u in stepped] + [f"Material {side}_{u};" for u in stepped for side in sides]
+    sums = [f"float slope_{i};" for i in range(n)] + [f"float a_{row}_{column};" for row, column in pairs]
+    taken = [f"p.by_{u} = stride_of(c, {u});" for u in stepped]
+    taken += [f"p.ahead_{u} = moved(c, {u}, p.by_{u});" for u in stepped]
+    if central:
+        taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
+    cleared = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
+    told = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    told += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
+    parts = [
+        ("struct Steps", ["float none;", *steps]),
+        ("struct NormalSums", sums),
+        ("void take_steps(inout float c[12], inout Steps p)", taken),
+        ("void clear_sums(out NormalSums n)", cleared),
+        ("void sums_to(NormalSums n, inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])", told),
+        (
+            "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
+            " inout NormalSums n)",
+            [*slopes, "vec3 weighted = vec3(0.0);", *_products(channels)],
+        ),
+    ]
+    lines = ['#include "swarm/differences.glsl"', '#include "model.glsl"']
+    for head, body in parts:
+        lines += [head, "{", *(f"    {line}" for line in body), "};" if head.startswith("struct") else "}"]
+    return "\n".join([*lines, ""])
+
+
+def _products(channels: Sequence[str]) -> list[str]:
+    """Lines that add every product of two slopes; those of two channels have none ("" is all channels)."""
+    lines = []
+    for row, channel in enumerate(channels):
+        part = f".{channel}" if channel else ""
+        lines.append(f"n.slope_{row} += {_product('once', f'slope_{row}', channel)};")
+        lines.append(f"weighted{part} = twice{part} * slope_{row}{part};")
+        for column in range(row, len(channels)):
+            if not (channel and channels[column]) or channel == channels[column]:
+                product = _product("weighted", f"slope_{column}", channel or channels[column])
+                lines.append(f"n.a_{row}_{column} += {product};")
+    return lines
+
+
+def _product(a: str, b: str, channel: str) -> str:
+    return f"{a}.{channel} * {b}.{channel}" if channel else f"dot({a}, {b})"
+
+
+def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
+    """Return ``void take_start(int start, inout float c[12])``, which puts a start's values in; −1 leaves all.
+
+    ``bool mirrors(int start)`` says whether it turns the normal to the brightest sample's mirror direction.
+    """
+    lines = [
+        f"    if (start == {k}) {{ {' '.join(sets)} }}"
+        for k, start in enumerate(starts)
+        if (sets := [f"c[{model.offset(name) + i}] = {v!r};" for name, row in start if row for i, v in enumerate(row)])
+    ]
+    turned = [k for k, start in enumerate(starts) if not all(row for _, row in start)]
+    mirroring = " || ".join(f"start == {k}" for k in turned) or "false"
+    return "\n".join(
+        ["void take_start(int start, inout float c[12])", "{", *lines, "}",
+         "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
+    )  # fmt: skip
+
+
+def has_basis(p: Parameter, model: ReflectanceModel) -> bool:
+    """Whether the derivative of a parameter is a basis function, and its optimum one of linear least squares."""
+    return p.kind == "linear" and p.name in model.bases and p.components in (1, 3)
+
+
+def _unknown(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:
+    return [p for p in model.parameters if p.name not in known]

@@ -1,0 +1,198 @@
+"""The kernels of a stage: shader files with the declarations and constants that one model and stage give them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...reflectance.glsl import material_declaration, prior_declaration
+from ...reflectance.model import ReflectanceModel
+from ..settings.schedule import Fitness, Schedule
+from .encoding import Codec
+from .free_parameters import Unknowns
+from .linear_weights import LinearWeights
+
+FLOAT_2D = "FLOAT_2D"
+LAYERS = "FLOAT_2D_ARRAY"
+GEOMETRY = {"u_geometry": LAYERS}
+PACKING = {**GEOMETRY, "u_packed": FLOAT_2D}
+OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
+_SIZE = {"u_width": "INT", "u_height": "INT"}
+FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
+MOVE = {
+    **_SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
+    "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
+    "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
+    "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
+}  # fmt: skip
+LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/loss.glsl
+_WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/update.glsl
+
+
+@dataclass(frozen=True)
+class StagePasses:
+    """The compiled passes of a stage. ``resolve`` is always a fragment pass: what it wrote may be read back."""
+
+    start: Pass
+    move: Pass
+    commit_state: Pass
+    commit_personal: Pass
+    commit_global: Pass
+    resolve: Pass
+    take_halo: Pass
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name).close()
+
+
+def build_stage_passes(
+    model: ReflectanceModel,
+    codec: Codec,
+    schedule: Schedule,
+    particles: int,
+    across: int,
+    domain_defines: dict[str, int],
+    entry: Entry,
+) -> StagePasses:
+    """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
+    estimates = estimate_samplers(model)
+    given = {**model_includes(model), "codec.glsl": codec.source}
+    tiling = {"PARTICLES": particles, "TILES_X": across}
+    defines = {
+        **domain_defines,
+        **codec.defines,
+        **estimate_defines(model),
+        **tiling,
+        **schedule_defines(schedule),
+    }
+    blocks = range(codec.blocks)
+    bests = {f"u_best_{b}": FLOAT_2D for b in blocks}
+    particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
+    candidates = {f"u_candidate_position_{b}": FLOAT_2D for b in blocks}
+    speeds = {f"u_candidate_velocity_{b}": FLOAT_2D for b in blocks}
+    moved = tuple(Output(f"o_{kind}_{b}") for kind in ("position", "velocity") for b in blocks)
+    best_outputs = tuple(Output(f"o_best_{b}") for b in blocks)
+    verdict = {"u_verdict": FLOAT_2D}
+
+    def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
+        kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
+        return Pass(kernel, how)
+
+    read = {**particle, "u_best_fitness": FLOAT_2D, **bests, **estimates, **OBSERVATIONS, **PACKING}
+    return StagePasses(
+        start=make("move", (*moved, Output("o_verdict")), read, MOVE, START=1),
+        move=make("move", (*moved, Output("o_verdict")), read, MOVE),
+        commit_state=make(
+            "commit_state", (Output("o_position"), Output("o_velocity")), {**candidates, **speeds, **verdict}, _SIZE
+        ),
+        commit_personal=make(
+            "commit_personal", (Output("o_best"), Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
+        ),
+        commit_global=make(
+            "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
+        ),
+        resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **PACKING}, _SIZE, how="fragment"),
+        take_halo=take_halo_pass(codec, defines),
+    )
+
+
+def take_halo_pass(codec: Codec, defines: dict[str, int]) -> Pass:
+    """Compile the pass that takes given bests at the texels of neighbouring tiles."""
+    outputs = tuple(Output(f"o_best_{b}") for b in range(codec.blocks))
+    samplers = {**{f"u_given_{b}": FLOAT_2D for b in range(codec.blocks)}, **GEOMETRY}
+    return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
+
+
+def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
+    """Return the constants of a schedule that are compiled in."""
+    swarm = schedule.swarm
+    return {
+        "REACH": swarm.neighbourhood // 2,
+        **fitness_defines(schedule.fitness),
+        "WALLS": _WALLS[swarm.walls],
+        "NEIGHBOUR_EVERY": swarm.neighbour_every,
+        "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
+    }
+
+
+def fitness_defines(fitness: Fitness, loss: str = "") -> dict[str, str | int]:
+    """Return the constants of a fitness that are compiled in, or of another loss in its place."""
+    return {"FITNESS": LOSSES[loss or fitness.loss], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
+
+
+def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Compile the pass that compares the render of the estimates with the references."""
+    return _model_pass(model, "swarm/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
+
+
+def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Return the same pass over the texels that u_sampled names, in places of its own."""
+    samplers = {**estimate_samplers(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
+    defines = {**domain_defines, **estimate_defines(model)}
+    outputs = (Output("o_residual"),)
+    includes = model_includes(model)
+    return Pass(Kernel("swarm/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
+
+
+def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+    """Compile the pass that renders the estimates under one observation's light."""
+    return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
+
+
+def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
+    """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what unknowns.glsl brings."""
+    outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    given = {**model_includes(model), "unknowns.glsl": unknowns}
+    defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
+    return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, FITNESS, defines, given))
+
+
+def alternatives_pass(
+    model: ReflectanceModel, unknowns: Unknowns, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
+) -> Pass:
+    """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
+    outputs = tuple(Output(f"o_alternative_{i}") for i in range(-(-defines["ALTERNATIVES"] // 4)))
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    given = {**model_includes(model), "unknowns.glsl": unknowns.source, "basis.glsl": linear.source}
+    defines = {
+        **defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
+    }  # fmt: skip
+    return Pass(Kernel("swarm/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
+
+
+def copy_pass() -> Pass:
+    """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
+    return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
+
+
+def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:
+    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    defines = {**defines, **estimate_defines(model)}
+    return Pass(Kernel(source, (Output(output),), samplers, constants, defines, model_includes(model)))
+
+
+def model_includes(model: ReflectanceModel) -> dict:
+    """Return what a kernel's includes of material.glsl, model.glsl and priors.glsl bring."""
+    return {
+        "material.glsl": material_declaration(model),
+        "model.glsl": model.shader,
+        "priors.glsl": prior_declaration(model),
+    }
+
+
+def estimate_defines(model: ReflectanceModel) -> dict[str, int]:
+    """Return ESTIMATES, how many textures hold a model's components."""
+    return {"ESTIMATES": -(-model.components // 4)}
+
+
+def estimate_samplers(model: ReflectanceModel) -> dict[str, str]:
+    """Return the samplers of a model's estimates."""
+    return {f"u_estimate_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
+
+
+def estimate_outputs(model: ReflectanceModel) -> tuple[Output, ...]:
+    """Return the outputs that write a model's estimates."""
+    return tuple(Output(f"o_estimate_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))

@@ -1,0 +1,128 @@
+"""The kernels of the polish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...core.paths import SHADERS
+from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...reflectance.model import ReflectanceModel
+from ..settings.resolve import ResolvedMaterials, ResolvedPolish
+from ..settings.schedule import Fitness, Polish
+from .free_parameters import Unknowns, build_slopes, build_starts
+from .kernels import (
+    FITNESS,
+    FLOAT_2D,
+    GEOMETRY,
+    OBSERVATIONS,
+    PACKING,
+    estimate_defines,
+    estimate_outputs,
+    estimate_samplers,
+    fitness_defines,
+    model_includes,
+)
+
+NO_PENALTY = SHADERS / "swarm" / "no_penalty.glsl"
+STEP = {**FITNESS, "u_settles": "INT"}
+CANDIDATES = 3  # dampings that are tried together
+SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/swarm/polish_spread.glsl, votes.glsl)
+_OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
+
+
+@dataclass(frozen=True)
+class PolishPasses:
+    """The compiled passes of a polish. evaluations: renders of all observations of a step; offers: of a spread.
+
+    vote: in place of ``keep`` after a spread, None where neighbours have no votes. ``keep`` is always a fragment pass:
+    what it wrote may be read back.
+    """
+
+    begin: Pass
+    step: Pass
+    spread: Pass
+    keep: Pass
+    vote: Pass | None
+    evaluations: int
+    offers: int
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for work in (self.begin, self.step, self.spread, self.keep, self.vote):
+            if work is not None:
+                work.close()
+
+
+def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int]:
+    """Return how many renders of all observations a step makes at a texel, and a spread."""
+    unknowns, _ = resolved_slopes(model, resolved)
+    stepped = unknowns.defines["STEPPED"] * (2 if resolved.polish.central else 1)
+    # The bases of the linear parameters make up another render.
+    evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    if isinstance(resolved, ResolvedMaterials):
+        return evaluations, resolved.materials.count
+    return evaluations, _OFFERS[unknowns.defines["SEARCHED"] > 0]
+
+
+def step_defines(settings: Polish) -> dict[str, str | int]:
+    """Return the constants of a step that are compiled in."""
+    return {
+        "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
+        "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
+        "VOTES": f"{settings.votes:.9f}",
+    }  # fmt: skip
+
+
+def build_polish_passes(
+    model: ReflectanceModel,
+    resolved: ResolvedPolish,
+    fitness: Fitness,
+    domain_defines: dict[str, int],
+    entry: Entry,
+    penalty: Path = NO_PENALTY,
+) -> PolishPasses:
+    """Compile the passes of a polish. penalty: the shader of what is added to the loss."""
+    settings = resolved.polish
+    unknowns, slopes = resolved_slopes(model, resolved)
+    evaluations, offers = renders(model, resolved)
+    defines = {
+        **domain_defines, **unknowns.defines, **estimate_defines(model),
+        **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
+    }  # fmt: skip
+    spread, materials = "polish_spread", {}
+    if isinstance(resolved, ResolvedMaterials):
+        spread, materials = "materials_offer", {"u_materials": FLOAT_2D}
+        defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
+    given = {
+        **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
+        "starts.glsl": build_starts(model, resolved.starts),
+        "penalty.glsl": penalty,
+        "materials.glsl": SHADERS / "swarm" / f"{'shared' if materials else 'no'}_materials.glsl",
+    }  # fmt: skip
+    outputs = (*estimate_outputs(model), Output("o_status"))
+    held = {**estimate_samplers(model), "u_status": FLOAT_2D}
+    work = {f"u_work_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
+
+    voted = settings.votes > 0 and unknowns.defines["SEARCHED"] > 0
+
+    def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
+        return Pass(Kernel(f"swarm/{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
+
+    return PolishPasses(
+        begin=make("polish_begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
+        step=make("polish", OBSERVATIONS, STEP),
+        spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
+        keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
+        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **materials, **OBSERVATIONS, **PACKING}, FITNESS)
+        if voted
+        else None,
+        evaluations=evaluations,
+        offers=offers,
+    )
+
+
+def resolved_slopes(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[Unknowns, str]:
+    """Return the unknowns of a polish, and its slopes.glsl."""
+    known = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
+    return build_slopes(model, known, resolved.polish.central)

@@ -1,0 +1,182 @@
+"""The kernels of the spatial prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...core.paths import SHADERS
+from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...reflectance.model import Parameter, ReflectanceModel
+from ..settings.resolve import ResolvedPrior
+from ..settings.schedule import Polish, Prior, Schedule
+from .free_parameters import build_slopes, build_unknowns
+from .kernels import (
+    FITNESS,
+    FLOAT_2D,
+    GEOMETRY,
+    OBSERVATIONS,
+    PACKING,
+    copy_pass,
+    estimate_defines,
+    estimate_outputs,
+    estimate_samplers,
+    fitness_defines,
+    model_includes,
+)
+from .refinement import STEP, renders, resolved_slopes, step_defines
+
+NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # what the iterations of a prior are; the steps follow the rounds
+_NOISE = {"u_noise": FLOAT_2D}
+# Of shaders/swarm/prior_pool.glsl.
+_KINDS = {"other": 0, "color": 1, "scalar": 2}
+
+
+@dataclass(frozen=True)
+class PriorPasses:
+    """The compiled passes of a prior, in the order in which they are run. evaluations: renders of a step.
+
+    ``keep`` is always a fragment pass: what it wrote may be read back.
+    """
+
+    noise: Pass
+    variance: Pass
+    deviation: Pass
+    pool: Pass
+    pool_last: Pass
+    begin: Pass
+    step: Pass
+    keep: Pass
+    copy: Pass
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name).close()
+
+
+def reach_of(prior: Prior) -> int:
+    """Return how many texels away a prior looks at once (TAPS of shaders/swarm/prior_window.glsl)."""
+    return 2**prior.scales
+
+
+def taps_of(prior: Prior) -> int:
+    """Return how many texels around a prior looks at (TAPS of shaders/swarm/prior_window.glsl)."""
+    return 24 + 16 * (prior.scales - 1)
+
+
+def build_prior_passes(
+    model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: dict[str, int], entry: Entry
+) -> PriorPasses:
+    """Compile the passes of a prior."""
+    prior, held = resolved.prior, _held(model, resolved.parameters)
+    unknowns = build_unknowns(model, held)
+    common = {
+        **domain_defines, **estimate_defines(model), **unknowns.defines, **_lobes(model, held),
+        **_settings(prior, schedule.polish), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
+    }  # fmt: skip
+    means, deviations, own = (_samplers(model, name) for name in ("mean", "deviation", "own"))
+    estimates, belief = estimate_samplers(model), {**means, **deviations}
+    beliefs = (*_outputs(model, "mean"), *_outputs(model, "deviation"))
+    work = {**_samplers(model, "work"), "u_work_status": FLOAT_2D}
+    includes = {
+        **model_includes(model), "components.glsl": components_source(model, resolved), "unknowns.glsl": unknowns.source
+    }  # fmt: skip
+
+    def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:
+        name = f"swarm/{source}.glsl"
+        return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
+
+    return PriorPasses(
+        noise=make("prior_noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
+        variance=make("prior_variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
+        deviation=make(
+            "confidence", _outputs(model, "deviation"), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1
+        ),
+        pool=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}),
+        pool_last=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}, LAST=1),
+        begin=make(
+            "prior_begin",
+            (*estimate_outputs(model), Output("o_status"), Output("o_penalty", "R32F")),
+            {**estimates, **belief, **own, **_NOISE, **GEOMETRY},
+        ),
+        step=_step_pass(model, resolved, common, {**estimates, **belief, **_NOISE}, includes, entry),
+        keep=make(
+            "prior_keep",
+            estimate_outputs(model),
+            {**estimates, **work, **_NOISE, "u_penalty": FLOAT_2D, **OBSERVATIONS},
+            "fragment",
+        ),
+        copy=copy_pass(),
+    )
+
+
+def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: int) -> int:
+    """Return how many renders of all observations an iteration makes at a texel, unless that is left alone."""
+    if iteration == NOISE:
+        return 1
+    if iteration == DEVIATION:  # the render, and two for each derivative
+        return 1 + 2 * build_unknowns(model, _held(model, resolved.parameters)).count
+    return 0 if iteration < FIRST_ROUND + resolved.prior.rounds else renders(model, resolved.step)[0]
+
+
+def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
+    """Return ``component_at(i, width, kind)``: the range of every component, and what a prior makes of it."""
+    pooled = {p.name for p in resolved.pooled}
+    lines = []
+    for p in model.parameters:
+        kind = "scalar" if p.name in pooled else "other" if p.is_normal else "color"
+        body = f"{{ width = {p.range[1] - p.range[0]!r}; kind = {_KINDS[kind]}; }}"
+        lines += [f"    if (i == {model.offset(p.name) + i}) {body}" for i in range(p.components)]
+    defines = [f"#define COMPONENT_{name.upper()} {value}" for name, value in _KINDS.items()]
+    return "\n".join(
+        [*defines, "void component_at(int i, out float width, out int kind)", "{",
+         f"    width = 1.0; kind = {_KINDS['other']};", *lines, "}", ""]
+    )  # fmt: skip
+
+
+def _step_pass(
+    model: ReflectanceModel, resolved: ResolvedPrior, common: dict, samplers: dict, includes: dict, entry: Entry
+) -> Pass:
+    unknowns, slopes_source = resolved_slopes(model, resolved.step)
+    # Lobes are put in order at the end: what a prior says is said of the one or of the other.
+    slopes = {name: value for name, value in unknowns.defines.items() if not name.startswith("LOBE_")}
+    unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
+    penalty = SHADERS / "swarm" / "prior_penalty.glsl"
+    return Pass(
+        Kernel(
+            "swarm/polish.glsl", (*estimate_outputs(model), Output("o_status")),
+            {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
+            {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
+            {**includes, "unknowns.glsl": unknowns.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
+        ),
+        entry,
+    )  # fmt: skip
+
+
+def _settings(prior: Prior, polish: Polish) -> dict[str, str | int]:
+    numbers = {
+        "NOISE_FREEDOM": prior.noise_freedom, "LIKENESS": prior.likeness, "LIKENESS_COLOR": prior.likeness_color,
+        "SPREAD": prior.spread, "LEAST_SHARE": prior.share, "TOLERANCE": prior.tolerance,
+    }  # fmt: skip
+    return {
+        **step_defines(polish),
+        "SCALES": prior.scales,
+        **{name: f"{value:.9f}" for name, value in numbers.items()},
+    }
+
+
+def _lobes(model: ReflectanceModel, held: set[str]) -> dict[str, int]:
+    defines = build_slopes(model, held, central=False)[0].defines
+    return {name: value for name, value in defines.items() if name.startswith("LOBE_")}
+
+
+def _held(model: ReflectanceModel, parameters: tuple[Parameter, ...]) -> set[str]:
+    return {p.name for p in model.parameters} - {p.name for p in parameters}
+
+
+def _samplers(model: ReflectanceModel, name: str) -> dict[str, str]:
+    return {f"u_{name}_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
+
+
+def _outputs(model: ReflectanceModel, name: str) -> tuple[Output, ...]:
+    return tuple(Output(f"o_{name}_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))

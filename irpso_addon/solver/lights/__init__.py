@@ -1,0 +1,1 @@
+"""Light calibration from the images themselves: intensities and small direction errors."""

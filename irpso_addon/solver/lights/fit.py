@@ -1,0 +1,369 @@
+"""What the images of recovered texels say of their lights: one Gauss–Newton step, the texels' own answer counted in."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...geometry.domain import Domain, GeometryBake
+from ...reflectance.model import ReflectanceModel
+from ..settings.schedule import Fitness
+from ..state.prepare import drop_shadow, light_vectors
+from ..views.forward import Renderer
+
+GAINS, MOVES = 3, 3  # unknowns of a light: logarithms of its intensity, and angles (a near light's third: its distance)
+_TURN = 2e-3  # radians: of a normal or a light, small against what bends a highlight, large against float32
+_STEP = 2e-3  # of a parameter's range
+_GAIN_PRIOR = 2.0  # standard deviation of a logarithm: holds what nothing tells, and nothing else
+_GROUPS = 8  # of texels, for the deviations
+_LARGEST_STEP = 0.5  # of a logarithm
+_FAR, _DARKEST = 0.7, 0.05  # of a light off by more than a factor of two no sample is what it seems: shadow, highlight
+_SAMPLED_AS = 100.0  # independent texels: neighbours of one subject are wrong together, and more of them tell no more
+
+
+@dataclass(frozen=True)
+class LightStep:
+    """gains: (K, 3) logarithms to be added. moves: (K, 3) radians, or parts of the distance, along ``axes_of``.
+
+    deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982). told: the
+    second least eigenvalue of what the images say of the gains, which is 1 where a light's own shading is known, and
+    near 0 where the texels face one way. explained: the part of the weighted squared error that the step takes away.
+    """
+
+    gains: np.ndarray
+    moves: np.ndarray
+    deviations: np.ndarray
+    told: float
+    explained: float
+
+
+@dataclass(frozen=True)
+class Moving:
+    """How lights may move. start: (K, 4) as given. axes: of ``axes_of`` there. moves: (K, 3) so far, along the axes.
+
+    sigma: one standard deviation of the moves, in radians and as a part of a near light's distance.
+    """
+
+    start: np.ndarray
+    axes: np.ndarray
+    moves: np.ndarray
+    sigma: float
+
+    def lights(self, further: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return (K, 4) float32 lights as they are, or ``further`` (K, 3) along their axes; directions stay unit."""
+        result = self.start.astype(np.float64)
+        result[:, :3] += np.einsum("ka,kac->kc", self.moves + further, self.axes)
+        distant = self.start[:, 3] == 0
+        result[distant, :3] /= np.linalg.norm(result[distant, :3], axis=-1, keepdims=True)
+        return result.astype(np.float32)
+
+    def moved(self, further: np.ndarray) -> Moving:
+        """Return it after ``further`` (K, 3) moves."""
+        return replace(self, moves=self.moves + further)
+
+
+def axes_of(domain: Domain) -> np.ndarray:
+    """Return (K, 3, 3) rows by which a light moves: two across, and the third toward it (zero for a distant one).
+
+    Of a distant light they are unit vectors, of a near one as long as it is far from the middle of the texels.
+    """
+    vectors = domain.lights[:, :3].astype(np.float64)
+    near = domain.lights[:, 3] > 0
+    middle = domain.bake.position[domain.bake.coverage].mean(axis=0, dtype=np.float64)
+    toward = vectors - np.where(near[:, None], middle, 0.0)
+    length = np.linalg.norm(toward, axis=-1, keepdims=True)
+    toward /= length
+    first, second = _across(toward)
+    axes = np.stack([first, second, np.where(near[:, None], toward, 0.0)], axis=1)
+    return axes * np.where(near[:, None], length, 1.0)[:, None]
+
+
+def light_step(
+    domain: Domain,
+    model: ReflectanceModel,
+    values: Mapping[str, np.ndarray],
+    known: frozenset[str],
+    scale: np.ndarray,
+    fitness: Fitness,
+    gains: bool,
+    moving: Moving | None,
+) -> Generator[None, None, LightStep]:
+    """Yield after each observation, and return what would make the lights fit the images better.
+
+    The unknowns of the texels, of ``values`` all but the ``known``, are eliminated (variable projection; Golub and
+    Pereyra 1973): a light's error that they have taken up is seen all the same. Samples count as in the robust fitness.
+    scale: (h, w) of ``prepare.texel_scale``. moving: None where the lights stay where they are, as ``domain`` has them.
+    """
+    texels = np.nonzero(domain.bake.coverage)
+    found = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
+    steps = _texel_steps(model, values, known)
+    renders = _Renders(domain, model, values, steps, moving)
+    stack = domain.stack.copy()
+    drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
+    _, irradiance = light_vectors(domain, texels)
+    level = scale[texels][:, None] * float(irradiance.mean())
+    far: dict[int, np.ndarray] = {}
+    try:
+        for k in range(domain.observations):
+            render, texel_part, move_part = renders.of(k)
+            seen = stack[k][texels].astype(np.float64)
+            difference = _difference(seen, render)
+            outlying = difference
+            if gains:
+                # Against what the light itself does to most texels: one that is off as a whole is no outlier.
+                outlying = difference - render * _typical(difference, render, seen[:, 3:])
+                off = _off_as_a_whole(domain.stack[k][texels].astype(np.float64), render)
+                if abs(off.mean()) > _FAR:
+                    far[k] = off
+            weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
+            found.add(
+                difference / level, weight, render / level, texel_part / level[..., None],
+                None if move_part is None else move_part / level[..., None],
+            )  # fmt: skip
+            yield
+    finally:
+        renders.close()
+    step = found.solved(steps, moving)
+    for k, logarithms in far.items():
+        step.gains[k] = logarithms
+    return step
+
+
+@dataclass(frozen=True)
+class _Step:
+    """An unknown of every texel: its values a step up and down, and how far each texel was moved in all."""
+
+    name: str
+    up: np.ndarray
+    down: np.ndarray
+    width: np.ndarray
+    spread: float
+
+
+def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], known: frozenset[str]) -> list[_Step]:
+    steps = []
+    for parameter in model.parameters:
+        if parameter.name in known:
+            continue
+        value = values[parameter.name]
+        shape = value.shape[:2]
+        if parameter.is_normal:
+            for axis in _across(value.astype(np.float64)):
+                up, down = (_unit(value + side * _TURN * axis).astype(np.float32) for side in (1, -1))
+                steps.append(_Step(parameter.name, up, down, np.full(shape, 2 * _TURN), 1.0))
+            continue
+        low, high = parameter.range
+        reach = high - low
+        for c in range(parameter.components):
+            up, down = value.copy(), value.copy()
+            up[..., c] = np.minimum(value[..., c] + _STEP * reach, high)
+            down[..., c] = np.maximum(value[..., c] - _STEP * reach, low)
+            width = (up - down)[..., c].astype(np.float64)
+            steps.append(_Step(parameter.name, up, down, np.maximum(width, 1e-9), reach))
+    return steps
+
+
+class _Renders:
+    """The texels as they are, with each unknown a step up and down, and under each light a step aside."""
+
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        values: Mapping[str, np.ndarray],
+        steps: list[_Step],
+        moving: Moving | None,
+    ):
+        self._texels = np.nonzero(domain.bake.coverage)
+        self._shape, self._count = domain.shape, domain.observations
+        self._widths = np.stack([step.width[self._texels] for step in steps], axis=-1) if steps else None
+        changed = [{}, *({step.name: side} for step in steps for side in (step.up, step.down))]
+        stacked = {
+            p.name: np.concatenate([{**values, **change}[p.name] for change in changed]) for p in model.parameters
+        }
+        tables = (domain.lights, domain.intensities, domain.views)
+        self._all = Renderer(_repeated(domain.bake, len(changed)), model, stacked, *tables, domain.card)
+        self._aside = None
+        if moving is not None:
+            sides = [side * _TURN * np.eye(MOVES)[axis] for axis in range(MOVES) for side in (1, -1)]
+            lights = np.concatenate([moving.lights(side) for side in sides])
+            repeated = (np.tile(table, (2 * MOVES, 1)) for table in tables[1:])
+            self._aside = Renderer(domain.bake, model, dict(values), lights, *repeated, domain.card)
+
+    def of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return of observation k (T, 3) radiance, (T, 3, P) its change with the unknowns and (T, 3, 3) the light's."""
+        images = self._all.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)
+        images = images[:, *self._texels]
+        differences = (images[1::2] - images[2::2]).transpose(1, 2, 0)
+        texel_part = differences / self._widths[:, None] if self._widths is not None else differences
+        if self._aside is None:
+            return images[0], texel_part, None
+        sides = [self._aside.render(s * self._count + k)[..., :3].astype(np.float64) for s in range(2 * MOVES)]
+        sides = np.stack([side[self._texels] for side in sides], axis=-1)
+        return images[0], texel_part, (sides[..., ::2] - sides[..., 1::2]) / (2 * _TURN)
+
+    def close(self) -> None:
+        self._all.close()
+        if self._aside is not None:
+            self._aside.close()
+
+
+class _Equations:
+    """Normal equations of the texels' unknowns and the lights', collected observation by observation."""
+
+    def __init__(self, observations: int, texels: int, gains: bool, moves: bool):
+        self._groups = np.arange(texels) % _GROUPS
+        self._gains, self._moves = gains, moves
+        self._size = GAINS * gains + MOVES * moves
+        self._own: list[np.ndarray] = []  # (T, Q, Q) of each light, Q unknowns
+        self._right: list[np.ndarray] = []  # (T, Q)
+        self._cross: list[np.ndarray] = []  # (T, P, Q)
+        self._texel: np.ndarray | None = None  # (T, P, P)
+        self._texel_right: np.ndarray | None = None  # (T, P)
+        self._squares = self._weights = 0.0
+        self._observations = observations
+
+    def add(self, error, weight, render, texel_part, move_part) -> None:
+        """Count one observation in: (T, 3) error, weight and render, (T, 3, P) and (T, 3, 3) derivatives."""
+        parts = []
+        if self._gains:
+            parts.append(render[..., None] * np.eye(GAINS))
+        if self._moves:
+            parts.append(move_part)
+        lights = np.concatenate(parts, axis=-1)
+        weighted = texel_part * weight[..., None]
+        self._own.append(np.einsum("tcq,tcr,tc->tqr", lights, lights, weight, optimize=True))
+        self._right.append(np.einsum("tcq,tc->tq", lights, weight * error))
+        self._cross.append(np.einsum("tcp,tcq->tpq", weighted, lights))
+        gram, right = np.einsum("tcp,tcr->tpr", weighted, texel_part), np.einsum("tcp,tc->tp", weighted, error)
+        self._texel = gram if self._texel is None else self._texel + gram
+        self._texel_right = right if self._texel_right is None else self._texel_right + right
+        self._squares += float((weight * error**2).sum())
+        self._weights += float(weight.sum())
+
+    def solved(self, steps: list[_Step], moving: Moving | None) -> LightStep:
+        """Eliminate the texels, and solve for the lights, with and without each group of texels."""
+        noise = max(self._squares / max(self._weights, 1.0), 1e-8)
+        matrices, rights = self._reduced(steps, noise)
+        count = self._observations
+        whole = matrices.sum(axis=0)
+        prior, toward = self._prior(len(self._groups), noise, moving)
+        answers = []
+        for left_out in (None, *range(_GROUPS)):
+            matrix, right = whole, rights.sum(axis=0)
+            if left_out is not None:
+                matrix, right = whole - matrices[left_out], right - rights[left_out]
+            answers.append(np.linalg.solve(matrix + prior, right + toward).reshape(count, self._size))
+        answer, parts = answers[0], np.stack(answers[1:])
+        spread = np.sqrt((_GROUPS - 1) / _GROUPS * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
+        nothing = np.zeros((count, GAINS))
+        gains, deviations = (a[:, :GAINS] if self._gains else nothing for a in (answer, spread))
+        moves = answer[:, self._size - MOVES :] if self._moves else nothing
+        return LightStep(
+            np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
+            self._told(whole) if self._gains else 1.0,
+            float(answer.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
+        )  # fmt: skip
+
+    def _reduced(self, steps: list[_Step], noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """(G, KQ, KQ) and (G, KQ): the equations of the lights alone, of each group of texels."""
+        count, size = self._observations, self._size
+        texels = len(self._groups)
+        own, right = np.stack(self._own, axis=1), np.stack(self._right, axis=1)
+        cross = np.stack(self._cross, axis=2).reshape(texels, -1, count * size)
+        if steps:
+            held = np.array([noise / step.spread**2 for step in steps])
+            gram = self._texel + np.eye(len(steps)) * (held + 1e-9 * np.einsum("tpp->tp", self._texel)[:, None])
+            root = np.linalg.inv(np.linalg.cholesky(gram))
+            cross, texel_right = root @ cross, np.einsum("tpr,tr->tp", root, self._texel_right)
+        matrices = np.zeros((_GROUPS, count * size, count * size))
+        rights = np.zeros((_GROUPS, count * size))
+        for group in range(_GROUPS):
+            chosen = self._groups == group
+            blocks = matrices[group].reshape(count, size, count, size)
+            blocks[np.arange(count), :, np.arange(count)] = own[chosen].sum(axis=0)
+            rights[group] = right[chosen].sum(axis=0).ravel()
+            if steps:
+                part = cross[chosen].reshape(-1, count * size)
+                matrices[group] -= part.T @ part
+                rights[group] -= part.T @ texel_right[chosen].ravel()
+        return matrices, rights
+
+    def _prior(self, texels: int, noise: float, moving: Moving | None) -> tuple[np.ndarray, np.ndarray]:
+        """(KQ, KQ) and (KQ,): what is believed before; gains change no channel's scale."""
+        count, size = self._observations, self._size
+        matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
+        strength = noise * max(1.0, texels / _SAMPLED_AS)
+        if self._gains:
+            for channel in range(GAINS):
+                of = np.arange(count) * size + channel
+                matrix[of, of] += strength / _GAIN_PRIOR**2
+                matrix[np.ix_(of, of)] += self._weights / count**2
+        if self._moves:
+            for axis in range(MOVES):
+                of = np.arange(count) * size + size - MOVES + axis
+                matrix[of, of] += strength / moving.sigma**2
+                right[of] -= strength / moving.sigma**2 * moving.moves[:, axis]
+        return matrix, right
+
+    def _told(self, whole: np.ndarray) -> float:
+        """The second least eigenvalue of the grey gains' matrix over its diagonal."""
+        count, size = self._observations, self._size
+        blocks = whole.reshape(count, size, count, size)[:, :GAINS, :, :GAINS].sum(axis=(1, 3))
+        spread = np.sqrt(np.maximum(np.diag(blocks), 1e-30))
+        return float(np.linalg.eigvalsh(blocks / np.outer(spread, spread))[min(1, count - 1)])
+
+
+def _difference(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """(T, 3) of samples (T, 4) to their render, 0 where they weigh nothing."""
+    return np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
+
+
+def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """(3,) logarithms of the factors by which most samples (T, 4), taken for no shadow, differ from their render."""
+    return np.log(np.maximum(1 + _typical(_difference(seen, render), render, seen[:, 3:]), _DARKEST))
+
+
+def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return (K, 3) factors on the intensities by which most of what the texels' images show is met."""
+    texels = np.nonzero(domain.bake.coverage)
+    factors = np.ones((domain.observations, GAINS))
+    lit = domain.lights, domain.intensities, domain.views
+    with closing(Renderer(domain.bake, model, values, *lit, domain.card)) as renderer:
+        for k in range(domain.observations):
+            render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack[k]))
+            difference = _difference(seen, render)
+            factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
+    return factors
+
+
+def _typical(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(3,) medians of (T, 3) differences over the render, each counting as what it is a part of."""
+    values, weight = difference / np.maximum(render, 1e-9), np.maximum(render, 0) * weight
+    order = np.argsort(values, axis=0)
+    ordered, summed = np.take_along_axis(values, order, 0), np.cumsum(np.take_along_axis(weight, order, 0), axis=0)
+    places = (summed < 0.5 * summed[-1]).sum(axis=0).clip(0, len(values) - 1)
+    return ordered[places, np.arange(values.shape[1])]
+
+
+def _across(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors (…, 3) across unit vectors, and each other."""
+    least = np.eye(3)[np.abs(vectors).argmin(axis=-1)]
+    first = _unit(np.cross(vectors, least))
+    return first, np.cross(vectors, first)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def _repeated(bake: GeometryBake, times: int) -> GeometryBake:
+    return GeometryBake(
+        **{
+            name: np.tile(getattr(bake, name), (times, *(1,) * (getattr(bake, name).ndim - 1)))
+            for name in GeometryBake.__dataclass_fields__
+        }
+    )

@@ -1,0 +1,118 @@
+"""Some of a domain's texels as a domain of their own: enough to tell the lights by, few enough to be solved soon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ...capture.bounds import without_bounds
+from ...geometry.domain import Domain, GeometryBake, laid_on
+from ..state.prepare import light_vectors
+from .semi_calibrated import relative_intensities
+
+_TEXELS = 1024  # at most; noise of 5 % of a sample is then 0.2 % of a light
+_SAMPLES = 1 << 16  # at most, of all observations together; but _LEAST texels
+_LEAST = 384
+_WIDTH = 64  # of their grid
+_CANDIDATES = 3  # times as many are looked at: a texel is read from all layers of a stack that may lie on a disk
+_EVERY_LIGHT = 128  # texels that a light is to have where that many see it
+_CELLS = 5  # normals are told apart by so many cells along each axis
+
+
+@dataclass(frozen=True)
+class LightSample:
+    """Some texels of a domain, and the first estimate of its lights.
+
+    domain: h×w texels, each of which stands for itself: neighbours there are none in the whole. factors: (n, 3) on the
+    given intensities of the observations that are fitted. rows, columns: where its first texels, row by row, lie in
+    the whole; what is left over is not covered.
+    """
+
+    domain: Domain
+    factors: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def part(self, value: np.ndarray) -> np.ndarray:
+        """Return (h, w, …) of a map (H, W, …) of the whole."""
+        return _grid(value[self.rows, self.columns], self.domain.shape)
+
+
+def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> LightSample:
+    """Return texels that many lights reach, their normals spread as widely as the subject's, and a first estimate.
+
+    Nothing but numpy: it may run in a thread beside a window. fitted: the observations by index that are looked at.
+    most: texels.
+    """
+    places = np.flatnonzero(domain.solvable)
+    count = min(most, max(_LEAST, _SAMPLES // domain.observations))
+    rng = np.random.default_rng(seed % 2**32)
+    chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
+    rows, columns = np.divmod(chosen, domain.shape[1])
+    stack = without_bounds(domain.stack[:, rows, columns])  # of a light they tell nothing
+    vectors, irradiance = (a[fitted] for a in light_vectors(domain, (rows, columns)))
+    kept = _well_lit(stack[fitted], 2 * count)
+    vectors, irradiance = (a if a.shape[1] == 1 else a[:, kept] for a in (vectors, irradiance))
+    rows, columns, stack = rows[kept], columns[kept], stack[:, kept]
+    seen = stack[fitted]
+    radiance = np.where(seen[..., 3:] > 0, seen[..., :3], 0).astype(np.float64)
+    factors, normals = relative_intensities(radiance, seen[..., 3].astype(np.float64), vectors, irradiance)
+    world = np.einsum("tc,tcd->td", normals, domain.bake.frames((rows, columns)))
+    order = np.sort(_spread(world, rng)[:count])
+    part = _gathered(domain, stack[:, order], rows[order], columns[order])
+    return LightSample(part, factors, rows[order], columns[order])
+
+
+def known_at(known: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
+    """Return known maps, (H, W, components) or (components,), at the sample's texels."""
+    return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in known.items()}
+
+
+def with_lights(domain: Domain, lights: np.ndarray, intensities: np.ndarray) -> Domain:
+    """Return the domain under other lights (K, 4) and intensities (K, 3)."""
+    result = replace(domain, lights=lights.astype(np.float32), intensities=intensities.astype(np.float32))
+    if "solvable" in vars(domain):  # of the stack alone, and found already
+        vars(result)["solvable"] = domain.solvable
+    return result
+
+
+def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:
+    """Indices of the ``count`` texels that the most observations see, and of some that see each observation."""
+    seen = (stack[..., 3] > 0) & (stack[..., :3] > 0).any(axis=-1)
+    order = np.argsort(-seen.sum(axis=0), kind="stable")
+    wanted = np.zeros(len(order), bool)
+    wanted[order[:count]] = True
+    for layer in seen:
+        short = _EVERY_LIGHT - int((layer & wanted).sum())
+        if short > 0:
+            wanted[order[layer[order] & ~wanted[order]][:short]] = True
+    return np.flatnonzero(wanted & (seen.sum(axis=0) >= 3))
+
+
+def _spread(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Indices in an order whose beginnings hold as many texels of one normal as of another."""
+    cells = np.floor((normals + 1) * (_CELLS / 2)).clip(0, _CELLS - 1).astype(int) @ (1, _CELLS, _CELLS**2)
+    shuffled = rng.permutation(len(cells))
+    by_cell = shuffled[np.argsort(cells[shuffled], kind="stable")]
+    ordered = cells[by_cell]
+    first = np.r_[True, ordered[1:] != ordered[:-1]]
+    rank = np.arange(len(ordered)) - np.maximum.accumulate(np.where(first, np.arange(len(ordered)), 0))
+    return by_cell[np.argsort(rank, kind="stable")]
+
+
+def _gathered(domain: Domain, stack: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Domain:
+    width = min(_WIDTH, max(len(rows), 1))
+    shape = -(-max(len(rows), 1) // width), width
+    bake = GeometryBake(
+        **{item.name: _grid(getattr(domain.bake, item.name)[rows, columns], shape) for item in fields(GeometryBake)}
+    )
+    layers = np.stack([_grid(layer, shape) for layer in stack])
+    return laid_on(domain, bake, layers)
+
+
+def _grid(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    filled = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
+    filled[: len(values)] = values
+    return filled.reshape(*shape, *values.shape[1:])

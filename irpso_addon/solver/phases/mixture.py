@@ -1,0 +1,110 @@
+"""The materials that texels have in common: a mixture of Gaussians over a sample of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...reflectance.model import Parameter, ReflectanceModel
+
+SAMPLE = 8192  # texels, of the whole domain
+ALIKE_SEARCHED, ALIKE_LINEAR = 0.1, 0.15  # as in shaders/swarm/shared_materials.glsl
+_ROWS = 7  # of the table: means of 12 numbers, inverse variances of 12, and how much there is of a material
+_NUMBERS = 12
+_ROUNDS = 20  # of expectation and maximisation
+_LEAST_VARIANCE = 0.25  # of a material, of numbers that differ where they are 1 apart
+_LEAST_TEXELS = 4.0  # of the sample: fewer are no material
+_MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix64 (Steele, Lea and Flood 2014)
+
+
+def sampled(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return (n, 3 + C) float64: the texels that belong to the sample: rank, row, column, values.
+
+    rows, columns: (T,) where T texels lie in the whole domain. values: (T, C). A texel has its rank from where it lies,
+    and the SAMPLE lowest are the sample: ``merged`` of the parts of a domain is the sample of the whole.
+    """
+    place = (rows.astype(np.uint64) << np.uint64(32)) | columns.astype(np.uint64)
+    rank = (place + np.uint64(1)) * _MIX[0]
+    rank = (rank ^ (rank >> np.uint64(29))) * _MIX[1]
+    # 48 bits: what float64 holds of a whole number, and more.
+    return merged([np.column_stack([(rank >> np.uint64(16)).astype(np.float64), rows, columns, values])])
+
+
+def merged(samples: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the sample of a domain from those of its parts, each texel in one of them; in one order always."""
+    found = np.concatenate(samples)
+    return found[np.lexsort((found[:, 2], found[:, 1], found[:, 0]))[:SAMPLE]]
+
+
+def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample: np.ndarray) -> np.ndarray:
+    """Return (n, d) float64, a column for each unknown number as kernels/free_parameters.py counts them; 0 for normals.
+
+    Searched numbers are fractions of their range in units of ALIKE_SEARCHED, linear ones the roots of such fractions in
+    units of ALIKE_LINEAR: colours differ by ratios rather than by differences.
+    """
+    features = []
+    for p in parameters:
+        if p.is_normal:
+            features += [np.zeros(len(sample))] * 2
+            continue
+        at = 3 + model.offset(p.name)
+        x = np.clip((sample[:, at : at + p.components] - p.range[0]) / (p.range[1] - p.range[0]), 0.0, 1.0)
+        linear = p.kind == "linear" and p.name in model.bases
+        features += list((np.sqrt(x) / ALIKE_LINEAR if linear else x / ALIKE_SEARCHED).T)
+    return np.column_stack(features)
+
+
+def material_table(features: np.ndarray, count: int) -> np.ndarray:
+    """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/swarm/shared_materials.glsl.
+
+    features: (n, d) numbers, d ≤ 12, that are alike where they differ by less than 1; rows that are not finite are left
+    out. Expectation maximisation
+    (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of k-means++ (Arthur and
+    Vassilvitskii 2007).
+    """
+    finite = features[np.isfinite(features).all(axis=1)]
+    share, mean, variance = mixture(finite if len(finite) else np.zeros((1, features.shape[1])), count)
+    inverse = 1.0 / (1.0 + variance)
+    table = np.zeros((_ROWS, len(share), 4), np.float32)
+    for row, values in ((0, mean), (3, inverse)):
+        padded = np.pad(values, ((0, 0), (0, _NUMBERS - values.shape[1])))
+        table[row : row + 3] = padded.reshape(len(share), 3, 4).transpose(1, 0, 2)
+    table[-1, :, 0] = share * np.sqrt(inverse).prod(axis=1)
+    return table
+
+
+def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (K,) shares, (K, d) means and (K, d) variances of at most ``count`` Gaussians over (n, d) numbers."""
+    mean = _seeds(x, count)
+    variance = np.ones_like(mean)
+    share = np.full(len(mean), 1.0 / len(mean))
+    for _ in range(_ROUNDS):
+        weight = belonging(x, share, mean, variance)
+        texels = weight.sum(axis=0)
+        kept = texels >= min(_LEAST_TEXELS, texels.max())
+        weight, texels = weight[:, kept], texels[kept]
+        mean = (weight.T @ x) / texels[:, None]
+        variance = np.maximum((weight.T @ (x * x)) / texels[:, None] - mean * mean, _LEAST_VARIANCE)
+        share = texels / texels.sum()
+    return share, mean, variance
+
+
+def belonging(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return (n, K): the probability with which each of (n, d) numbers is of each Gaussian of ``mixture``."""
+    inverse = 1.0 / variance
+    apart = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
+    log = np.log(share) - 0.5 * (apart + np.log(variance).sum(axis=1))
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    return weight / weight.sum(axis=1, keepdims=True)
+
+
+def _seeds(x: np.ndarray, count: int) -> np.ndarray:
+    """Return rows of x, each drawn by its squared distance from those before; the first is nearest the median."""
+    draw = np.random.default_rng(0)
+    chosen = [int(np.argmin(((x - np.median(x, axis=0)) ** 2).sum(axis=1)))]
+    apart = ((x - x[chosen[0]]) ** 2).sum(axis=1)
+    while len(chosen) < count and apart.max() > 1.0:
+        chosen.append(int(np.searchsorted(np.cumsum(apart), draw.random() * apart.sum())))
+        apart = np.minimum(apart, ((x - x[chosen[-1]]) ** 2).sum(axis=1))
+    return x[chosen]

@@ -1,0 +1,1 @@
+"""Costs and budgets: bytes and evaluations of a texel, memory of the machine, the plan of tiles."""

@@ -1,0 +1,99 @@
+"""Budgets of memory: what a person allows, what the machine has."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...core.errors import InputError
+from ...gpu.context import is_software
+
+ASSUMED_DEVICE = 4 << 30  # Blender tells no GPU's memory; less than this few GPUs have
+_SPARE = 0.8  # of what the machine has free: other programs want some, and arrays are not all that a process holds
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
+_MEMINFO = Path("/proc/meminfo")
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes that a recovery may take on the device and on the host, and in words where each figure comes from."""
+
+    device: int
+    host: int
+    device_from: str = "--memory"
+    host_from: str = "--memory"
+
+
+def parse_memory(text: str) -> dict[str, int]:
+    """Return {"device": bytes, "host": bytes}, or one of them, of "4G" (both) or "device=4G,host=8G".
+
+    K, M, G and T are powers of 1024. Raises InputError naming --memory.
+    """
+    wanted: dict[str, int] = {}
+    for part in text.split(","):
+        name, equals, amount = (piece.strip() for piece in part.rpartition("="))
+        names = ("device", "host") if not equals else (name.lower(),)
+        found = _AMOUNT.fullmatch(amount)
+        size = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
+        if size <= 0 or not set(names) <= {"device", "host"} or set(names) & set(wanted):
+            raise InputError(f"--memory {text}: write an amount, as in 4G, or device=4G,host=8G (units K, M, G, T)")
+        wanted |= dict.fromkeys(names, size)
+    return wanted
+
+
+def amount(size: int) -> str:
+    """Return bytes as people write them: "1.5 GiB"."""
+    for unit in ("T", "G", "M", "K"):
+        if size >= _UNITS[unit]:
+            return f"{size / _UNITS[unit]:.{0 if size >= 100 * _UNITS[unit] else 1}f} {unit}iB"
+    return f"{size} B"
+
+
+def machine_memory(text: str | None, renderer: str) -> Memory:
+    """Return the budget of --memory, completed by what the machine has. renderer: the GPU's name.
+
+    A software renderer's textures lie in the host's memory, which the two then share evenly.
+    """
+    given = parse_memory(text) if text else {}
+    host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of what is free"
+    device, device_from = ASSUMED_DEVICE, "assumed: no GPU tells; say with --memory device=…"
+    if is_software(renderer):
+        host //= 2
+        host_from = f"half of {host_from}"
+        device, device_from = host, f"{host_from}: a software renderer"
+    return Memory(
+        given.get("device", device), given.get("host", host),
+        "--memory" if "device" in given else device_from, "--memory" if "host" in given else host_from,
+    )  # fmt: skip
+
+
+def free_memory() -> int:
+    """Return the bytes of main memory that programs may still take; all there is where the system does not tell."""
+    if _MEMINFO.is_file():
+        for line in _MEMINFO.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) << 10
+    if hasattr(os, "sysconf"):
+        pages = "SC_AVPHYS_PAGES" if "SC_AVPHYS_PAGES" in os.sysconf_names else "SC_PHYS_PAGES"
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf(pages)
+    return _windows_free()
+
+
+def _windows_free() -> int:
+    if sys.platform != "win32":
+        raise InputError("this system does not tell how much memory it has; say so with --memory")
+
+    class Status(ctypes.Structure):
+        _fields_ = [("length", ctypes.c_ulong), ("load", ctypes.c_ulong)] + [
+            (name, ctypes.c_ulonglong)
+            for name in ("total", "free", "total_file", "free_file", "total_virtual", "free_virtual", "extended")
+        ]
+
+    status = Status(length=ctypes.sizeof(Status))
+    ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+    return int(status.free)

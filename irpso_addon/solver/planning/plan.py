@@ -1,0 +1,317 @@
+"""The plan of a recovery: how a domain is cut so that it fits the textures and the memory there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...geometry.seams.seams import LOOKED_FOR, SEAM_REACH
+from ..state.textures import plan_atlas
+from .cost import FLOAT, FLOAT2, FLOAT4, Need
+from .memory import Memory, amount
+
+_BAKE = 65  # on the host: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
+_PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 12
+_PREPARING = 512 << 20  # on the host, whatever the domain: chunks of the preparation, Blender itself
+_SMALLEST = 8  # texels along the longer side from which on a tile is not cut again
+
+Box = tuple[int, int, int, int]  # x0, y0, width, height
+
+
+@dataclass(frozen=True)
+class Borders:
+    """Where a UV map's islands end at seams. middle: (E, 2) of every border edge, length: (E,), in texels."""
+
+    middle: np.ndarray
+    length: np.ndarray
+
+    def beside(self, box: Box, halo: int) -> float:
+        """Return how long they are together in a box and up to ``halo`` texels around it."""
+        x0, y0, width, height = box
+        low, high = (x0 - halo, y0 - halo), (x0 + width + halo, y0 + height + halo)
+        return float(self.length[((self.middle >= low) & (self.middle <= high)).all(axis=1)].sum())
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the device takes: the side and the layers of a texture, and the bytes of a single one."""
+
+    side: int = 16384
+    layers: int = 2048
+    texture: int = 1 << 30  # software GL was seen to refuse more
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Texels [x0, x0 + width) × [y0, y0 + height) of the domain: how many are covered, and the bytes they take.
+
+    texels: covered, its own; device, host: bytes while it is solved, halo included. restored: bytes of its state, which
+    lies on the device twice for a moment when its turn comes.
+    """
+
+    x0: int
+    y0: int
+    width: int
+    height: int
+    texels: int
+    device: int
+    host: int
+    restored: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a recovery is done within a budget of memory.
+
+    shape: (H, W) of the domain. texels: covered. tiles: rectangles that together hold all of them, with ``halo``
+    texels around each. on_device: how many of them lie on the device at once; fewer than all take turns. stack_on,
+    state_on: where the sample stack, and the state of tiles that are not on the device, lie: "memory" or "scratch" (a
+    file). passes: how often every tile is gone over: 1 + exchanges. device, host, scratch: bytes at the most.
+    """
+
+    shape: tuple[int, int]
+    texels: int
+    observations: int
+    tiles: tuple[Tile, ...]
+    halo: int
+    on_device: int
+    stack_on: str
+    state_on: str
+    passes: int
+    device: int
+    host: int
+    scratch: int
+    evaluations: int
+    memory: Memory
+
+    @property
+    def resident(self) -> bool:
+        """Whether all tiles stay on the device."""
+        return self.on_device == len(self.tiles)
+
+    @property
+    def boxes(self) -> list[Box]:
+        """The tiles as (x0, y0, width, height)."""
+        return [(t.x0, t.y0, t.width, t.height) for t in self.tiles]
+
+    def as_dict(self) -> dict:
+        """Return the plan as plain data."""
+        return asdict(self) | {"resident": self.resident}
+
+    def lines(self) -> list[str]:
+        """Return the plan for people."""
+        height, width = self.shape
+        count = len(self.tiles)
+        share = [t.texels for t in self.tiles]
+        how = f"{'all' if self.resident else self.on_device} on the device at once"
+        lines = [
+            f"domain        {width} × {height}, {self.texels} texels covered, {self.observations} observations",
+            f"tiles         {count}" + (f" of {min(share)} to {max(share)} texels, {how}" if count > 1 else ""),
+            f"device        {amount(self.device)} of {amount(self.memory.device)} ({self.memory.device_from})",
+            f"host          {amount(self.host)} of {amount(self.memory.host)} ({self.memory.host_from})",
+            f"scratch file  {amount(self.scratch) if self.scratch else 'none'}",
+            f"evaluations   {self.evaluations / 1e6:.3g} million of {self.observations} observations each",
+        ]
+        if count > 1:
+            largest = max(self.tiles, key=lambda t: t.device)
+            turns = f", {self.passes} turns of each tile" if not self.resident else ""
+            lines.insert(2, f"halo          {self.halo} texels around each tile{turns}")
+            lines.insert(3, f"largest tile  {largest.width} × {largest.height} at ({largest.x0}, {largest.y0}), "
+                            f"{amount(largest.device)} on the device, {amount(largest.host)} on the host")  # fmt: skip
+        return lines
+
+
+def plan_recovery(
+    coverage: np.ndarray,
+    need: Need,
+    memory: Memory,
+    limits: Limits = Limits(),
+    stack_on: str | None = None,
+    boxes: Sequence[Box] = (),
+    borders: Borders | None = None,
+) -> Plan:
+    """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
+
+    The domain is cut across its longer side by the number of covered texels, and the parts again, into as many as are
+    needed for each to fit the device. Where the host has no room for it the sample stack goes into a scratch file, then
+    the state of tiles that wait. stack_on: where the stack lies already, if it does. boxes: the tiles, where they are
+    given. borders: of a mesh, whose seams take memory too. Raises InputError, naming the setting, where even small
+    tiles do not fit, and where no texel is covered.
+    """
+    if need.observations > limits.layers:
+        raise InputError(
+            f"{need.observations} observations exceed this GPU's textures of {limits.layers} layers; hold some out"
+        )
+    if not coverage.any():
+        raise InputError("no texel is covered; raise the resolution or check the mask")
+    whole = (0, 0, coverage.shape[1], coverage.shape[0])
+    if not boxes:
+        fits = _fits(coverage, whole, need, memory, limits, borders)
+        boxes = [whole] if fits else _cut(coverage, need, memory, limits, borders)
+    tiles = tuple(tile_of(coverage, box, need, borders) for box in boxes)
+    largest = max(tile.device for tile in tiles)
+    restored = max(tile.restored for tile in tiles)
+    resident = sum(tile.device for tile in tiles) <= memory.device
+    on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
+    host, scratch, stack_on, state_on = _places(coverage.size, tiles, need, memory, resident, stack_on)
+    device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
+    texels = _texels(coverage)
+    return Plan(
+        coverage.shape, texels, need.observations, tiles, 0 if boxes == [whole] else need.reach, on_device, stack_on,
+        state_on, 1 if resident else 1 + need.exchanges, device, host, scratch, texels * need.evaluations, memory,
+    )  # fmt: skip
+
+
+def device_bytes(texels: int, rectangle: int, need: Need) -> int:
+    """Return the bytes of all textures of a recovery of so many packed texels in a rectangle of so many."""
+    table = 3 * FLOAT4 * need.observations
+    return _places_of(texels) * need.device + FLOAT2 * rectangle + table
+
+
+def host_bytes(texels: int, rectangle: int, need: Need) -> int:
+    """Return the bytes on the host while a tile is put on the device or taken off: its stack, geometry and state."""
+    geometry = 4 * FLOAT4
+    return _places_of(texels) * (FLOAT4 * need.observations + geometry + need.kept) + FLOAT2 * rectangle
+
+
+def restored_bytes(texels: int, need: Need) -> int:
+    """Return the bytes of what a tile that comes back to the device has taken along."""
+    return _places_of(texels) * need.kept
+
+
+def _places_of(texels: int) -> int:
+    """Return the places of the packed grid of so many texels, as near a square as Packing makes it."""
+    side = int(np.ceil(np.sqrt(max(texels, 1))))
+    return side * -(-max(texels, 1) // side)
+
+
+def _texels(coverage: np.ndarray) -> int:
+    return int(np.count_nonzero(coverage))
+
+
+def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
+    x0, y0, width, height = box
+    rows = slice(max(0, y0 - halo), min(shape[0], y0 + height + halo))
+    return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
+
+
+def tile_of(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> Tile:
+    """Return a box of the covered texels, (H, W) bool, as a tile."""
+    texels, device, host = _amounts(coverage, box, need, borders)
+    own = coverage[_around(box, 0, coverage.shape)]
+    return Tile(*box, _texels(own), device, host, restored_bytes(texels, need))
+
+
+def _amounts(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> tuple[int, int, int]:
+    """Return the texels of a tile with its halo and its annex, and its bytes on the device and on the host."""
+    part = coverage[_around(box, need.reach, coverage.shape)]
+    texels, seams = _texels(part), 0
+    if borders is not None:
+        beside = borders.beside(box, need.reach)
+        annex = int(beside * (need.reach if need.reach <= LOOKED_FOR else SEAM_REACH))
+        texels += min(annex, _texels(coverage) - texels)
+        bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
+        # What lies past borders has four channels; what is seen there fills whole layers of the geometry.
+        places = _places_of(texels)
+        layers = -(-int(beside * SEAM_REACH) // places)
+        seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
+    return texels, device_bytes(texels, part.size, need) + seams, host_bytes(texels, part.size, need) + seams
+
+
+def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
+    """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
+    count = 1
+    while True:
+        boxes = list(divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
+        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, borders, in_turns=True)]
+        if not unfit:
+            return boxes
+        if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
+            found = tile_of(coverage, small[0], need, borders)
+            raise InputError(
+                f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {found.width} ×"
+                f" {found.height} texels with a halo of {need.reach} takes {amount(found.device)}; allow more, or lower"
+                " the number of observations or the number of particles"
+            )
+        count = max(count + 1, int(1.1 * count))
+
+
+def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
+    """Yield ``count`` boxes of a box, cut in two across the longer side by the number of covered texels, and so on.
+
+    They are fewer where a box would be too small to be cut.
+    """
+    x0, y0, _, _ = box
+    part = coverage[_around(box, 0, coverage.shape)]
+    rows, columns = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
+    if not len(rows):
+        return
+    x0, y0 = x0 + int(columns[0]), y0 + int(rows[0])
+    width, height = int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1
+    if count == 1 or max(width, height) <= _SMALLEST:
+        yield x0, y0, width, height
+        return
+    part = part[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    sums = np.cumsum(np.count_nonzero(part, axis=0 if width >= height else 1))
+    at = int(np.clip(np.searchsorted(sums, sums[-1] * (count // 2) / count) + 1, 1, len(sums) - 1))
+    if width >= height:
+        halves = [(x0, y0, at, height), (x0 + at, y0, width - at, height)]
+    else:
+        halves = [(x0, y0, width, at), (x0, y0 + at, width, height - at)]
+    for half, share in zip(halves, (count // 2, count - count // 2), strict=True):
+        yield from divided(coverage, half, share)
+
+
+def _fits(
+    coverage: np.ndarray,
+    box: Box,
+    need: Need,
+    memory: Memory,
+    limits: Limits,
+    borders: Borders | None,
+    in_turns: bool = False,
+) -> bool:
+    texels, device, _ = _amounts(coverage, box, need, borders)
+    device += in_turns * restored_bytes(texels, need)
+    shape = coverage[_around(box, need.reach, coverage.shape)].shape
+    border = 0 if borders is None else 2 * SEAM_REACH
+    return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), need, limits)
+
+
+def _fits_textures(texels: int, shape: tuple[int, int], need: Need, limits: Limits) -> bool:
+    """Return whether no single texture is larger than the device takes one."""
+    places = _places_of(texels)
+    side = int(np.ceil(np.sqrt(places)))
+    tiles = max(phase.atlas for phase in need.phases)
+    if max(*shape, side) > limits.side or places * FLOAT4 * need.observations > limits.texture:
+        return False
+    try:
+        atlas = plan_atlas(side, side, tiles, limits.side)
+    except InputError:
+        return False
+    return places * FLOAT4 * atlas.across * atlas.down <= limits.texture
+
+
+def _places(
+    texels: int, tiles: Sequence[Tile], need: Need, memory: Memory, resident: bool, stack_on: str | None
+) -> tuple[int, int, str, str]:
+    """Return (host, scratch, stack_on, state_on): in memory what it has room for, the sample stack first.
+
+    texels: of the domain, covered or not.
+    """
+    stack = FLOAT4 * need.observed * texels
+    state = 0 if resident else need.kept * sum(_places_of(tile.texels) for tile in tiles)
+    maps = FLOAT * (2 * need.components + 1) * texels
+    least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
+    for where in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
+        scratch = stack * (where[0] == "scratch") + state * (where[1] == "scratch")
+        if least + stack + state - scratch <= memory.host:
+            return least + stack + state - scratch, scratch, *where
+    raise InputError(
+        f"--memory host={amount(memory.host)} ({memory.host_from}): {amount(least)} are needed even with the images in"
+        " a scratch file; allow more, or choose a smaller --resolution"
+    )

@@ -1,0 +1,129 @@
+"""Planning a recovery before anything large is read: what is covered, what that asks for, what there is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...capture.types import Capture
+from ...core.errors import CheckpointError
+from ...geometry.bake import uv_coverage
+from ...geometry.build import check_card
+from ...geometry.domain import Domain
+from ...geometry.mesh import MeshData
+from ...geometry.seams.edges import seam_edges
+from ...gpu import context
+from ...reflectance.model import ReflectanceModel
+from ..engine.coarse_to_fine import Pyramid
+from ..engine.recovery import Recovery
+from ..engine.tiled import TiledRecovery
+from ..settings.schedule import Schedule, refuse_levels
+from ..state import checkpoint
+from ..state.prepare import Prepared
+from .cost import recovery_need
+from .memory import machine_memory
+from .plan import Borders, Limits, Plan, plan_recovery
+
+AnyRecovery = Recovery | Pyramid | TiledRecovery
+
+
+def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
+    """Return (H, W) bool: the texels of the domain that is to come, by its mask or its mesh alone."""
+    return check_card(capture) if mesh is None else uv_coverage(mesh, *resolution)
+
+
+def make_plan(
+    coverage: np.ndarray,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    known: Collection[str],
+    observations: int,
+    held_out: int = 0,
+    *,
+    memory: str | None = None,
+    entry: str = "auto",
+    stack_on: str | None = None,
+    resumed: Path | None = None,
+    mesh: MeshData | None = None,
+) -> Plan:
+    """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
+
+    memory: what may be used, as in "4G" or "device=4G,host=8G"; else what is free. entry: as for a Recovery. stack_on:
+    where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles. mesh: the
+    texels', whose seams take memory too.
+    """
+    device = context.describe()
+    allowed = machine_memory(memory, str(device["renderer"]))
+    limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
+    need = recovery_need(model, schedule, known, observations, held_out, entry != "fragment")
+    boxes = []
+    if resumed is not None:
+        boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
+        _check_boxes(boxes, coverage)
+    borders = None if mesh is None else uv_borders(mesh, coverage.shape)
+    plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes, borders)
+    if not untiled(plan):
+        refuse_levels(schedule)
+    return plan
+
+
+def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
+    """Return where the islands of a mesh's UV map end at seams, on (H, W) texels."""
+    edges, _ = seam_edges(mesh, shape[1], shape[0])
+    edges = edges.some(edges.other >= 0)
+    return Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
+
+
+def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:
+    """Raise CheckpointError unless a checkpoint's tiles hold all texels of this domain."""
+    rows, columns = coverage.shape
+    left = coverage.copy()
+    for box in boxes:
+        x, y, width, height = box if len(box) == 4 else (0, 0, 0, 0)
+        if not (width > 0 and height > 0 and 0 <= x <= columns - width and 0 <= y <= rows - height):
+            raise CheckpointError("--resume: the checkpoint is of a domain of another size; run without --resume")
+        left[y : y + height, x : x + width] = False
+    if left.any():
+        raise CheckpointError("--resume: the checkpoint's tiles leave some of this domain out; run without --resume")
+
+
+def scratch_folder(output: Path) -> Path:
+    """Return where scratch files go: TMPDIR where it is set, else beside the output folder."""
+    if folder := os.environ.get("TMPDIR"):
+        return Path(folder)
+    folder = output.resolve().parent
+    while not folder.is_dir():
+        folder = folder.parent
+    return folder
+
+
+def planned_recovery(
+    plan: Plan,
+    domain: Domain,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    seed: int,
+    known: Mapping[str, np.ndarray],
+    entry: str,
+    scratch: Path,
+    prepared: Prepared | None = None,
+) -> AnyRecovery:
+    """Return the recovery that the plan and the schedule ask for.
+
+    scratch: the folder for scratch files. prepared: of ``prepare``, packed where the domain is solved as one; a domain
+    of several levels is prepared level by level.
+    """
+    settings = (domain, model, schedule, seed, known, entry)
+    if untiled(plan):
+        return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
+    folder = scratch if plan.state_on == "scratch" else None
+    options = {"halo": plan.halo, "on_device": plan.on_device, "scratch": folder, "prepared": prepared}
+    return TiledRecovery(*settings, boxes=plan.boxes, **options)
+
+
+def untiled(plan: Plan) -> bool:
+    """Return whether the domain is solved as one."""
+    return plan.boxes == [(0, 0, plan.shape[1], plan.shape[0])]

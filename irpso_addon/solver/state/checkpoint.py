@@ -1,0 +1,197 @@
+"""Checkpoints: the state of a recovery in one file, written whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import CheckpointError
+from ...core.files import replacing_file
+from ...geometry.domain import Domain
+from ...gpu.library import read_source
+from ...reflectance.model import ReflectanceModel
+from ..kernels.kernels import model_includes
+from ..settings.schedule import Schedule
+from .layout import digest_of_texels
+
+_VERSION = 4
+_NOTE = "note_"  # before the names of arrays in the file that are the caller's
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state of a recovery, and what its caller wants to find again.
+
+    stage: index of the running stage. iteration: as the phase counts. arrays: texture contents by name. notes: arrays
+    of the caller's own by name.
+    """
+
+    stage: int
+    iteration: int
+    evaluations: int
+    arrays: dict[str, np.ndarray]
+    notes: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+def identity(
+    domain: Domain,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    seed: int,
+    entry: str,
+    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    samples: int | None = None,
+) -> dict[str, Any]:
+    """Return what must be equal for a checkpoint to be gone on from, as plain data.
+
+    samples: of ``digest_of_texels``, where the domain's own stack does not hold them.
+    """
+    bake = domain.bake
+    samples = digest_of_texels(domain) if samples is None else samples
+    shape = (bake.position, bake.normal, bake.tangent, bake.coverage)
+    if domain.seams is not None:
+        shape += (domain.seams.place, domain.seams.of, domain.seams.target)
+    return {
+        "model": model.name,
+        "preset": dataclasses.asdict(schedule),
+        "seed": seed,
+        "entry": entry,
+        "parameters": [*(dataclasses.asdict(p) for p in model.parameters), model.starts],
+        "shader": hashlib.sha256(read_source(model.shader, model_includes(model)).encode()).hexdigest(),
+        "domain": [*domain.shape, *domain.origin, *domain.halo],
+        "observations": [_digest((domain.lights, domain.intensities, domain.views)), f"{samples:016x}"],
+        "geometry": _digest(shape),
+        "known": {name: _digest([known[name]]) for name in sorted(known)},
+        "tiles": None,
+    }
+
+
+def _digest(arrays: Iterable[np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
+
+
+def named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, named without it."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
+    """Write a checkpoint to ``path`` through a temporary name beside it."""
+    arrays = state.arrays | {_NOTE + name: array for name, array in state.notes.items()}
+    about = {
+        "version": _VERSION,
+        "identity": who,
+        "stage": state.stage,
+        "iteration": state.iteration,
+        "evaluations": state.evaluations,
+        "arrays": {name: [list(array.shape), _digest([array])] for name, array in arrays.items()},
+    }
+    with replacing_file(path, durable=True) as part, part.open("wb") as file:
+        np.savez(file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+
+
+def read(path: Path, who: dict[str, Any]) -> Checkpoint:
+    """Read a checkpoint. Raises CheckpointError where it is missing, damaged, or another's, naming what differs."""
+    with _said_of(path):
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        about = json.loads(bytes(arrays.pop("about")))
+        _check(path, about, who)
+        if {name: [list(array.shape), _digest([array])] for name, array in arrays.items()} != about["arrays"]:
+            raise ValueError("the arrays are not those that were written")
+        notes = named(arrays, _NOTE)
+        arrays = {name: array for name, array in arrays.items() if not name.startswith(_NOTE)}
+        return Checkpoint(about["stage"], about["iteration"], about["evaluations"], arrays, notes)
+
+
+def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a checkpoint says of itself, before anything slow is done to go on from it.
+
+    who: what is known already of the recovery's ``identity``. Raises CheckpointError as ``read`` does.
+    """
+    with _said_of(path):
+        with np.load(path) as file:
+            about = json.loads(bytes(file["about"]))
+        _check(path, about, who)
+        return dict(about["identity"])
+
+
+def read_note(path: Path, name: str) -> np.ndarray:
+    """Return one of a checkpoint's notes, without the rest. Raises CheckpointError where it is not there."""
+    with _said_of(path), np.load(path) as file:
+        return file[_NOTE + name]
+
+
+def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
+
+    Raises CheckpointError where it is missing or damaged.
+    """
+    with _said_of(path):
+        tiles = glance(path, {}).get("tiles") or []
+        return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
+
+
+# What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
+_DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
+
+
+@contextmanager
+def _said_of(path: Path) -> Iterator[None]:
+    """Raise CheckpointError for what reading a file raises."""
+    try:
+        yield
+    except OSError as error:
+        raise CheckpointError(f"{path}: the checkpoint cannot be read ({error.strerror or error})") from error
+    except _DAMAGED as error:
+        raise CheckpointError(f"{path}: is no checkpoint, or a damaged one; start without --resume") from error
+
+
+def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
+    if about["version"] != _VERSION:
+        raise CheckpointError(f"{path}: is a checkpoint of another version; start without --resume")
+    found, ours = about["identity"], json.loads(json.dumps(who))
+    differing = [name for name in ours if found.get(name) != ours[name]]
+    if differing:
+        details = [text for name in differing if (text := _difference(name, found.get(name), ours[name]))]
+        verb = "differs" if len(differing) == 1 else "differ"
+        raise CheckpointError(
+            f"{path}: is of another recovery: {', '.join(differing)} {verb}"
+            f"{' (' + '; '.join(details) + ')' if details else ''}; start without --resume"
+        )
+
+
+def _difference(name: str, there: Any, here: Any) -> str:
+    """Return in words what a person has set otherwise, nothing where it is no setting."""
+    if name in ("model", "seed", "entry"):
+        return f"{name} {there} there, {here} here"
+    if name == "geometry":
+        return "another mesh, camera, mask or distance of the card"
+    if name == "preset" and isinstance(there, dict):
+        return f"in the preset {', '.join(dict.fromkeys(_leaves(there, here)))}"
+    return ""
+
+
+def _leaves(there: Any, here: Any, name: str = "") -> Iterator[str]:
+    """Yield the names of the settings that differ, however deep they lie."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in {**there, **here}:
+            yield from _leaves(there.get(key), here.get(key), key)
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        for one, other in zip(there, here, strict=True):
+            yield from _leaves(one, other, name)
+    elif there != here:
+        yield name

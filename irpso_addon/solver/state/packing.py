@@ -1,0 +1,106 @@
+"""Dense packing: the texels that are solved, side by side, so that empty ones cost neither memory nor time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...geometry.seams.seams import SeamMap
+
+_EXACT = 1 << 24  # float32 numbers whole ones up to here
+
+
+def level_size(lent: Mapping[str, Any], defines: Mapping[str, int]) -> tuple[int, int]:
+    """Return (W, H) of the domain whose packing is lent, with the defines of its kernels."""
+    border = 2 * defines.get("SEAMS", 0)
+    return lent["u_packed"].width - border, lent["u_packed"].height - border
+
+
+class Packing:
+    """Which place of a packed grid holds which texel of a domain, row by row.
+
+    solved: (H, W) bool. seams: of the domain, whose annex comes after its texels. width, height: of the packed grid;
+    its last places may be empty: count are held. A domain that is solved everywhere, and has no annex, is its own
+    packing.
+    """
+
+    def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
+        self.shape, self.seams = solved.shape, seams
+        self._rows, self._columns = np.nonzero(solved)
+        self.annex = 0 if seams is None else len(seams.annex)
+        self.count = count = len(self._rows) + self.annex
+        self._whole = bool(solved.all()) and not self.annex
+        self.width = solved.shape[1] if self._whole else max(1, math.isqrt(max(count - 1, 0)) + 1)
+        self.height = max(1, -(-count // self.width))
+
+    def pack(self, array: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself.
+
+        annex: (M, …) of the annex's texels, or what broadcasts to it.
+        """
+        return array if self._whole else self._grid(array[self._rows, self._columns], annex)
+
+    def pack_layers(self, array: np.ndarray) -> np.ndarray:
+        """Return (K, h, w, C) of (K, H, W, C), a copy."""
+        packed = np.zeros((len(array), self.height * self.width, array.shape[-1]), np.float32)
+        for layer, out in zip(array, packed, strict=True):
+            out[: len(self._rows)] = layer[self._rows, self._columns]
+        return packed.reshape(len(array), self.height, self.width, -1)
+
+    def unpack(self, array: np.ndarray, fill: Any = 0.0) -> np.ndarray:
+        """Return (H, W, …) of (h, w, …), with ``fill`` where no texel is solved."""
+        if self._whole:
+            return array.copy()
+        result = np.empty((*self.shape, *array.shape[2:]), array.dtype)
+        result[:] = fill
+        flat = array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])  # −1 fails for 0 channels
+        result[self._rows, self._columns] = flat[: len(self._rows)]
+        return result
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what shaders/common/packing.glsl reads, float32: layers of places (1 or more, h, w, 4) and u_packed.
+
+        u_packed, the inverse of the places, has two channels; with seams four, and a border around the domain.
+        """
+        places = np.zeros((len(self._rows), 4), np.float32)
+        places[:, 0], places[:, 1] = self._columns, self._rows
+        index = np.arange(len(self._rows))
+        inverse = np.full((*self.shape, 2), -1, np.float32)
+        inverse[self._rows, self._columns] = np.stack([index % self.width, index // self.width], axis=-1)
+        if self.seams is not None:
+            return self._with_seams(self.seams, places, inverse)
+        return self._grid(places)[None], inverse
+
+    def _with_seams(self, seams: SeamMap, places: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for channel, of in ((2, seams.chart), (3, seams.island)):
+            places[:, channel] = of[self._rows, self._columns]
+        height, width = self.shape
+        numbers = np.full(height * width + self.annex, -1)
+        numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
+        numbers[height * width :] = len(self._rows) + np.arange(self.annex)
+        target = numbers[seams.target]
+        held = np.flatnonzero(target >= 0)
+        place, target = seams.place[held] + seams.reach, target[held]
+        if len(place) >= _EXACT:
+            raise InputError("this domain has more texels beside seams than a texture can number; solve it in tiles")
+        flat = place[:, 1].astype(np.int64) * (width + 2 * seams.reach) + place[:, 0]
+        begins = np.diff(flat, prepend=-1) != 0
+        following = np.where(np.append(begins[1:], True), -1, np.arange(len(flat)) + 1)
+        chain = np.stack([target % self.width, target // self.width, seams.of[held], following], axis=-1)
+        layers = -(-len(chain) // (self.width * self.height))
+        chains = np.full((layers, self.height, self.width, 4), -1, np.float32)
+        chains.reshape(-1, 4)[: len(chain)] = chain
+        border = ((seams.reach, seams.reach), (seams.reach, seams.reach), (0, 0))
+        packed = np.concatenate([inverse, seams.chart[..., None], np.full((height, width, 1), -1)], axis=-1)
+        packed = np.pad(packed.astype(np.float32), border, constant_values=-1)
+        packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)
+        return np.concatenate([self._grid(places, -1)[None], chains]), packed
+
+    def _grid(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+        rest = np.zeros((self.width * self.height - len(self._rows), *values.shape[1:]), values.dtype)
+        rest[: self.annex] = annex
+        return np.concatenate([values, rest]).reshape(self.height, self.width, *values.shape[1:])

@@ -1,0 +1,36 @@
+"""Reading textures back, whichever entry wrote them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...gpu import textures
+from ...gpu.passes import Entry
+from ..kernels.kernels import copy_pass
+
+
+class Reader:
+    """Downloads textures; what a compute dispatch wrote goes through a fragment pass first, which orders the two."""
+
+    def __init__(self, entry: Entry):
+        self._copy = copy_pass() if entry == "compute" else None
+        self._copies: dict[tuple[int, int], Any] = {}
+
+    def read(self, texture: Any) -> np.ndarray:
+        """Return a texture's contents as (H, W, C) float32."""
+        if self._copy is None:
+            return textures.download(texture)
+        size = texture.width, texture.height
+        if size not in self._copies:
+            self._copies[size] = textures.empty(*size)
+        target = self._copies[size]
+        self._copy.run([target], {"u_source": texture})
+        return textures.download(target)[..., : textures.CHANNELS[texture.format]]
+
+    def close(self) -> None:
+        """Free the pass and its copies."""
+        if self._copy is not None:
+            self._copy.close()
+        self._copies.clear()

@@ -1,0 +1,272 @@
+"""The textures of a recovery: the domain as shaders read it, the estimates, and the swarms of one stage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...geometry.domain import Domain
+from ...gpu import context, textures
+from ...reflectance.model import ReflectanceModel
+from ..kernels.encoding import Codec
+from .packing import Packing
+
+UNFIT = 1e30  # as in shaders/swarm/unfit.glsl: the fitness of what was never evaluated
+OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
+
+
+class DomainTextures:
+    """A domain on the GPU, its solved texels packed.
+
+    stack: (K, h, w, 4) the packed sample stack to use, weights and all; None where ``give_stack`` brings it later: that
+    alone takes 0.1 s for 128 MiB. scale: (h, w) for a robust fitness. brightness: as in prepare.Prepared, by default
+    the lights' mean intensity. arrays: of ``domain_arrays``, where they have been found already.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        packing: Packing,
+        stack: np.ndarray | None,
+        scale: np.ndarray,
+        brightness: float | None = None,
+        arrays: dict[str, np.ndarray] | None = None,
+    ):
+        self.domain, self.packing = domain, packing
+        self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
+        self.defines = kernel_defines(domain)
+        self.scale = scale
+        arrays = arrays or domain_arrays(domain, packing, scale)
+        self.textures = {
+            "u_geometry": textures.upload_layers(arrays["u_geometry"]), "u_packed": textures.upload(arrays["u_packed"])
+        }  # fmt: skip
+        self.textures["u_observation_table"] = upload_observations(domain.lights, domain.intensities, domain.views)
+        if stack is not None:
+            self.give_stack(stack)
+
+    def give_stack(self, stack: np.ndarray) -> None:
+        """Upload the packed sample stack (K, h, w, 4), for all who share these textures."""
+        self.textures["u_stack"] = textures.upload_layers(stack)
+
+
+def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | float]:
+    """Return the push constants of a fitness over a domain; delta: δ as a fraction of a texel's scale."""
+    return {
+        "u_observations": domain.domain.observations, "u_delta": delta * domain.brightness,
+        "u_brightness": domain.brightness,
+    }  # fmt: skip
+
+
+def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
+    bake, seams = domain.bake, domain.seams
+    normal = packing.pack(bake.normal, 0.0 if seams is None else seams.annex_normal)
+    tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.annex_tangent)
+    position, state = packing.pack(bake.position), packed_states(domain, packing)
+    places, packed = packing.arrays()
+    geometry = geometry_layers(position, normal, tangent, state, scale)
+    return {"u_geometry": np.concatenate([geometry, places]), "u_packed": packed}
+
+
+def geometry_layers(
+    position: np.ndarray, normal: np.ndarray, tangent: np.ndarray, state: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
+    """Return the layers of u_geometry that frames are made of (shaders/common/frame.glsl), (3, H, W, 4) float32.
+
+    state, scale: (H, W), carried in alpha.
+    """
+    layers = [(position, state[..., None]), (normal, scale[..., None]), (tangent,)]
+    return np.stack([np.concatenate(parts, axis=-1, dtype=np.float32) for parts in layers])
+
+
+def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Any:
+    """Return the table of shaders/common/observation.glsl: K columns of light, intensity and view."""
+    return textures.upload(np.stack([lights, np.pad(intensities, ((0, 0), (0, 1))), views]).astype(np.float32))
+
+
+def kernel_defines(domain: Domain) -> dict[str, str | int]:
+    """Return what kernels over a domain are compiled with: ``observation_defines``, its NOISE and SEAMS, if any."""
+    defines = observation_defines(domain.lights, domain.views, domain.card)
+    if domain.noise:
+        defines["NOISE"] = f"{domain.noise:.9f}"
+    return defines if domain.seams is None else {**defines, "SEAMS": domain.seams.reach}
+
+
+def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, str | int]:
+    """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
+    defines = {"CARD": 1} if card else {}
+    if not lights[:, 3].any():
+        defines["DISTANT_LIGHTS"] = 1
+    if (views == views[:1]).all():
+        defines["ONE_VIEW"] = 1
+    return defines
+
+
+def texel_states(domain: Domain) -> np.ndarray:
+    """Return (H, W) float32: 0 outside, 1 solved here, 2 solved by a neighbouring tile."""
+    state = np.where(domain.solvable, SOLVED, OUTSIDE).astype(np.float32)
+    left, right, bottom, top = domain.halo
+    height, width = domain.shape
+    inside = np.zeros(domain.shape, bool)
+    inside[bottom : height - top, left : width - right] = True
+    state[~inside & (state == SOLVED)] = HALO
+    return state
+
+
+def packed_states(domain: Domain, packing: Packing) -> np.ndarray:
+    """Return (h, w) float32 states of packed texels: those of an annex are solved by other tiles."""
+    return packing.pack(texel_states(domain), HALO)
+
+
+class Estimates:
+    """The components of all parameters, packed in the table's order into one to three RGBA textures."""
+
+    def __init__(self, model: ReflectanceModel, values: dict[str, np.ndarray]):
+        self.model = model
+        self.count = -(-model.components // 4)
+        packed = np.concatenate([values[p.name] for p in model.parameters], axis=-1).astype(np.float32)
+        packed = np.pad(packed, ((0, 0), (0, 0), (0, 4 * self.count - packed.shape[-1])))
+        self.size = packed.shape[1], packed.shape[0]
+        self.current = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(self.count)]
+        self.resolved = [textures.empty(*self.size) for _ in range(self.count)]
+        self._shown: list[Any] = []
+
+    @property
+    def shown(self) -> list[Any]:
+        """Textures for what a display shows of the estimates, apart from those that a run works with."""
+        if not self._shown:
+            self._shown = [textures.empty(*self.size) for _ in range(self.count)]
+        return self._shown
+
+    def bindings(self, resolved: bool = False) -> dict[str, Any]:
+        """Return the textures by sampler name: the estimates that the stage holds to, or with its bests put in."""
+        chosen = self.resolved if resolved else self.current
+        return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
+
+    def accept(self) -> None:
+        """Make what has been resolved the current estimate."""
+        self.current, self.resolved = self.resolved, self.current
+
+    def values(self, resolved: bool = True) -> dict[str, np.ndarray]:
+        """Return the parameters as arrays (H, W, components)."""
+        packed = np.concatenate([textures.download(t) for t in (self.resolved if resolved else self.current)], axis=-1)
+        return {
+            p.name: packed[..., self.model.offset(p.name) : self.model.offset(p.name) + p.components]
+            for p in self.model.parameters
+        }
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """How the tiles of a swarm lie side by side: tiles across and down, of W×H texels each."""
+
+    across: int
+    down: int
+
+
+def plan_atlas(width: int, height: int, tiles: int, limit: int) -> Atlas:
+    """Return the squarest atlas of ``tiles`` that no side of takes more than ``limit`` texels. Raises InputError."""
+    most = limit // max(width, 1)
+    fitting = [Atlas(a, -(-tiles // a)) for a in range(1, min(most, tiles) + 1) if -(-tiles // a) * height <= limit]
+    if not fitting:
+        raise InputError(
+            f"resolution: {tiles} tiles of {width}×{height} texels exceed this GPU's textures of {limit}×{limit};"
+            " lower the resolution or the number of particles"
+        )
+    return min(fitting, key=lambda a: max(a.across * width, a.down * height))
+
+
+class MadeInSteps:
+    """Textures that are made one after the other: a large one alone can take a software renderer 0.1 s."""
+
+    def __init__(self) -> None:
+        self._making = self._make()
+
+    def make(self) -> Iterator[None]:
+        """Make those that are not there yet; yields after each."""
+        for _ in self._making:  # not yield from: who leaves off here must not end the making
+            yield
+
+    def ensure(self) -> None:
+        """Make all that are not there yet."""
+        for _ in self._making:
+            pass
+
+    def stop(self) -> None:
+        """Make no more of them: a generator that waits keeps all alive that it was to fill."""
+        self._making.close()
+
+    def _make(self) -> Iterator[None]:
+        raise NotImplementedError
+
+
+class SwarmTextures(MadeInSteps):
+    """All that the swarms of one stage remember: particles in atlases, candidates and global bests over W×H."""
+
+    def __init__(self, width: int, height: int, particles: int, codec: Codec):
+        super().__init__()
+        self.atlas = plan_atlas(width, height, particles * codec.blocks, context.max_texture_size())
+        self.blocks = codec.blocks
+        self._small = width, height
+
+    def _make(self) -> Iterator[None]:
+        small = self._small
+        large = small[0] * self.atlas.across, small[1] * self.atlas.down
+        self.position = textures.empty(*large, value=0.5)
+        yield
+        self.velocity = textures.empty(*large, value=0.0)
+        yield
+        self.best = textures.empty(*large, value=0.5)
+        yield
+        self.fitness = textures.empty(*large, "R32F", value=UNFIT)
+        yield
+        self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * self.blocks)]
+        yield
+        self.verdict = textures.empty(*small, value=-1.0)
+        self.global_best = [textures.empty(*small, value=0.5) for _ in range(self.blocks)]
+        self.global_fitness = textures.empty(*small, "R32F", value=UNFIT)
+        yield
+
+    @property
+    def remembered(self) -> dict[str, Any]:
+        """The textures that outlive an iteration, by name: what a checkpoint holds."""
+        bests = {f"global_best_{i}": t for i, t in enumerate(self.global_best)}
+        return {
+            "position": self.position,
+            "velocity": self.velocity,
+            "best": self.best,
+            "fitness": self.fitness,
+            "global_fitness": self.global_fitness,
+            **bests,
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take the contents that ``remembered`` had, from arrays of the same names."""
+        self.ensure()
+        for name in ("position", "velocity", "best", "fitness", "global_fitness"):
+            setattr(self, name, textures.upload(arrays[name]))
+        self.global_best = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]
+
+    def read_bindings(self) -> dict[str, Any]:
+        """Return by sampler name what pass A reads."""
+        return {
+            "u_particle_position": self.position,
+            "u_particle_velocity": self.velocity,
+            "u_particle_best": self.best,
+            "u_particle_fitness": self.fitness,
+            "u_best_fitness": self.global_fitness,
+            **self.best_bindings(),
+        }
+
+    def best_bindings(self) -> dict[str, Any]:
+        """Return the global bests by sampler name."""
+        return {f"u_best_{i}": texture for i, texture in enumerate(self.global_best)}
+
+    def candidate_bindings(self) -> dict[str, Any]:
+        """Return the candidates by sampler name: what the commit passes read."""
+        names = [f"u_candidate_{kind}_{block}" for kind in ("position", "velocity") for block in range(self.blocks)]
+        return {**dict(zip(names, self.candidates, strict=True)), "u_verdict": self.verdict}

@@ -1,0 +1,287 @@
+"""The live maps as pictures on the GPU, for a window to draw: nothing is read back."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...gpu import textures
+from ...gpu.bands import Bands
+from ...gpu.passes import Kernel, Output, Pass
+from ...reflectance.model import Parameter, ReflectanceModel
+from ...results.false_color import COLORS, UNCOVERED
+from ..engine.coarse_to_fine import Pyramid
+from ..engine.recovery import Progress, Recovery
+from ..kernels import kernels
+from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
+from ..state.packing import level_size
+from ..state.textures import kernel_defines
+
+KEPT = 4  # pictures: two areas, each with two beside one another
+_SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
+_UNMEASURED = -1.0
+_FRACTION, _COLOR, _NORMAL = range(3)  # u_encoding of shaders/view/show_parameter.glsl
+_PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT",
+              "u_unknown": "FLOAT"}  # fmt: skip
+_OBSERVATION = {"u_observation": "INT", "u_exposure": "FLOAT"}
+_MEASURE = {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a picture shows.
+
+    parameter: of kinds "parameter" and "confidence". observation: of "render" and "reference". limit: the error or
+    standard deviation that is red, in radiance or the parameter's own unit (radians of a normal). exposure: a factor
+    on radiance. unknown: the deviation from which on a parameter of one number is not known, which alpha then says; 0
+    where that is not asked.
+    """
+
+    kind: Literal["parameter", "error", "render", "reference", "confidence"]
+    parameter: str = ""
+    observation: int = 0
+    limit: float = 0.1
+    exposure: float = 1.0
+    unknown: float = 0.0
+
+    @property
+    def measured(self) -> str:
+        """What has to be measured for it: "error", "confidence", or "" for nothing."""
+        if self.kind in ("error", "confidence"):
+            return self.kind
+        return "confidence" if self.unknown else ""
+
+
+class Display:
+    """Pictures of a recovery as it is now. Make it anew where the recovery is another; ``close`` before that is closed.
+
+    known: names of the parameters that were given, of which the confidence need not be told. Raises InputError for a
+    recovery in tiles, which has no picture of the whole.
+    """
+
+    def __init__(self, recovery: Recovery | Pyramid, known: Collection[str] = ()):
+        if not hasattr(recovery, "view"):
+            raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
+        self._recovery, self._known = recovery, frozenset(known)
+        domain = recovery.domain
+        self._defines = kernel_defines(domain)
+        self._size: tuple[int, int] | None = None
+        self._begin()
+
+    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
+        """Return a texture of the domain's size (a coarse level's at that level), RGBA16F; others take its place.
+
+        Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
+        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved;
+        of a parameter 0.5 where it is unknown, if that is asked; of a reference 0.5 where the sample has no weight, and
+        0 where nothing was photographed.
+
+        time_budget_s: about how long measuring errors or deviations may take now; the last that were measured are
+        shown until newer ones are whole, and only the first time is it shown as far as it has come. Without a budget
+        they are of this moment. Raises InputError for a parameter or an observation that there is not.
+        """
+        self._check(shown)
+        with self._recovery.view() as lent:
+            self._follow(lent)
+            progress = self._recovery.progress
+            version: Any = progress
+            if shown.measured:
+                version = progress, self._measure(shown.measured).update(lent, progress, time_budget_s)
+            picture, drawn = self._kept(shown)
+            if drawn != version:
+                self._draw(shown, picture, lent)
+                self._pictures[shown] = (picture, version)
+            return picture
+
+    def pending(self, shown: Shown) -> bool:
+        """Return whether the picture lags behind the recovery: draw again soon, though nothing else changes."""
+        if shown.measured:
+            return self._measure(shown.measured).measured != self._recovery.progress
+        kept = self._pictures.get(shown)
+        return kept is None or kept[1] != self._recovery.progress
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        for made in (*self._passes.values(), *self._measures.values()):
+            made.close()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._passes: dict[str, Pass] = {}
+        self._measures: dict[str, _Measure] = {}
+        self._pictures: OrderedDict[Shown, tuple[Any, Any]] = OrderedDict()
+        self._ramp: Any = None
+
+    def _check(self, shown: Shown) -> None:
+        if shown.kind in ("parameter", "confidence"):
+            self._recovery.model.parameter(shown.parameter)
+        elif not 0 <= shown.observation < self._recovery.domain.observations:
+            count = self._recovery.domain.observations
+            raise InputError(f"observation {shown.observation}: there are {count}, from 0; choose one of them")
+
+    def _follow(self, lent: Mapping[str, Any]) -> None:
+        """Begin anew where the recovery has come to another level, whose textures have other sizes."""
+        size = level_size(lent, self._defines)
+        if size != self._size:
+            self.close()
+            self._size = size
+
+    def _kept(self, shown: Shown) -> tuple[Any, Any]:
+        """Return the picture's texture and what it was drawn of, None where it has not been."""
+        if shown not in self._pictures:
+            if len(self._pictures) < KEPT:
+                self._pictures[shown] = textures.empty(*self._size, "RGBA16F"), None
+            else:  # passes hold on to the frame buffers of their targets, so these are used again
+                _, (oldest, _) = self._pictures.popitem(last=False)
+                self._pictures[shown] = oldest, None
+        self._pictures.move_to_end(shown)
+        return self._pictures[shown]
+
+    def _draw(self, shown: Shown, picture: Any, lent: Mapping[str, Any]) -> None:
+        model, constants, inputs = self._recovery.model, {}, dict(lent)
+        if shown.kind == "parameter":
+            constants = _parameter_constants(model, model.parameter(shown.parameter))
+            constants["u_unknown"] = shown.unknown
+        elif shown.kind in ("render", "reference"):
+            constants = {"u_observation": shown.observation, "u_exposure": shown.exposure}
+        else:
+            constants = {"u_at": 0, "u_components": 1, "u_limit": max(shown.limit, 1e-9)}  # red from 0 on, if need be
+            if shown.kind == "confidence":
+                parameter = model.parameter(shown.parameter)
+                components = 1 if parameter.is_normal else parameter.components
+                constants |= {"u_at": model.offset(parameter.name), "u_components": components}
+            inputs |= {"u_ramp": self._colors()}
+        if shown.measured:
+            inputs |= self._measure(shown.measured).bindings()
+        kind = "unknown" if shown.unknown else shown.kind
+        if kind not in self._passes:
+            self._passes[kind] = _picture_pass(model, kind, self._defines)
+        self._passes[kind].run([picture], inputs, constants)
+
+    def _measure(self, kind: str) -> _Measure:
+        if kind not in self._measures:
+            model = self._recovery.model
+            if kind == "error":
+                constants = {"u_observations": self._recovery.domain.observations}
+                self._measures[kind] = _Measure(kernels.residual_pass(model, self._defines), 1, "R32F", constants)
+            else:
+                made, constants = self._recovery.deviation_pass()
+                count = kernels.estimate_defines(model)["ESTIMATES"]
+                self._measures[kind] = _Measure(made, count, "RGBA32F", constants)
+        return self._measures[kind]
+
+    def _colors(self) -> Any:
+        if self._ramp is None:
+            ramp = np.concatenate([COLORS, [UNCOVERED]])
+            self._ramp = textures.upload(np.pad(ramp, ((0, 0), (0, 1)), constant_values=1.0)[None])
+        return self._ramp
+
+
+class _Measure:
+    """What takes long to tell of all texels, measured a few rows at a time; the last whole one is kept meanwhile."""
+
+    def __init__(self, made: Pass, count: int, texture_format: str, constants: dict[str, int | float]):
+        self._pass, self._count, self._format = made, count, texture_format
+        self._constants = constants
+        self._bands = Bands()
+        self._whole: list[Any] = []
+        self._coming: list[Any] = []
+        self._work: Iterator[None] | None = None
+        self._inputs: Mapping[str, Any] = {}
+        self._progress: Progress | None = None  # of the recovery when the one that is coming was begun
+        self.measured: Progress | None = None  # and of the whole one
+        self._version = 0
+        self._seconds = self._ended = 0.0
+
+    def update(self, lent: Mapping[str, Any], progress: Progress, time_budget_s: float | None) -> int:
+        """Measure on for about so long, or all where there is no budget; return a number that changes with it."""
+        now = time.perf_counter()
+        deadline = None if time_budget_s is None else now + time_budget_s
+        if deadline is None and self._progress != progress:
+            self._work = None
+        if self._work is None and progress != self.measured and (deadline is None or self._due(now, progress)):
+            self._start(lent, progress, time_budget_s)
+        if self._work is not None:
+            self._inputs = lent
+            self._bands.paced = deadline is not None
+        while self._work is not None:
+            if next(self._work, self) is self:
+                self._finish()
+            if self.measured is None:
+                self._version += 1  # shown as far as it has come
+            if deadline is not None and time.perf_counter() >= deadline:
+                break
+        self._seconds += time.perf_counter() - now
+        return self._version
+
+    def bindings(self) -> dict[str, Any]:
+        """Return what has been measured by sampler name."""
+        return {f"u_measure_{i}": texture for i, texture in enumerate(self._whole or self._coming)}
+
+    def close(self) -> None:
+        """Free shader and textures."""
+        self._pass.close()
+        self._whole, self._coming, self._work, self._inputs = [], [], None, {}
+
+    def _due(self, now: float, progress: Progress) -> bool:
+        return progress.done or self.measured is None or now - self._ended >= self._seconds * (1 / _SHARE - 1)
+
+    def _start(self, lent: Mapping[str, Any], progress: Progress, budget: float | None) -> None:
+        if not self._coming:
+            size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
+            self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
+        self._progress, self._seconds = progress, 0.0
+        self._work = self._measuring(self._coming, budget)
+
+    def _measuring(self, targets: list[Any], budget: float | None) -> Iterator[None]:
+        """Measure into ``targets``. The recovery may go on between bands: each reads what it has found by then."""
+        self._pass.compile()
+        yield  # the first band has a compiler of its own to wait for
+        yield from self._bands.run(
+            "measure",
+            targets[0].height,
+            BACKGROUND_BAND_SECONDS if budget is None else min(BAND_SECONDS, 0.5 * budget),
+            lambda rows: self._pass.run(targets, self._inputs, self._constants, rows),
+            lambda: self._pass.fence(targets),
+        )
+
+    def _finish(self) -> None:
+        self._whole, self._coming = self._coming, self._whole
+        self._work, self._inputs, self.measured = None, {}, self._progress
+        self._version += 1
+        self._ended = time.perf_counter()
+
+
+def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[str, int | float]:
+    low, high = parameter.range
+    encoding = _NORMAL if parameter.is_normal else _COLOR if parameter.color_space == "sRGB" else _FRACTION
+    return {
+        "u_at": model.offset(parameter.name),
+        "u_components": parameter.components,
+        "u_encoding": encoding,
+        "u_low": low,
+        "u_width": high - low,
+    }
+
+
+def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, int]) -> Pass:
+    """Compile the pass that draws a kind of picture."""
+    estimates, measures = kernels.estimate_samplers(model), 0
+    name, samplers, constants = f"show_{kind}", {**estimates, **kernels.OBSERVATIONS}, _OBSERVATION
+    if kind in ("error", "confidence", "unknown"):
+        measures = 1 if kind == "error" else len(estimates)
+    measured = {f"u_measure_{i}": kernels.FLOAT_2D for i in range(measures)}
+    if kind in ("parameter", "unknown"):
+        name, samplers, constants = "show_parameter", {**estimates, **measured}, _PARAMETER
+    elif measured:
+        name, samplers, constants = "show_measure", {**measured, "u_ramp": kernels.FLOAT_2D}, _MEASURE
+    samplers = {**samplers, **kernels.PACKING}
+    defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": measures}
+    output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
+    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, defines, given))

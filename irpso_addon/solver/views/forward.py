@@ -1,0 +1,175 @@
+"""The forward renderer, R(p̂) = ĉ of the paper: maps, geometry and lights to images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...capture.types import Capture, Light, Observation
+from ...geometry.domain import Domain, GeometryBake
+from ...geometry.tiles import tile
+from ...gpu import context, textures
+from ...reflectance.model import ReflectanceModel
+from ..kernels.kernels import render_pass
+from ..state.textures import Estimates, geometry_layers, observation_defines, upload_observations
+
+
+class Renderer:
+    """Renders one material under many lights, without cast shadows or light between surfaces.
+
+    bake: what each pixel or texel shows. values: parameter name → (H, W, components) there. lights: (K, 4),
+    intensities: (K, 3) and views: (K, 4) as in Domain. The shaders are those that the solver inverts.
+    """
+
+    def __init__(
+        self,
+        bake: GeometryBake,
+        model: ReflectanceModel,
+        values: Mapping[str, np.ndarray],
+        lights: np.ndarray,
+        intensities: np.ndarray,
+        views: np.ndarray,
+        card: bool = False,
+    ):
+        context.ensure()
+        state = bake.coverage.astype(np.float32)
+        self._inputs = {
+            "u_geometry": textures.upload_layers(
+                geometry_layers(bake.position, bake.normal, bake.tangent, state, np.ones_like(state))
+            ),
+            **Estimates(model, dict(values)).bindings(),
+            "u_observation_table": upload_observations(lights, intensities, views),
+            # Never read; but what a shader declares Vulkan wants bound.
+            "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
+        }
+        self._pass = render_pass(model, observation_defines(lights, views, card))
+        self._target = textures.empty(state.shape[1], state.shape[0])
+
+    def render(self, observation: int) -> np.ndarray:
+        """Return (H, W, 4) float32 linear radiance under one light; alpha is 1 where something is seen."""
+        self._pass.run([self._target], self._inputs, {"u_observation": observation})
+        return textures.download(self._target)
+
+    def close(self) -> None:
+        """Free shader and textures."""
+        self._pass.close()
+        self._inputs, self._target = {}, None
+
+
+def camera_renderer(
+    bake: GeometryBake,
+    model: ReflectanceModel,
+    values: Mapping[str, np.ndarray],
+    camera: Camera,
+    lights: Sequence[Light],
+) -> Renderer:
+    """Return the renderer of what a camera sees: ``bake`` and ``values`` per pixel of it."""
+    table = np.array([[*light.vector, 0.0 if light.distant else 1.0] for light in lights])
+    intensities = np.array([light.intensity for light in lights])
+    return Renderer(bake, model, values, table, intensities, np.tile(camera.view, (len(lights), 1)))
+
+
+def render_domain(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> list[np.ndarray]:
+    """Return (H, W, 4) what maps render to in a domain's texels, for each of some observations, as a Renderer does.
+
+    A domain wider or higher than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
+    """
+    return list(rendered(domain, model, values, observations))
+
+
+def rendered(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> Iterator[np.ndarray]:
+    """Yield the images of ``render_domain`` one by one. Blocks, where they are needed, are rendered all at once."""
+    context.ensure()
+    if max(domain.shape) > context.max_texture_size():
+        yield from _rendered_in_blocks(domain, model, values, observations)
+        return
+    renderer = Renderer(domain.bake, model, values, domain.lights, domain.intensities, domain.views, domain.card)
+    try:
+        for observation in observations:
+            yield renderer.render(observation)
+    finally:
+        renderer.close()
+
+
+def _rendered_in_blocks(
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
+) -> list[np.ndarray]:
+    side = context.max_texture_size()
+    height, width = domain.shape
+    images = [np.zeros((height, width, 4), np.float32) for _ in observations]
+    for y in range(0, height, side):
+        for x in range(0, width, side):
+            part = tile(domain, x, y, min(side, width - x), min(side, height - y))
+            block = slice(y, y + side), slice(x, x + side)
+            held = {name: value[block] for name, value in values.items()}
+            for image, found in zip(images, rendered(part, model, held, observations), strict=True):
+                image[block] = found
+    return images
+
+
+def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:
+    """Return maps (h, w, components) read bilinearly at texture coordinates (H, W, 2); normals are unit again.
+
+    Texel centres lie at (i + ½) / w; beyond the outermost ones a map continues as it ends.
+    """
+    height, width = next(iter(values.values())).shape[:2]
+    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
+    y = np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
+    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    sampled = {}
+    for parameter in model.parameters:
+        grid = values[parameter.name]
+        lower = grid[y0, x0] * (1 - fx) + grid[y0, x1] * fx
+        upper = grid[y1, x0] * (1 - fx) + grid[y1, x1] * fx
+        result = (lower * (1 - fy) + upper * fy).astype(np.float32)
+        if parameter.is_normal:
+            result /= np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-8)
+        sampled[parameter.name] = result
+    return sampled
+
+
+def rendered_capture(
+    name: str,
+    renderers: Sequence[Renderer],
+    cameras: Sequence[Camera],
+    masks: Sequence[np.ndarray],
+    lights: Sequence[Light],
+    report: Callable[[float], None] = lambda fraction: None,
+) -> Capture:
+    """Return the capture of every camera under every light; an image is rendered when it is read.
+
+    renderers, masks: one a camera, with all the lights. report: called at each image with the fraction rendered.
+    """
+    count = len(cameras) * len(lights)
+
+    def reader(camera: int, k: int) -> Callable[[], np.ndarray]:
+        def read() -> np.ndarray:
+            image = renderers[camera].render(k)
+            image[..., 3] = 1
+            report((camera * len(lights) + k + 1) / count)
+            return image
+
+        return read
+
+    observations = tuple(
+        Observation(f"camera {camera + 1} light {k + 1}", reader(camera, k), light, camera)
+        for camera in range(len(cameras))
+        for k, light in enumerate(lights)
+    )
+    return Capture(name, observations, tuple(cameras), tuple(masks))
+
+
+def dome(latitudes: int, longitudes: int) -> np.ndarray:
+    """Return (latitudes · longitudes, 3) unit directions: rings halfway between equal steps of latitude, pole +Z."""
+    polar = (np.arange(latitudes) + 0.5) * np.pi / latitudes
+    around = np.arange(longitudes) * 2 * np.pi / longitudes
+    polar, around = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))
+    return np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)

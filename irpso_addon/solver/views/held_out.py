@@ -1,0 +1,146 @@
+"""Observations held out of the fit: which ones, their place in the stack, and how well the maps relight them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ...capture.types import Capture
+from ...core.steps import run_steps
+from ...geometry.domain import Domain
+from ...reflectance.model import ReflectanceModel, load_model
+from ...results.maps import Maps
+from ...results.preview import PreviewRow, preview
+from .forward import rendered
+from .pictures import SHOWN_WHITE, image_psnr, image_row
+
+T = TypeVar("T")
+
+_STEP, _MOST = 8, 6  # of the automatic choice
+FEWEST_SPARING = _STEP // 2 + 1  # observations of which one can be spared
+HIGHLIGHT = 1.5  # a highlight's sample is brighter than the diffuse reflection by this factor …
+_DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
+
+
+def spared(count: int) -> list[int]:
+    """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST_SPARING``.
+
+    One in eight, evenly spaced, and six at most: each is a photograph less for the fit.
+    """
+    step = max(_STEP, math.ceil(count / _MOST))
+    return list(range(step // 2, count, step))
+
+
+def held_out_last(capture: Capture, held_out: Sequence[int]) -> tuple[Capture, list[int]]:
+    """Return the capture with the observations held out at its end: what is fitted is then one piece of the stack."""
+    order = order_of(len(capture.observations), held_out)
+    count = len(order) - len(held_out)
+    observations = tuple(capture.observations[k] for k in order)
+    return replace(capture, observations=observations), list(range(count, len(order)))
+
+
+def order_of(count: int, held_out: Sequence[int]) -> list[int]:
+    """Return the former index of each observation of ``held_out_last``."""
+    return [*(k for k in range(count) if k not in held_out), *held_out]
+
+
+def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
+    """Return the observations' names for pictures, which tell those that were held out."""
+    return [one.name + " (held out)" * (k in held_out) for k, one in enumerate(capture.observations)]
+
+
+def relit_preview(
+    domain: Domain, maps: Maps, held_out: Sequence[int], capture: Capture
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Return the picture "relit" of observations that were held out, and figures for the report: of ``relit_steps``."""
+    return run_steps(relit_steps(domain, maps, held_out, capture))
+
+
+def _here(function: Callable[[], T]) -> Generator[None, None, T]:
+    yield
+    return function()
+
+
+def relit_steps(
+    domain: Domain,
+    maps: Maps,
+    held_out: Sequence[int],
+    capture: Capture,
+    threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = _here,
+) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
+    """Yield often, and return pictures and figures: for callers that must not wait. Both are {} without observations.
+
+    domain: of all observations. threaded: runs a function of numpy elsewhere, yielding meanwhile. The figures are the
+    PSNR of each observation, and that of its highlights alone, in dB; their means; and the factor above the diffuse
+    reflection from which a sample counts as a highlight. None stands where there is nothing to compare.
+    """
+    if not held_out:
+        return {}, {}
+    names = [capture.observations[k].name for k in held_out]
+    bright, rows = [], []
+    yield
+    for k, diffuse in zip(held_out, rendered(domain, *_diffuse(domain, maps), held_out), strict=True):
+        bright.append((yield from threaded(lambda k=k, matt=diffuse: _highlights(domain, maps, k, matt))))
+    yield
+    for k, name, render in zip(held_out, names, rendered(domain, maps.model, maps.values, held_out), strict=True):
+        rows.append((yield from threaded(lambda k=k, name=name, seen=render: image_row(domain, maps, k, name, seen))))
+    figures = yield from threaded(lambda: _figures(names, rows, bright))
+    picture = yield from threaded(lambda: preview(rows, ("Photograph", "Relit", "Error")))
+    return {"relit": picture}, figures
+
+
+def relit_line(figures: Mapping[str, Any]) -> str:
+    """Return the means of a report's figures in one line for people, "" where nothing was held out."""
+    if "relighting_mean_psnr_db" not in figures:
+        return ""
+    psnr, highlights = figures["relighting_mean_psnr_db"], figures["relighting_highlights_mean_psnr_db"]
+    told = "nothing to compare" if psnr is None else f"{psnr:.1f} dB"
+    return f"Unseen photographs: {told}" + (f", highlights {highlights:.1f} dB" if highlights is not None else "")
+
+
+def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: where a photograph is far above what the maps reflect diffusely, (H, W, 4).
+
+    No highlight that the fit has missed is left out for being missed.
+    """
+    seen = np.nan_to_num(domain.stack[k, ..., :3]).mean(axis=-1)
+    floor = _DARK * np.percentile(seen[maps.covered], SHOWN_WHITE)
+    return seen > HIGHLIGHT * diffuse[..., :3].mean(axis=-1) + floor
+
+
+def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np.ndarray]]:
+    """Return Lambert's law, and its values for the base colours as far as they are no metal's."""
+    normal = next(p.name for p in maps.model.parameters if p.is_normal)
+    diffuse = np.zeros((*domain.shape, 3), np.float32)
+    for parameter in maps.model.parameters:
+        if parameter.is_albedo:
+            diffuse += maps.values[parameter.name]
+    for parameter in maps.model.parameters:
+        if parameter.socket == "Metallic":
+            diffuse *= 1 - maps.values[parameter.name]
+    return load_model("lambert"), {"base_color": diffuse, "normal": maps.values[normal]}
+
+
+def _figures(names: Sequence[str], rows: Sequence[PreviewRow], bright: Sequence[np.ndarray]) -> dict[str, Any]:
+    psnr = [image_psnr(row) for row in rows]
+    highlights = [image_psnr(replace(row, counted=row.judged & at)) for row, at in zip(rows, bright, strict=True)]
+    return {
+        "relighting_psnr_db": dict(zip(names, map(_decibels, psnr), strict=True)),
+        "relighting_highlights_psnr_db": dict(zip(names, map(_decibels, highlights), strict=True)),
+        "relighting_mean_psnr_db": _mean(psnr),
+        "relighting_highlights_mean_psnr_db": _mean(highlights),
+        "relighting_highlights_factor": HIGHLIGHT,
+    }
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    finite = [value for value in values if math.isfinite(value)]
+    return _decibels(sum(finite) / len(finite)) if finite else None
+
+
+def _decibels(psnr: float) -> float | None:
+    return round(psnr, 3) if math.isfinite(psnr) else None

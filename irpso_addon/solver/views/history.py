@@ -1,0 +1,92 @@
+"""How a recovery converged: the errors of four texels, looked at now and then while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ...results.maps import Maps
+from ...results.preview import Curves, convergence, display_image, spread_marks
+from ...results.report import error_unit, parameter_error
+from ..engine.coarse_to_fine import Pyramid
+from ..engine.recovery import Recovery
+from ..engine.tiled import TiledRecovery
+
+_ITERATIONS = "iterations"
+_LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations
+
+
+class History:
+    """Looks at a recovery about 40 times and keeps the errors of four texels.
+
+    truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white. show: is
+    called with the maps of each look.
+    """
+
+    def __init__(
+        self,
+        recovery: Recovery | Pyramid | TiledRecovery,
+        truth: Mapping[str, np.ndarray] | None,
+        show: Callable[[Maps], None] | None = None,
+    ):
+        self._recovery, self._truth, self._show = recovery, truth, show
+        rows, columns = np.nonzero(recovery.domain.solvable)
+        chosen = spread_marks(np.stack([columns, rows], axis=-1))
+        self._rows, self._columns = rows[chosen], columns[chosen]
+        self._iterations: list[int] = []
+        self._seen = 0  # the iteration of the last look: tiles may stop at one of theirs, all of them still at that
+        self._errors: dict[str, list[np.ndarray]] = {}
+
+    @property
+    def until_next(self) -> int:
+        """How many iterations may be made before the next look: looks come at the same ones however a run is sliced."""
+        progress = self._recovery.progress
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        return every - progress.iteration_in_all % every
+
+    def look(self) -> None:
+        """Note the errors, if it is time to."""
+        progress = self._recovery.progress
+        every = max(1, progress.iterations_in_all // _LOOKS)
+        if progress.iteration_in_all == self._seen or (progress.iteration_in_all % every and not progress.done):
+            return
+        self._seen = progress.iteration_in_all
+        maps = self._recovery.maps(confidence=False)
+        self._iterations.append(progress.iteration_in_all)
+        for name, error in self._errors_of(maps).items():
+            self._errors.setdefault(name, []).append(error[self._rows, self._columns])
+        if self._show is not None:
+            self._show(maps)
+
+    @property
+    def notes(self) -> dict[str, np.ndarray]:
+        """What has been noted, for a checkpoint."""
+        return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
+
+    def take(self, notes: Mapping[str, np.ndarray]) -> None:
+        """Take up what a checkpoint's notes hold."""
+        self._iterations = [int(n) for n in notes.get(_ITERATIONS, ())]
+        self._seen = self._recovery.progress.iteration_in_all
+        self._errors = {name: list(errors) for name, errors in notes.items() if name != _ITERATIONS}
+
+    def picture(self, maps: Maps) -> np.ndarray:
+        """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""
+        normal = next(p for p in maps.model.parameters if p.is_normal)
+        image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
+        panels = [
+            Curves(name, np.array(self._iterations), np.stack(errors), self._unit(maps, name), log=True)
+            for name, errors in self._errors.items()
+        ]
+        marks = [(int(x), int(y)) for x, y in zip(self._columns, self._rows, strict=True)]
+        return convergence(image, marks, panels)
+
+    def _errors_of(self, maps: Maps) -> dict[str, np.ndarray]:
+        errors = {"residual": 100 * maps.residual}
+        for p in maps.model.parameters if self._truth else ():
+            if p.name in self._truth:
+                errors[p.name] = parameter_error(p, maps.values[p.name], self._truth[p.name])
+        return errors
+
+    def _unit(self, maps: Maps, name: str) -> str:
+        return "%" if name == "residual" else error_unit(maps.model.parameter(name))

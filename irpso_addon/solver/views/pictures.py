@@ -1,0 +1,128 @@
+"""Pictures of a recovery: the maps against the truth, renders against references."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...core.encode import srgb_from_linear
+from ...geometry.domain import Domain
+from ...results.false_color import false_color
+from ...results.map_tables import map_tables
+from ...results.maps import UNKNOWN, Maps
+from ...results.preview import PreviewRow, default_maximum, display_image, gallery, preview
+from ...results.report import error_unit, parameter_error
+from .forward import render_domain
+
+_SHOWN = 3  # observations in a preview, the median one among them
+_STRIPE = (0.93, 0.45, 0.12)
+SHOWN_WHITE = 99.5  # percentile of the reference that is shown as white
+
+
+def error_preview(
+    domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str]
+) -> np.ndarray:
+    """Return (H, W, 3) display values: reference | recovered | error, of maps that are known, then of images.
+
+    names: of all observations.
+    """
+    rows = map_rows(maps, truth, maps.covered) if truth else []
+    counted = (layer[layer[..., 3] > 0] for layer in domain.stack)
+    order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
+    # The brightest fifth and the middle: frames that show something, under unlike lights.
+    chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
+    if rows:
+        chosen = chosen[:1]
+    rows += image_rows(domain, maps, chosen, [names[k] for k in chosen])
+    return preview(rows, ("Reference", "Recovered", "Error"))
+
+
+def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
+    """Return the picture "confidence": each searched number, striped where the photographs do not tell it, and its σ.
+
+    Nothing where the maps have no confidence, or the model no such number.
+    """
+    images, labels = [], []
+    for name, unknown in maps.unknown().items():
+        p = maps.model.parameter(name)
+        deviation = maps.confidence[name][..., 0]
+        red = UNKNOWN * (p.range[1] - p.range[0])
+        images += [
+            _striped(display_image([p], [maps.values[name]]), unknown),
+            false_color(deviation, red, maps.covered),
+        ]
+        labels += [_title(name), f"± one sigma (red: {red:.2g})"]
+    if not images:
+        return {}
+    heading = "Striped: the photographs do not tell, and what the model believes stands"
+    return {"confidence": gallery(heading, images, labels, maps.covered)}
+
+
+def _striped(image: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return an image (H, W, 3) with diagonal stripes over some texels, of a colour that no grey map has."""
+    rows, columns = np.indices(where.shape)
+    period = max(4, max(where.shape) // 40)
+    stripe = where & ((rows + columns) % period < (period + 1) // 2)
+    return np.where(stripe[..., None], _STRIPE, image).astype(np.float32)
+
+
+def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
+    """Return (H, W, 3) display values: every map of an unfinished recovery, then its residual in false colours."""
+    images, labels = [], []
+    for table in map_tables(maps.model):
+        images.append(display_image(table.parameters, [maps.values[p.name] for p in table.parameters]))
+        labels.append(_title(table.name))
+    residual = 100 * maps.residual
+    maximum = default_maximum([residual], maps.covered)
+    images.append(false_color(residual, maximum, maps.covered))
+    labels.append(f"Residual (red: {maximum:g} %)")
+    return gallery(heading, images, labels, maps.covered)
+
+
+def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -> list[PreviewRow]:
+    """Return a row for each map that the truth holds."""
+    rows = []
+    for table in map_tables(maps.model):
+        if not all(p.name in truth for p in table.parameters):
+            continue
+        names = [p.name for p in table.parameters]
+        reference = display_image(table.parameters, [truth[name] for name in names])
+        recovered = display_image(table.parameters, [maps.values[name] for name in names])
+        errors = [parameter_error(p, maps.values[p.name], truth[p.name]) for p in table.parameters]
+        unit = error_unit(table.parameters[0])
+        rows.append(PreviewRow(_title(table.name), reference, recovered, np.mean(errors, axis=0), unit, covered))
+    return rows
+
+
+def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
+    """Return a row for each observation: of ``image_row``."""
+    renders = render_domain(domain, maps.model, maps.values, observations)
+    found = zip(observations, labels, renders, strict=True)
+    return [image_row(domain, maps, k, label, render) for k, label, render in found]
+
+
+def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
+    """Return the photograph of an observation, its render (H, W, 4), and the difference in % of white.
+
+    Samples without weight are shown as they were photographed; their difference is not. Clipped ones differ where the
+    render is darker: both pictures end at white.
+    """
+    seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] != 0
+    # Texels that no light told anything of, as a black background, have no material to be rendered.
+    rendered = np.where(maps.covered[..., None], render[..., :3], 0)
+    white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0
+    images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
+    error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
+    photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
+    return PreviewRow(label, *images, error, "%", photographed, maps.covered & weight)
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize()
+
+
+def image_psnr(row: PreviewRow) -> float:
+    """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, where the error counts."""
+    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
+    return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -1,0 +1,226 @@
+"""One texel of a running recovery: its estimate, its error and its swarm, read back a few hundred numbers at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...gpu import textures
+from ...gpu.passes import Kernel, Output, Pass
+from ...reflectance.model import Parameter, ReflectanceModel
+from ..engine.coarse_to_fine import Pyramid
+from ..engine.recovery import Recovery
+from ..kernels import kernels
+from ..phases.prefit import RunningSurvey
+from ..phases.sequential_swarm import RunningStage
+from ..phases.synchronous_swarm import RunningGenerations
+from ..settings.resolve import survey_model
+from ..state.packing import level_size
+from ..state.textures import UNFIT, kernel_defines
+
+_AT = {"u_column": "INT", "u_row": "INT"}
+# As shaders/view/probe_swarm.glsl lays them out.
+_POSITIONS, _BESTS, _FITNESS, _GLOBAL, _ROWS = slice(0, 3), slice(3, 6), 6, 7, 8
+_PARTS = "xyzw"
+_COLORS = "rgba"
+
+
+@dataclass(frozen=True)
+class Particles:
+    """The swarm of a texel, in the parameters' own units.
+
+    names: of the n components that are searched, as "roughness", "base_color.r" or "normal.x"; a normal is a unit
+    vector however it is searched. positions, bests: (m, n) where the m particles are, and have been best. fitness: (m,)
+    of their bests, infinite where nothing is known. global_best: (n,).
+    """
+
+    names: tuple[str, ...]
+    positions: np.ndarray
+    bests: np.ndarray
+    fitness: np.ndarray
+    global_best: np.ndarray
+
+
+@dataclass(frozen=True)
+class TexelState:
+    """What has been found of a texel so far.
+
+    error: mean absolute difference between render and reference over channels and weighted observations. values:
+    parameter name → (components,). particles: None where no swarm searches, or where it is being placed.
+    """
+
+    error: float
+    values: dict[str, np.ndarray]
+    particles: Particles | None
+
+
+class TexelProbe:
+    """Reads texels of one recovery again and again. Close it before the recovery."""
+
+    def __init__(self, recovery: Recovery | Pyramid):
+        if not hasattr(recovery, "view"):
+            raise InputError("the recovery runs in tiles, of which no texel can be watched; lower the resolution")
+        self._recovery = recovery
+        domain = recovery.domain
+        self._defines = kernel_defines(domain)
+        self._texel: Pass | None = None
+        self._row: Any = None
+        self._swarm: _SwarmProbe | None = None
+
+    def read(self, row: int, column: int) -> TexelState | None:
+        """Return the state of a texel of the domain, row 0 at the bottom; None where nothing is solved.
+
+        While a coarser level is being solved it is that of the texel of it that lies there.
+        """
+        with self._recovery.view() as lent:
+            at = self._constants(lent, row, column)
+            numbers = self._read_texel(lent, at)
+            if numbers is None:
+                return None
+            particles = self._read_swarm(lent, at)
+        model = self._recovery.model
+        values = {
+            p.name: numbers[model.offset(p.name) : model.offset(p.name) + p.components].copy() for p in model.parameters
+        }
+        return TexelState(float(numbers[-4]), values, particles)
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        for made in (self._texel, self._swarm):
+            if made is not None:
+                made.close()
+        self._texel = self._swarm = self._row = None
+
+    def _constants(self, lent: Mapping[str, Any], row: int, column: int) -> dict[str, int]:
+        height, width = self._recovery.domain.shape
+        if not (0 <= row < height and 0 <= column < width):
+            raise InputError(f"texel ({row}, {column}): the domain has {height} rows and {width} columns, from 0")
+        level = level_size(lent, self._defines)
+        return {"u_column": column * level[0] // width, "u_row": row * level[1] // height}
+
+    def _read_texel(self, lent: Mapping[str, Any], at: dict[str, int]) -> np.ndarray | None:
+        """Return the components of the estimate, padded to whole texels, then the error and three more numbers."""
+        if self._texel is None:
+            model = self._recovery.model
+            samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS, **kernels.PACKING}
+            defines = {**self._defines, **kernels.estimate_defines(model)}
+            constants = {**_AT, "u_observations": "INT"}
+            given = kernels.model_includes(model)
+            self._texel = Pass(
+                Kernel("view/probe_texel.glsl", (Output("o_numbers"),), samplers, constants, defines, given)
+            )
+            self._row = textures.empty(defines["ESTIMATES"] + 1, 1)
+        self._texel.run([self._row], lent, {**at, "u_observations": self._recovery.domain.observations})
+        numbers = textures.download(self._row).ravel()
+        return numbers if numbers[-1] > 0 else None
+
+    def _read_swarm(self, lent: Mapping[str, Any], at: dict[str, int]) -> Particles | None:
+        found = running_swarm(self._recovery)
+        if self._swarm is not None and (found is None or self._swarm.phase is not found[0]):
+            self._swarm.close()
+            self._swarm = None
+        if found is None or found[0].iteration < 0:
+            return None
+        if self._swarm is None:
+            self._swarm = _SwarmProbe(*found, self._defines)
+        return self._swarm.read(lent, at)
+
+
+def read_texel(recovery: Recovery | Pyramid, row: int, column: int) -> TexelState | None:
+    """Return the state of one texel once; ``TexelProbe`` keeps its shaders for those who read again."""
+    probe = TexelProbe(recovery)
+    try:
+        return probe.read(row, column)
+    finally:
+        probe.close()
+
+
+def running_swarm(recovery: Recovery | Pyramid) -> tuple[RunningStage | RunningGenerations, ReflectanceModel] | None:
+    """Return the phase whose swarms are searching and the model that they search, None where none are."""
+    live = recovery._live if isinstance(recovery, Pyramid) else recovery
+    phase, model = live._phase, live.model
+    if isinstance(phase, RunningSurvey):
+        phase, model = phase._inner, survey_model()
+    searches = isinstance(phase, RunningStage | RunningGenerations) and phase.codec.dimensions > 0
+    # Between two stages the first one's textures are gone already.
+    return (phase, model) if searches and _remembered(phase) is not None else None
+
+
+class _SwarmProbe:
+    """The pass that gathers the swarm of a texel of one phase."""
+
+    def __init__(
+        self, phase: RunningStage | RunningGenerations, model: ReflectanceModel, domain_defines: dict[str, int]
+    ):
+        self.phase, self._model = phase, model
+        self._held = _remembered(phase)
+        codec = phase.codec
+        defines = {
+            **domain_defines,
+            **codec.defines,
+            **kernels.estimate_defines(model),
+            **kernels.schedule_defines(phase.schedule),
+            "PARTICLES": phase.particles,
+            "TILES_X": self._held.atlas.across,
+        }
+        samplers = {
+            **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
+            **{f"u_best_{b}": kernels.FLOAT_2D for b in range(codec.blocks)},
+            **kernels.estimate_samplers(model), **kernels.PACKING,
+        }  # fmt: skip
+        given = {**kernels.model_includes(model), "codec.glsl": codec.source}
+        constants = {**_AT, "u_width": "INT", "u_height": "INT"}
+        self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, given))
+        self._target = textures.empty(max(phase.particles, 3), _ROWS)
+
+    def read(self, lent: Mapping[str, Any], at: dict[str, int]) -> Particles:
+        """Return the swarm of a texel that is solved."""
+        phase = self.phase
+        inputs = {**lent, **self._held.read_bindings(), **phase._estimates.bindings()}
+        self._pass.run([self._target], inputs, {**at, "u_width": phase.width, "u_height": phase.height})
+        numbers = textures.download(self._target)
+        chosen, names = _searched(phase, self._model)
+        count = phase.particles
+
+        def of(rows: slice) -> np.ndarray:
+            return numbers[rows, :count].transpose(1, 0, 2).reshape(count, -1)[:, chosen]
+
+        fitness = numbers[_FITNESS, :count, 0]
+        return Particles(
+            names,
+            of(_POSITIONS),
+            of(_BESTS),
+            np.where(fitness < UNFIT, fitness, np.inf),
+            numbers[_GLOBAL, :3].ravel()[chosen],
+        )
+
+    def close(self) -> None:
+        """Free shader and texture."""
+        self._pass.close()
+        self._target = self._held = None
+
+
+def component_names(parameter: Parameter) -> list[str]:
+    """Return what the components of a parameter are called among particles: "roughness", or "base_color.r"."""
+    parts = _COLORS if parameter.color_space == "sRGB" else _PARTS
+    several = parameter.components > 1
+    return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
+
+
+def _remembered(phase: RunningStage | RunningGenerations) -> Any:
+    """Return the textures of a phase's swarms, None once it is closed."""
+    return phase.swarm if isinstance(phase, RunningStage) else phase.textures
+
+
+def _searched(phase: RunningStage | RunningGenerations, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:
+    """Return the places and names of the components that a phase searches."""
+    chosen: list[int] = []
+    names: list[str] = []
+    for p in phase.stage.parameters:
+        chosen += range(model.offset(p.name), model.offset(p.name) + p.components)
+        names += component_names(p)
+    return chosen, tuple(names)

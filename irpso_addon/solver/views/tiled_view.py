@@ -1,0 +1,137 @@
+"""Pictures and single texels of any recovery, in tiles or as a whole: what a window shows while it goes on."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Collection
+from typing import Any
+
+from ...geometry.domain import Domain
+from ...gpu import textures
+from ...gpu.passes import Kernel, Output, Pass
+from ..engine.halo import Box
+from ..engine.tiled import TiledRecovery, TileRecovery
+from ..kernels.kernels import FLOAT_2D
+from ..planning.planning import AnyRecovery
+from .display import KEPT, Display, Shown
+from .texel_probe import TexelProbe, TexelState
+
+_SIDE = 2048  # of a picture made of tiles: more than a window shows, and little where memory is short
+_PLACE = {
+    **{f"u_{name}": "INT" for name in ("x", "y", "left", "bottom", "right", "top")},
+    **{f"u_{name}": "FLOAT" for name in ("across", "up")},
+}
+
+
+def display_of(recovery: AnyRecovery, known: Collection[str] = ()) -> Display | TiledDisplay:
+    """Return what makes pictures of a recovery. known: as for a Display."""
+    if isinstance(recovery, TiledRecovery):
+        return TiledDisplay(recovery, known)
+    return Display(recovery, known)
+
+
+def texel_probe_of(recovery: AnyRecovery) -> TexelProbe | TiledTexelProbe:
+    """Return what reads single texels of a recovery."""
+    return TiledTexelProbe(recovery) if isinstance(recovery, TiledRecovery) else TexelProbe(recovery)
+
+
+class TiledDisplay:
+    """Pictures of a recovery in tiles, as Display has them of a whole one; ``close`` before that is closed.
+
+    A picture has the domain's size, or 2048 texels along a side that is longer. It is made of those of the tiles on the
+    device; where tiles take turns, one shows what it had found when it was there last, and nothing before that.
+    """
+
+    def __init__(self, recovery: TiledRecovery, known: Collection[str] = ()):
+        self._recovery, self._known = recovery, frozenset(known)
+        self._displays: dict[TileRecovery, Display] = {}
+        self._pictures: OrderedDict[Shown, Any] = OrderedDict()
+        self._lay = Pass(
+            Kernel("view/lay_tile.glsl", (Output("o_picture", "RGBA16F"),), {"u_tile": FLOAT_2D}, _PLACE, {})
+        )
+
+    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
+        """Return a texture as Display.picture; the budget is for all tiles together."""
+        live = self._recovery.live
+        share = None if time_budget_s is None else time_budget_s / len(live)
+        _follow(self._displays, live, self._display)
+        target = self._kept(shown)
+        for box, tile in live:
+            piece = self._displays[tile].picture(shown, share)
+            self._lay.run([target], {"u_tile": piece}, self._place(box, tile, target))
+        return target
+
+    def pending(self, shown: Shown) -> bool:
+        """Return whether the picture lags behind the recovery, as Display.pending."""
+        tiles = [tile for _, tile in self._recovery.live]
+        return shown not in self._pictures or any(
+            tile not in self._displays or self._displays[tile].pending(shown) for tile in tiles
+        )
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        _follow(self._displays, [], self._display)
+        self._lay.close()
+        self._pictures.clear()
+
+    def _display(self, tile: TileRecovery) -> Display:
+        return Display(tile, self._known)
+
+    def _kept(self, shown: Shown) -> Any:
+        if shown not in self._pictures:
+            height, width = (min(side, _SIDE) for side in self._recovery.domain.shape)
+            # A pass holds on to the frame buffers of its targets, so that textures are used again.
+            texture = self._pictures.popitem(last=False)[1] if len(self._pictures) == KEPT else None
+            texture = textures.empty(width, height, "RGBA16F") if texture is None else texture
+            texture.clear(format="FLOAT", value=(0.0, 0.0, 0.0, 0.0))
+            self._pictures[shown] = texture
+        self._pictures.move_to_end(shown)
+        return self._pictures[shown]
+
+    def _place(self, box: Box, tile: TileRecovery, target: Any) -> dict[str, int | float]:
+        whole = self._recovery.domain
+        (x, y), (left, bottom, width, height) = _corner(whole, tile), box
+        return {
+            "u_x": x, "u_y": y, "u_left": left, "u_bottom": bottom, "u_right": left + width, "u_top": bottom + height,
+            "u_across": whole.shape[1] / target.width, "u_up": whole.shape[0] / target.height,
+        }  # fmt: skip
+
+
+class TiledTexelProbe:
+    """Reads texels of a recovery in tiles, as TexelProbe of a whole one; ``close`` before that is closed."""
+
+    def __init__(self, recovery: TiledRecovery):
+        self._recovery = recovery
+        self._probes: dict[TileRecovery, TexelProbe] = {}
+
+    def read(self, row: int, column: int) -> TexelState | None:
+        """Return the state of a texel of the domain; None where nothing is solved or its tile waits for its turn."""
+        live = self._recovery.live
+        _follow(self._probes, live, TexelProbe)
+        for (left, bottom, width, height), tile in live:
+            if 0 <= column - left < width and 0 <= row - bottom < height:
+                x, y = _corner(self._recovery.domain, tile)
+                return self._probes[tile].read(row - y, column - x)
+        return None
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        _follow(self._probes, [], TexelProbe)
+
+
+def _corner(whole: Domain, tile: TileRecovery) -> tuple[int, int]:
+    """Return the texel of the whole domain at which a tile with its halo begins."""
+    (x, y), (x0, y0) = tile.domain.origin, whole.origin
+    return x - x0, y - y0
+
+
+def _follow(
+    made: dict[TileRecovery, Any], live: list[tuple[Box, TileRecovery]], make: Callable[[TileRecovery], Any]
+) -> None:
+    """Make in place what each tile on the device has, and close what those had that have left it."""
+    tiles = [tile for _, tile in live]
+    for tile in [tile for tile in made if tile not in tiles]:
+        made.pop(tile).close()
+    for tile in tiles:
+        if tile not in made:
+            made[tile] = make(tile)
