@@ -127,7 +127,7 @@ def targets_of(paths: list[Path]) -> tuple[list[Path], list[Path]]:
     for path in paths or [TESTS / "unit", TESTS / "gpu"]:
         path = path.resolve()
         if TESTS / "gpu" in (path, *path.parents):
-            gpu += sorted(path.glob("test_*.py")) if path.is_dir() else [path]
+            gpu += sorted(path.rglob("test_*.py")) if path.is_dir() else [path]
         else:
             unit.append(path)
     return unit, gpu

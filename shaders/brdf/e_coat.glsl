@@ -7,7 +7,7 @@
 #define COAT_IOR 1.5
 
 // E = ∫ D V n·l dω of a lobe without Fresnel: what a single reflection does not lose between facets. Fitted to numeric
-// integrals (ggx_albedo in tests/oracles.py) over roughness 0.02 to 0.6: error at most 0.017, 0.003 in the mean.
+// integrals (ggx_albedo in tests/oracles/reflectance.py) over roughness 0.02 to 0.6: error at most 0.017, 0.003 in the mean.
 // roughness is perceptual (α = roughness²) and in (0, 0.6]. The divisor is a positive definite form of n·v and α;
 // E lies between 0.77 and 1.001.
 float E_GGX(float NoV, float roughness)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 STALL = 1.0  # seconds that the window may stand still while photographs are relit; 0.3 were measured on llvmpipe

@@ -2,8 +2,8 @@
 
 import pytest
 
-from tests import cli_maker
-from tests.near_card import DISTANCE, write_near_card
+from tests.builders import command_line as cli_maker
+from tests.builders.near_card import DISTANCE, write_near_card
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.images.exr import read_exr
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 SHAPE = (72, 96)  # texels

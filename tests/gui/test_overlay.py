@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 
 SHAPE = (12, 18)  # texels
 OVERLAY = "bl_ext.user_default.irpso.irpso_addon.ui.overlay"

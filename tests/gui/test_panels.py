@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 DRAWING = 0.02  # seconds that all panels of the tab may take together, on a machine that others use as well

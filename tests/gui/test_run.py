@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.images.exr import read_exr
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 from tests.gui.traces import MODULE, SNAPSHOT, switch
 
 SIZE, LIGHTS = 64, 24

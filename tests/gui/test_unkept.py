@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from blender_window import open_window
 
-from tests import cli_maker
+from tests.builders import command_line as cli_maker
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 SETUP = f"""

@@ -15,7 +15,7 @@ _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
 # Of a correlation's peak over staying, and in deviations: below, a frame is taken to stay. How many times as far the
 # frame as it is must be from what the others explain as it is once moved back, and their correlation then. Measured on
-# 200 captures in which nothing moves (tests/unit/test_capture_inspect.py tells which): the largest false ratio is 1.31
+# 200 captures in which nothing moves (test_capture_inspect.py tells which): the largest false ratio is 1.31
 # where the correlation is 0.6 or more; frames that were rolled by 2 to 4 px and show texture have 1.5 and more.
 _SHIFT_GAIN, _SHIFT_PEAK, _BETTER, _AGREE = 0.05, 5.0, 1.35, 0.6
 _PASS = 0.15  # cycles a pixel: the width of the low pass that keeps noise out of the correlation

@@ -1,0 +1,161 @@
+"""Domains and subjects made in numpy for the tests of the solver, and recoveries of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.geometry.tiles import tile
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.phases.mixture import merged
+from irpso_addon.solver.settings.schedule import load_schedule
+from tests.oracles.swarm import MODELS, direction_to, frames, turned
+
+# Few iterations, and a neighbour term strong enough to show.
+SHORT = load_schedule("swarm").replaced(iterations=12, seed="random", c3=0.3, particles=6, particles_per_dimension=0.0)
+
+
+def make_domain(
+    height: int,
+    width: int,
+    observations: int = 8,
+    card: bool = True,
+    near: bool = False,
+    perspective: bool = False,
+    colored: bool = False,
+    holes: bool = True,
+    rng_seed: int = 1,
+) -> Domain:
+    """Return a domain of random geometry, lights and radiances in [0, 1]; with holes, what has no weight is NaN."""
+    rng = np.random.default_rng(rng_seed)
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height)), axis=-1)
+    position = np.concatenate([grid, 0.2 * rng.normal(size=(height, width, 1))], axis=-1)
+    normal = np.broadcast_to((0.0, 0.0, 1.0), (height, width, 3))
+    tangent = np.broadcast_to((1.0, 0.0, 0.0), (height, width, 3))
+    sign = np.ones((height, width, 1))
+    if not card:
+        normal = unit(np.array([0, 0, 1.0]) + 0.6 * rng.normal(size=(height, width, 3)))
+        tangent = unit(np.cross(normal, rng.normal(size=(height, width, 3))))
+        sign = rng.choice([-1.0, 1.0], size=(height, width, 1))
+    lights = unit(rng.normal(size=(observations, 3)) * (1, 1, 0.5) + (0, 0, 1.5))
+    if near:
+        lights = lights * rng.uniform(1.5, 3, size=(observations, 1))
+    views = np.broadcast_to((0.0, 0.0, 1.0, 0.0), (observations, 4))
+    if perspective:
+        views = np.concatenate(
+            [rng.normal(size=(observations, 3)) * 0.5 + (0, 0, 4), np.ones((observations, 1))], axis=1
+        )
+    stack = rng.uniform(0, 1, size=(observations, height, width, 4))
+    stack[..., 3] = rng.choice([0.5, 1.0], size=stack.shape[:3])
+    coverage = np.ones((height, width), bool)
+    if holes:
+        stack[rng.random(stack.shape[:3]) < 0.15] = (np.nan, np.nan, np.nan, 0)
+        coverage = rng.random((height, width)) > 0.15
+        stack[:, rng.random((height, width)) < 0.05] = (np.nan, np.nan, np.nan, 0)
+    intensities = rng.uniform(0.5, 2, size=(observations, 3)) if colored else np.ones((observations, 3))
+    bake = GeometryBake(
+        position.astype(np.float32), normal.astype(np.float32),
+        np.concatenate([tangent, sign], axis=-1).astype(np.float32), coverage, np.zeros((height, width, 2), np.float32),
+    )  # fmt: skip
+    lights = np.concatenate([lights, np.full((observations, 1), float(near))], axis=1)
+    arrays = (stack, lights, intensities, views)
+    return Domain(bake, *(np.ascontiguousarray(a, np.float32) for a in arrays), card=card)
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    """Return vectors of length 1."""
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
+    """Return the domain with the radiance that a material has; weights stay, what weighs nothing is NaN."""
+    frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
+    stack = domain.stack.copy()
+    for k in range(domain.observations):
+        light, squared = direction_to(domain.lights[k], position)
+        view, _ = direction_to(domain.views[k], position)
+        render = MODELS[model](values, turned(frame, light), turned(frame, view)) * domain.intensities[k] / squared
+        stack[k, ..., :3] = np.where(stack[k, ..., 3:] > 0, render, np.nan)
+    return replace(domain, stack=stack)
+
+
+def random_truth(rng, shape):
+    """Return random maps (H, W, C) float64 for all parameters of the models with lobes, normals near the surface's."""
+    return {
+        "base_color": rng.uniform(0.2, 0.9, (*shape, 3)),
+        "normal": unit(rng.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)),
+        "r1": rng.uniform(0.1, 0.2, (*shape, 1)),
+        "r2": rng.uniform(0.4, 0.6, (*shape, 1)),
+        "w": rng.uniform(0.3, 0.7, (*shape, 1)),
+    }
+
+
+def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
+    """Return (domain, truth) of a smooth subject with noise on it, as the oracle's model renders it."""
+    rng = np.random.default_rng(rng_seed)
+    shape = (height, width)
+    truth = random_truth(rng, shape)
+    truth = {p.name: truth[p.name].astype(np.float32) for p in load_model(model).parameters}
+    return with_radiance(make_domain(height, width, **options), model, truth), truth
+
+
+def bits_of(maps):
+    """Return all values of maps as bytes, to be compared bit for bit."""
+    return {name: np.ascontiguousarray(v[maps.covered]).tobytes() for name, v in maps.values.items()}
+
+
+def recoveries():
+    """Yield a maker of recoveries, which are closed at the end: what a fixture of a test module is made of."""
+    from irpso_addon.solver.engine.recovery import Recovery  # needs Blender
+
+    made = []
+
+    def make(domain, model=None, schedule=SHORT, seed=1, known=None, entry="fragment"):
+        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, known, entry))
+        return made[-1]
+
+    yield make
+    for recovery in made:
+        recovery.close()
+
+
+def tiles_of(domain, halo):
+    """Cut a domain of 17×13 into tiles of uneven sizes; return them with their places."""
+    cuts = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 3), (5, 8, 11, 5), (16, 8, 1, 5)]
+    return [(cut, tile(domain, *cut, halo=halo)) for cut in cuts]
+
+
+def exchange_halos(domain, runs):
+    """Give every tile what the others have found."""
+    bests = np.full((*domain.shape, runs[0][1].halo().shape[-1]), np.nan, np.float32)
+    for (x, y, w, h), recovery in runs:
+        left, _, bottom, _ = recovery.domain.halo
+        bests[y : y + h, x : x + w] = recovery.halo()[bottom : bottom + h, left : left + w]
+    for _, recovery in runs:
+        x, y = recovery.domain.origin
+        h, w = recovery.domain.shape
+        recovery.set_halo(bests[y : y + h, x : x + w])
+    samples = [recovery.sample() for _, recovery in runs]
+    for _, recovery in runs:
+        if samples[0] is not None:
+            recovery.take_sample(merged(samples))
+
+
+def run_tiled(domain, model, schedule, recover, halo, entry="fragment"):
+    """Recover every tile, exchanging bests before every iteration that reads them; return the maps put together."""
+    runs = [(cut, recover(part, model, schedule, entry=entry)) for cut, part in tiles_of(domain, halo)]
+    for _, recovery in runs:
+        recovery.step(iterations=0)
+    while not runs[0][1].progress.done:
+        if runs[0][1].reach > 0:
+            exchange_halos(domain, runs)
+        for _, recovery in runs:
+            recovery.step(iterations=1)
+    values = {p.name: np.zeros((*domain.shape, p.components), np.float32) for p in model.parameters}
+    for (x, y, w, h), recovery in runs:
+        left, _, bottom, _ = recovery.domain.halo
+        for name, value in recovery.maps().values.items():
+            values[name][y : y + h, x : x + w] = value[bottom : bottom + h, left : left + w]
+    return {name: np.ascontiguousarray(value[domain.solvable]).tobytes() for name, value in values.items()}

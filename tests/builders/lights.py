@@ -1,0 +1,70 @@
+"""Subjects for the tests of lights: reliefs in float64 numpy under lights of all strengths, with shadow and noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from irpso_addon.geometry.domain import Domain
+from tests.builders.domains import make_domain, unit
+from tests.oracles import confidence as confidence_oracle
+
+
+def relief(height: int, width: int, rng: np.random.Generator, slope: float = 0.5) -> np.ndarray:
+    """Return (H, W, 3) normals of a sum of waves."""
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    tilt = np.zeros((height, width, 2))
+    for _ in range(4):
+        along = unit(rng.normal(size=2)) * rng.uniform(0.7, 2)
+        tilt += along * np.cos(2 * np.pi * (x * along[0] + y * along[1]) + rng.uniform(0, 6))[..., None]
+    return unit(np.concatenate([slope * tilt / 2, np.ones((height, width, 1))], axis=-1))
+
+
+def subject(
+    model: str, observations: int, shape=(24, 24), rng_seed=5, slope=0.5, **options
+) -> tuple[Domain, dict[str, np.ndarray]]:
+    """Return (domain, truth) of a relief in patches of colour, as the oracle's model renders it.
+
+    options: of make_domain.
+    """
+    rng = np.random.default_rng(rng_seed)
+    patches = tuple(np.mgrid[: shape[0], : shape[1]] // 6 % 9)
+    truth = {
+        "normal": relief(*shape, rng, slope),
+        "base_color": rng.uniform(0.15, 0.85, (9, 9, 3))[patches],
+        "roughness": rng.uniform(0.25, 0.7, (9, 9, 1))[patches],
+        "specular": np.full((*shape, 1), 0.5),
+    }
+    made = make_domain(*shape, observations=observations, holes=False, rng_seed=rng_seed, **options)
+    stack = np.ones((observations, *shape, 4))
+    stack[..., :3] = confidence_oracle.radiance(made, model, truth)
+    return replace(made, stack=stack.astype(np.float32)), truth
+
+
+def gains(observations: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (K, 3) factors from 0.3 to 3, each light of its own tint."""
+    strength = np.exp(rng.uniform(np.log(0.3), np.log(3), (observations, 1)))
+    return strength * rng.uniform(0.9, 1.1, (observations, 3))
+
+
+def photographed(domain: Domain, factors: np.ndarray, rng: np.random.Generator, shadow=0.15, noise=0.02) -> Domain:
+    """Return the domain with its images times ``factors`` (K, 3), a share of the samples in shadow, and noise."""
+    stack = domain.stack.astype(np.float64)
+    radiance = stack[..., :3] * factors[:, None, None]
+    dark = rng.random(stack.shape[:3]) < shadow
+    radiance[dark] *= rng.uniform(0, 0.2, (dark.sum(), 1))
+    radiance *= 1 + noise * rng.normal(size=radiance.shape)
+    stack[..., :3] = np.maximum(radiance, 0)
+    return replace(domain, stack=stack.astype(np.float32))
+
+
+def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return (K, 3) relative errors of factors, each channel's mean logarithm taken out of both."""
+    logs = np.log(found) - np.log(true)
+    return np.abs(np.expm1(logs - logs.mean(axis=0)))
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return degrees between unit vectors (…, 3)."""
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

@@ -1,0 +1,163 @@
+"""What several ranks make of made-up subjects, and what one process makes of them: started under mpirun by a test.
+
+Usage: mpirun -n 7 python tests/builders/mpi_ranks.py OUT. Rank 0 writes all digests into OUT/digests.json.
+"""
+
+import hashlib
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from irpso_addon.cluster.recovery import Crew, RankedRecovery, serve
+from irpso_addon.cluster.transport import joined
+from irpso_addon.cluster.worker import Member, Share, around
+from irpso_addon.geometry.tiles import tile
+from irpso_addon.gpu import context
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.plan import divided
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from tests.builders.domains import SHORT, subject
+
+PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others
+    "prime sizes, near lights, a window of 9": ((1, 2, 4, 7), None),
+    "survey, polish and prior": ((2,), 11),
+    "a threshold": ((2,), None),
+    "seams of a mesh": ((4,), 4),
+    "fewer texels than ranks want": ((7,), None),
+}
+LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
+WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
+STANDARD = load_schedule("standard").replaced(
+    iterations=3, survey_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
+    polish=Polish(iterations=2, start_iterations=1, rounds=1, round_iterations=1),
+)  # fmt: skip
+THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_every=30)
+
+
+def cases():
+    """Return name → (domain, model, schedule)."""
+    from tests.gpu.geometry.test_seams import observed, sheet
+
+    near, _ = subject(23, 19, near=True, perspective=True, colored=True, observations=9)
+    near.bake.coverage[:9, :6] = False  # some boxes are ragged
+    glossy, _ = subject(13, 17, model="cook_torrance_two_lobe", observations=12, near=True)
+    level, _ = subject(19, 11, holes=False)
+    seams = observed(sheet("mirrored and turned"), holes=0.1)
+    return {
+        "prime sizes, near lights, a window of 9": (near, LAMBERT, WIDE),
+        "survey, polish and prior": (glossy, TWO_LOBES, STANDARD),
+        "a threshold": (level, LAMBERT, THRESHOLD),
+        "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
+        "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
+    }
+
+
+def digest(maps, progress):
+    """Return what tells one result from another."""
+    found = hashlib.sha256(repr(progress).encode())
+    arrays = {**maps.values, "residual": maps.residual, "covered": maps.covered}
+    for array in [*arrays.values(), *(maps.confidence or {}).values(), *(maps.alternatives or {}).values()]:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def member_of(ranks, domain, model, schedule):
+    """Return this rank's share of a domain that every rank has as a whole."""
+    halo = recovery_need(model, schedule, (), domain.observations).reach
+    height, width = domain.shape
+    boxes = list(divided(domain.bake.coverage, (0, 0, width, height), ranks.size))
+    boxes += [None] * (ranks.size - len(boxes))
+    box = boxes[ranks.rank]
+    window = None if box is None else tile(replace(domain, seams=None), *around(domain.shape, box, halo))
+    whole = replace(domain, stack=np.zeros((domain.observations, 0, 0, 4), np.float32))
+    return Member(ranks, Share(whole, tuple(boxes), halo, window), model, schedule, 1, {})
+
+
+def over(ranks, case, work):
+    """Return what ``work`` makes of a recovery over ranks, on the first of them; None on the others."""
+    member = member_of(ranks, *case)
+    if not ranks.leads:
+        return serve(member) and None
+    crew = Crew(member)
+    with RankedRecovery(crew, range(case[0].observations), "fragment") as recovery:
+        result = work(recovery)
+    crew.end()
+    return result
+
+
+def whole(case, work):
+    """Return what ``work`` makes of a recovery in one process."""
+    with Recovery(*case, 1, entry="fragment") as recovery:
+        return work(recovery)
+
+
+def to_the_end(recovery):
+    """Recover, looking in between, and return the digest."""
+    recovery.step(iterations=5)
+    recovery.maps(confidence=False)
+    recovery.step()
+    return digest(recovery.maps(), recovery.progress)
+
+
+def saved(path, iterations):
+    """Return what makes so many iterations and leaves a checkpoint."""
+
+    def work(recovery):
+        recovery.step(iterations=iterations)
+        recovery.save(path, {"mark": np.arange(3)})
+
+    return work
+
+
+def resumed(path):
+    """Return what goes on from a checkpoint to the end."""
+
+    def work(recovery):
+        recovery.step(iterations=1)
+        assert recovery.load(path)["mark"].tolist() == [0, 1, 2]
+        recovery.step()
+        return digest(recovery.maps(), recovery.progress)
+
+    return work
+
+
+def main(folder):
+    """Recover all cases over some sizes, some of them with a change of ranks midway; write the digests."""
+    world = joined()
+    context.ensure()
+    # Made once: who is not among the ranks of a case goes on to its next one and naps there.
+    groups = {size: world.among(world.rank < size) for size in (1, 2, 4, 7)}
+    found = {}
+
+    def some(size, case, work):
+        return None if groups[size] is None else over(groups[size], case, work)
+
+    for name, case in cases().items():
+        sizes, stop = PLAN[name]
+        told = {"one process": whole(case, to_the_end)} if world.leads else {}
+        for size in sizes:
+            told[f"{size} ranks"] = some(size, case, to_the_end)
+        if stop is not None:
+            path = folder / name
+            some(4, case, saved(path, stop))
+            told["4 ranks, then 7"] = some(7, case, resumed(path))
+            if world.leads:
+                told["4 ranks, then one process"] = whole(case, resumed(path))
+                whole(case, saved(path, stop))
+            told["one process, then 2 ranks"] = some(2, case, resumed(path))
+        found[name] = told
+    if world.leads:
+        (folder / "digests.json").write_text(json.dumps(found, indent=2))
+    world.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
+    context.exit_process(0)

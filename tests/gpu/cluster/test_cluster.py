@@ -1,0 +1,201 @@
+"""``mpirun … recover``: any number of ranks gives the files of one process, and what stops one rank stops all."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.png import encode_png
+from tests.builders import command_line as cli_maker
+from tests.builders import mpi as mpi_maker
+from tests.builders.command_line import run_cli
+
+pytestmark = [mpi_maker.needs_mpi(), pytest.mark.usefixtures("one_probe")]
+
+SHAPE = (23, 31)  # primes: no cut is even
+LIGHTS = cli_maker.dome_lights(10, widest=70)
+UNLIKE = ("report.json", "material.blend")  # which hold times and names
+WIDE = ["--model", "lambert", "--preset", "swarm", "--iterations", 12, "--set", "neighbourhood=9", "--set",
+        "neighbour_every=4", "--set", "c3_until=0"]  # fmt: skip
+STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, "--hold-out", "3"]
+
+# Python runs it at its start: rank 1 fails when the swarms have been placed and moved once.
+FAILING = """
+import os
+from irpso_addon.solver.phases.sequential_swarm import RunningStage
+advance = RunningStage.advance
+def failing(self, *arguments):
+    if os.environ.get("OMPI_COMM_WORLD_RANK") == "1" and self.iteration == 1:
+        raise RuntimeError("a driver's own words")
+    return advance(self, *arguments)
+RunningStage.advance = failing
+"""
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    """A card with a hole in it and one that the border cuts."""
+    values = cli_maker.smooth_maps(SHAPE, {}, seed=3)
+    images = cli_maker.render_oracle("lambert", values, LIGHTS)
+    mask = np.ones(SHAPE, bool)
+    mask[:6, :4] = mask[10:14, 12:15] = False
+    return cli_maker.write_card(tmp_path_factory.mktemp("card") / "card", images, LIGHTS, mask)
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A ball whose UV map has seams, and photographs of it: the options of ``recover``."""
+    folder = tmp_path_factory.mktemp("ball")
+
+    def build(bpy):
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=12, ring_count=8)
+        cli_maker.add_camera(bpy, "Camera", (0, -0.5, 5), lens=70)
+
+    cli_maker.save_scene(folder / "ball.blend", build)
+    y, x = np.mgrid[:48, :48]
+    grey = np.stack([0.2 + 0.3 * np.abs(np.sin(0.2 * x + k) * np.cos(0.15 * y)) for k in range(10)])
+    cli_maker.write_card(folder / "ball", grey[..., None] * np.array([1, 0.8, 0.6]), LIGHTS)
+    return [folder / "ball", "--blend", folder / "ball.blend", "--resolution", 29]
+
+
+def options_of(subject, settings, folder, *more):
+    return ["recover", *subject, *settings, "--entry", "fragment", "--json", "-o", folder, *more]
+
+
+def files_of(folder):
+    """Return the bytes of a result's files by name, but for those that hold times."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in UNLIKE}
+
+
+@pytest.fixture(scope="module")
+def alone(card, tmp_path_factory):
+    """The files that one process without MPI makes of the card, by name."""
+    folder = tmp_path_factory.mktemp("alone") / "out"
+    code, _, err = run_cli(*options_of([card], WIDE, folder))
+    assert (code, err) == (0, "")
+    return files_of(folder)
+
+
+def test_any_number_of_ranks_finds_to_the_bit_what_one_process_does(tmp_path):
+    """Prime sizes, empty ranks, near lights, wide windows, seams; and other numbers of ranks after a checkpoint."""
+    mpi_maker.start(7, sys.executable, mpi_maker.ROOT / "tests" / "mpi_ranks.py", tmp_path)
+    found = json.loads((tmp_path / "digests.json").read_text())
+    assert len(found) == 5 and sum(len(told) for told in found.values()) == 19
+    assert {name: set(told.values()) - {told["one process"]} for name, told in found.items()} == dict.fromkeys(
+        found, set()
+    )
+    assert len({told["one process"] for told in found.values()}) == 5
+
+
+def test_a_mesh_with_seams_over_ranks_has_the_files_of_one_process(ball, tmp_path):
+    assert run_cli(*options_of(ball, STANDARD, tmp_path / "one"))[0] == 0
+    code, told, err = mpi_maker.run(3, *options_of(ball, STANDARD, tmp_path / "out"))
+    assert code == 0, err
+    assert files_of(tmp_path / "out") == files_of(tmp_path / "one")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    settings = report["settings"]
+    assert settings["ranks"] == 3 and told["texels"] == report["texels"]
+    sent = settings["bytes_sent"]  # one rank has the texels that no camera sees
+    assert len(settings["messages"]) == len(sent) == 3 and sorted(sent)[1] > 0
+
+
+def killed(command, variables, folder, victim):
+    """Start a job, end one of its ranks with SIGKILL once a checkpoint is there; return exit code and seconds."""
+    job = subprocess.Popen(command, cwd=mpi_maker.ROOT, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + mpi_maker.SECONDS
+    while not (folder / "checkpoint.npz").exists() and job.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert job.poll() is None, job.stderr.read().decode()
+    os.kill(int((folder.parent / f"pid{victim}").read_text()), signal.SIGKILL)
+    started = time.monotonic()
+    _, err = job.communicate(timeout=60)
+    return job.returncode, time.monotonic() - started, err.decode()
+
+
+def test_a_killed_rank_ends_the_job_and_another_number_of_ranks_goes_on_to_the_same_files(card, alone, tmp_path):
+    options = options_of([card], WIDE, tmp_path / "out")
+    noted = f'echo $$ > "{tmp_path}/pid$OMPI_COMM_WORLD_RANK";'
+    # So often that one is there long before the end.
+    command, variables = mpi_maker.job(3, *options, "--checkpoint-every", 0.01, before=noted)
+    code, seconds, _ = killed(command, variables, tmp_path / "out", victim=2)
+    assert code != 0 and seconds < 20
+    assert "checkpoint.npz" in os.listdir(tmp_path / "out")
+    code, _, err = mpi_maker.run(2, *options, "--resume")
+    assert code == 0, err
+    assert files_of(tmp_path / "out") == alone
+
+
+def test_a_rank_that_fails_in_the_middle_ends_the_job_and_is_named(card, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(FAILING)
+    there = f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}";'
+    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=there)
+    assert code == 1 and told is None
+    assert re.search(r"irpso: rank 1 on \S+: RuntimeError: a driver's own words", err) and err.count("irpso: ") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_ranks_with_unlike_versions_of_the_program_refuse(card, tmp_path):
+    other = tmp_path / "other"
+    for name in ("irpso_addon", "shaders", "presets"):
+        shutil.copytree(mpi_maker.ROOT / name, other / name, ignore=shutil.ignore_patterns("__pycache__"))
+    manifest = (mpi_maker.ROOT / "blender_manifest.toml").read_text()
+    version = re.search(r'^version = "(.*)"', manifest, re.M)[1]
+    (other / "blender_manifest.toml").write_text(manifest.replace(f'version = "{version}"', 'version = "9.9.9"'))
+    moved = f'[ $OMPI_COMM_WORLD_RANK = 1 ] && cd "{other}";'
+    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=moved)
+    assert code == 2 and not (tmp_path / "out").exists()
+    assert re.search(rf"program of rank 1 on \S+ \(version 9.9.9\) and of rank 0 on \S+ \(version {version}\)", err)
+    assert told["exit_code"] == 2 and err.count("irpso: ") == 1
+
+
+def test_a_rank_without_a_gpu_is_named(card, tmp_path):
+    blind = "[ $OMPI_COMM_WORLD_RANK = 1 ] && export __EGL_VENDOR_LIBRARY_FILENAMES=/nowhere.json;"
+    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=blind)
+    assert code == 3 and told["exit_code"] == 3
+    assert re.search(r"irpso: rank 1 on \S+: no GPU context", err) and err.count("irpso: ") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_ranks_cannot_do_is_refused_once(card, tmp_path):
+    code, told, err = mpi_maker.run(2, *options_of([card], [*WIDE, "--set", "levels=2"], tmp_path / "out"))
+    assert code == 2 and "levels" in told["error"] and err.count("irpso: ") == 1
+
+
+def test_every_slot_by_itself_or_a_list_of_recoveries_is_not_for_ranks(ball, card, tmp_path):
+    code, told, _ = mpi_maker.run(2, *options_of([*ball, "--slots", "each"], STANDARD, tmp_path / "out"))
+    assert code == 2 and "--slots each" in told["error"]
+    (tmp_path / "list.toml").write_text('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\n')
+    code, told, _ = mpi_maker.run(2, "batch", tmp_path / "list.toml", "--json", "-o", tmp_path / "out")
+    assert code == 2 and "without mpirun" in told["error"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_processes_that_cannot_find_one_another_are_refused(card, tmp_path, monkeypatch):
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
+    monkeypatch.setitem(sys.modules, "mpi4py", None)  # as where it is not installed
+    code, out, _ = run_cli(*options_of([card], WIDE, tmp_path / "out"))
+    assert code == 2 and "mpi4py" in json.loads(out)["error"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_ranks_know_of_the_noise_of_8_bit_files_too(tmp_path):
+    (tmp_path / "card").mkdir()
+    images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps(SHAPE, {}, seed=5), LIGHTS)
+    for number, image in enumerate(images):
+        encode_png(tmp_path / "card" / f"{number:02}.png", srgb_from_linear(np.clip(image, 0, 1)), bits=8)
+    lines = [f"{number:02}.png {x} {y} {z}" for number, (x, y, z) in enumerate(LIGHTS)]
+    (tmp_path / "card" / "dirs.lp").write_text("\n".join([str(len(lines)), *lines]) + "\n")
+    options = [[tmp_path / "card"], ["--model", "lambert", "--iterations", 2, "--colour-space", "srgb"]]
+    code, _, err = run_cli(*options_of(*options, tmp_path / "alone"))
+    assert (code, err) == (0, "")
+    code, _, err = mpi_maker.run(2, *options_of(*options, tmp_path / "ranks"))
+    assert code == 0, err
+    assert files_of(tmp_path / "ranks") == files_of(tmp_path / "alone")

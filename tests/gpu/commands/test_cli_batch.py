@@ -1,0 +1,159 @@
+"""``batch``: several recoveries from a list, stopped and started again."""
+
+import json
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.cli import build_parser
+from irpso_addon.commands import batch, recover
+from tests.builders import command_line as cli_maker
+from tests.builders.command_line import run_cli
+
+LIST = """
+[defaults]
+model = "lambert"
+preset = "swarm"
+iterations = 60
+entry = "fragment"
+
+[[job]]
+capture = "first"
+seed = 3
+
+[[job]]
+name = "none"
+capture = "not there"
+
+[[job]]
+capture = "second"
+set = ["particles=20", "loss=l1"]
+"""
+
+
+@pytest.fixture
+def listed(tmp_path):
+    """Return a folder with a list of three jobs, the second of which has no capture."""
+    lights = cli_maker.dome_lights(8, widest=70)
+    for name, seed in (("first", 1), ("second", 2)):
+        values = cli_maker.smooth_maps((9, 12), {}, seed=seed)
+        cli_maker.write_card(tmp_path / name, cli_maker.render_oracle("lambert", values, lights), lights)
+    (tmp_path / "list.toml").write_text(LIST, encoding="utf-8")
+    return tmp_path
+
+
+def maps_of(folder):
+    return {name: np.stack(list(part.values())) for name, part in read_exr(folder / "maps.exr").items()}
+
+
+def test_a_batch_is_its_recoveries_and_one_report_and_does_nothing_twice(listed, monkeypatch):
+    out = listed / "out"
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", out)
+    assert code == 2 and "irpso: none: " in err and "not there" in err
+    report = json.loads((out / "batch.json").read_text(encoding="utf-8"))
+    assert [job["state"] for job in report["jobs"]] == ["done", "failed", "done"] and report["failed"] == ["none"]
+    for name, options in (("first", ["--seed", "3"]), ("second", ["--set", "particles=20", "--set", "loss=l1"])):
+        alone = listed / f"{name} alone"
+        common = ["--model", "lambert", "--preset", "swarm", "--iterations", "60", "--entry", "fragment", "--quiet"]
+        assert run_cli("recover", listed / name, *common, *options, "-o", alone)[0] == 0
+        for part, values in maps_of(alone).items():
+            np.testing.assert_array_equal(maps_of(out / name)[part], values)
+    begun = []
+    kept, run = (out / "first" / "maps.exr").stat().st_mtime_ns, recover.run
+    monkeypatch.setattr(recover, "run", lambda options: begun.append(options.output) or run(options))
+    assert run_cli("batch", listed / "list.toml", "-o", out, "--json")[0] == 2
+    assert begun == [str(out / "none")] and (out / "first" / "maps.exr").stat().st_mtime_ns == kept
+
+
+def test_a_job_whose_options_have_changed_or_whose_result_is_gone_is_run_again(listed, monkeypatch):
+    out, begun = listed / "out", []
+    result = {"texels": 1}
+
+    def fake(options):
+        begun.append((options.output.rsplit("/", 1)[-1], options.resume))
+        (out / begun[-1][0]).mkdir(parents=True, exist_ok=True)
+        (out / begun[-1][0] / "report.json").write_text("{}")
+        return result
+
+    monkeypatch.setattr(recover, "run", fake)
+    arguments = ["batch", listed / "list.toml", "-o", out, "--quiet"]
+    assert run_cli(*arguments)[0] == 0 and begun == [("first", False), ("none", False), ("second", False)]
+    (listed / "list.toml").write_text(LIST.replace("seed = 3", "seed = 4"), encoding="utf-8")
+    (out / "none" / "report.json").unlink()
+    begun.clear()
+    assert run_cli(*arguments)[0] == 0 and begun == [("first", False), ("none", False)]
+    # What was stopped in its middle goes on from its checkpoint, but not from one of other options.
+    state = json.loads((out / "second.json").read_text(encoding="utf-8"))
+    (out / "second.json").write_text(json.dumps({**state, "state": "begun"}), encoding="utf-8")
+    (out / "second" / "checkpoint.npz").touch()
+    (out / "first" / "checkpoint.npz").touch()
+    (listed / "list.toml").write_text(LIST, encoding="utf-8")
+    begun.clear()
+    assert run_cli(*arguments)[0] == 0 and begun == [("first", False), ("second", True)]
+    begun.clear()
+    (out / "second.json").write_text("{", encoding="utf-8")
+    assert run_cli(*arguments, "--only", "second")[0] == 0 and begun == [("second", False)]
+
+
+def test_a_checkpoint_that_is_of_no_use_does_not_stop_its_job_for_ever(listed):
+    out, (job, *_) = listed / "out", batch.read_list(listed / "list.toml", build_parser().parse_args)
+    (out / "first").mkdir(parents=True)
+    (out / "first" / "checkpoint.npz").write_bytes(b"cut off in its middle")
+    (out / "first.json").write_text(json.dumps({"words": job.listed, "state": "begun"}), encoding="utf-8")
+    code, told, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
+    assert code == 0 and "first: goes on" in told and "begins anew" in told and "damaged" in told
+    assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
+
+
+def test_a_list_that_is_named_otherwise_or_lies_elsewhere_has_the_same_jobs(listed, monkeypatch):
+    out = listed / "out"
+    assert run_cli("batch", listed / "list.toml", "-o", out, "--only", "first", "--quiet")[0] == 0
+    monkeypatch.chdir(listed)
+    assert "first: done before" in run_cli("batch", "list.toml", "-o", "out", "--only", "first")[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "lists no job"),
+        ("[[job]]\nseed = 1", "has no capture"),
+        ('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b/A"', "called 'a'"),
+        ('[[job]]\ncapture = "a"\nwrong = 1', "unrecognized arguments"),
+        ('[[job]]\ncapture = "a"\niteration = 5', "unrecognized arguments"),
+        ('[[job]]\ncapture = "a"\nseed = "x"', "--seed"),
+        ('[[job]]\ncapture = "a"\nname = "../b"', "name"),
+        ('[[job]]\ncapture = "a"\nresume = true', "resume is not for a list"),
+        ('jobs = 1\n[[job]]\ncapture = "a"', "[[job]]"),
+        ("[[job]\n", "is not valid TOML"),
+    ],
+)
+def test_a_list_that_is_not_understood_is_told_before_anything_is_run(text, told, tmp_path):
+    path = tmp_path / "list.toml"
+    path.write_text(text, encoding="utf-8")
+    code, _, err = run_cli("batch", path, "-o", tmp_path / "out")
+    assert code == 2 and err.count("\n") == 1 and str(path) in err and told in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_the_list_does_not_have_is_refused(listed):
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out", "--only", "third")
+    assert code == 2 and "first, none, second" in err
+
+
+def test_defaults_of_meshes_are_not_for_cards(tmp_path):
+    text = '[defaults]\nresolution = 64\n[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\nblend = "b.blend"\n'
+    (tmp_path / "list.toml").write_text(text, encoding="utf-8")
+    card, mesh = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)
+    assert "--resolution" not in card.words and "--resolution" in mesh.words
+
+
+def test_paths_are_relative_to_the_list(listed):
+    jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
+    assert jobs[0].words[:2] == ("recover", str(listed / "first"))
+    (listed / "given.exr").touch()
+    text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nknown = ["normal=given.exr", "roughness=0.5"]\n'
+    (listed / "other.toml").write_text(text, encoding="utf-8")
+    (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
+    assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)
+    assert jobs[2].words.count("--set") == 2 and jobs[0].words[-2:] == ("--checkpoint-every", "60")

@@ -1,0 +1,169 @@
+"""Runs that are killed, and checkpoints that cannot be written: nothing is lost but what came after the last one."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.commands import solve
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.files import replacing_file
+from irpso_addon.solver.engine.progress import Progress
+from tests.builders import command_line as cli_maker
+from tests.builders.command_line import run_cli
+
+ROOT = Path(__file__).resolve().parents[3]
+OPTIONS = ["--model", "lambert", "--preset", "swarm", "--iterations", "400", "--seed", "3", "--entry", "fragment"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("killed")
+    lights = cli_maker.dome_lights(12, widest=70)
+    values = cli_maker.smooth_maps((20, 24), {}, seed=2)
+    return cli_maker.write_card(folder / "card", cli_maker.render_oracle("lambert", values, lights), lights)
+
+
+def all_maps(folder):
+    return {name: np.stack(list(part.values())) for name, part in read_exr(folder / "maps.exr").items()}
+
+
+def start(capture, out, *more):
+    command = [sys.executable, "-m", "irpso_addon", "recover", capture, *OPTIONS, "--checkpoint-every", "0", "--quiet",
+               "-o", out, *more]  # fmt: skip
+    return subprocess.Popen([str(word) for word in command], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+def test_a_run_that_is_killed_again_and_again_ends_in_the_same_maps_bit_for_bit(capture, tmp_path):
+    assert run_cli("recover", capture, *OPTIONS, "--quiet", "-o", tmp_path / "whole")[0] == 0
+    out, checkpoint = tmp_path / "out", tmp_path / "out" / "checkpoint.npz"
+    chosen = random.Random(4)
+    for killed in range(3):
+        run = start(capture, out, *(["--resume"] if killed else []))
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        deadline = time.monotonic() + 100
+        while not (checkpoint.exists() and checkpoint.stat().st_mtime_ns > before):
+            assert run.poll() is None and time.monotonic() < deadline, run.stderr.read()
+            time.sleep(0.002)
+        time.sleep(chosen.uniform(0, 0.05))
+        run.send_signal(signal.SIGKILL)
+        run.communicate()
+        assert not (out / "maps.exr").exists()
+    assert run_cli("recover", capture, *OPTIONS, "--quiet", "--resume", "-o", out)[0] == 0
+    whole, resumed = all_maps(tmp_path / "whole"), all_maps(out)
+    assert set(whole) == set(resumed)
+    for name, values in whole.items():
+        np.testing.assert_array_equal(resumed[name], values)
+    assert {path.name for path in out.iterdir()} == {path.name for path in (tmp_path / "whole").iterdir()}
+
+
+def test_a_run_goes_on_by_the_kind_of_pass_that_it_was_begun_with(capture, tmp_path):
+    out = tmp_path / "out"
+    run = start(capture, out, "--entry", "compute")
+    deadline = time.monotonic() + 100
+    while not (out / "checkpoint.npz").exists():
+        assert run.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    run.send_signal(signal.SIGKILL)
+    run.communicate()
+    code, answer, err = run_cli("recover", capture, *OPTIONS[:-2], "--json", "--resume", "-o", out)
+    assert (code, err) == (0, "")
+    assert json.loads((out / "report.json").read_text(encoding="utf-8"))["settings"]["entry"] == "compute"
+
+
+class FullDisk:
+    """A recovery of five iterations whose checkpoints find no room."""
+
+    def __init__(self, fails):
+        self.saved, self._fails = 0, fails
+        self.progress = Progress(
+            stage=0, stages=1, title="", iteration=0, iterations=5, iteration_in_all=0, iterations_in_all=5,
+            fraction=0.0, stage_end=1.0, evaluations=0, done=False,
+        )  # fmt: skip
+        self._made = 0
+
+    def step(self, iterations=None, time_budget_s=None):
+        self._made += 1
+        self.progress = replace(self.progress, done=self._made == 5)
+        return self.progress
+
+    def save(self, path, notes):
+        self.saved += 1
+        if self._fails:
+            with replacing_file(path):
+                raise OSError(28, "No space left on device")
+
+
+class NoHistory:
+    until_next, notes = 1, {}
+
+    def look(self):
+        pass
+
+    def take(self, notes):
+        assert not notes
+
+
+def test_the_seconds_of_a_run_are_those_of_all_its_goes(tmp_path):
+    class GoneOnWith(FullDisk):
+        def load(self, path):
+            return {"seconds": np.array(700.0)}
+
+        def save(self, path, notes):
+            self.noted = float(notes["seconds"])
+
+    run = GoneOnWith(fails=False)
+    seconds, _ = solve.drive(run, NoHistory(), solve.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
+    assert 700 < run.noted <= seconds < 760
+
+
+def test_a_checkpoint_that_is_of_no_use_is_refused_before_anything_slow(capture, tmp_path, monkeypatch):
+    monkeypatch.setattr("irpso_addon.gpu.probe.probe", lambda: pytest.fail("it asked the GPU"))
+    (tmp_path / "checkpoint.npz").write_bytes(b"PK cut")
+    code, _, err = run_cli("recover", capture, *OPTIONS, "--resume", "-o", tmp_path)
+    assert code == 2 and "damaged" in err and err.count("\n") == 1
+    (tmp_path / "checkpoint.npz").unlink()
+    (tmp_path / "checkpoint.npz").mkdir()
+    code, _, err = run_cli("recover", capture, *OPTIONS, "-o", tmp_path)
+    assert code == 2 and "is a folder" in err
+
+
+def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(tmp_path, capsys):
+    path = tmp_path / "checkpoint.npz"
+    path.write_bytes(b"the one before")
+    run = FullDisk(fails=True)
+    _, warnings = solve.drive(run, NoHistory(), solve.Saving(path, every=0.0), quiet=True)
+    assert run.saved == 4 and len(warnings) == 1
+    assert warnings[0] == f"no checkpoint: {path}: cannot be written (No space left on device); choose another place"
+    assert capsys.readouterr().err == f"irpso: warning: {warnings[0]}\n"
+    assert path.read_bytes() == b"the one before" and [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_checkpoints_come_when_their_time_has(tmp_path):
+    runs = [FullDisk(fails=False) for _ in range(3)]
+    for run, every in zip(runs, (0.0, 3600.0, None), strict=True):
+        solve.drive(run, NoHistory(), solve.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
+    assert [run.saved for run in runs] == [4, 0, 0]
+
+
+def test_what_a_killed_run_left_half_written_is_removed_by_the_next(tmp_path):
+    left, other = tmp_path / ".checkpoint.partial-123.npz", tmp_path / "notes.partial-1.npz"
+    left.touch(), other.touch()
+    solve.drive(FullDisk(fails=False), NoHistory(), solve.Saving(tmp_path / "checkpoint.npz"), quiet=True)
+    assert not left.exists() and other.exists()
+
+
+@pytest.mark.parametrize("seconds", ["-1", "nan", "inf"])
+def test_a_time_between_checkpoints_that_is_none_is_refused(seconds, capture, tmp_path):
+    code, _, err = run_cli("recover", capture, "--checkpoint-every", seconds, "-o", tmp_path / "out")
+    assert code == 2 and "--checkpoint-every" in err and not (tmp_path / "out").exists()
+    with pytest.raises(InputError):
+        solve.check_every(float(seconds))

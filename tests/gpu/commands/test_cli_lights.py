@@ -1,0 +1,99 @@
+"""recover on captures whose lights are not known well."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.builders.command_line import angle, dome_lights, read_map, render_oracle, run_cli, smooth_maps, write_card
+from tests.builders.lights import apart, gains, off
+
+LIGHTS = dome_lights(12)
+HELD_OUT = 7
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return smooth_maps((20, 24), {}, tilt=35)
+
+
+@pytest.fixture(scope="module")
+def factors():
+    return gains(12, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory, truth, factors):
+    """A matte card under lights of unequal strength, of which the capture says nothing."""
+    images = render_oracle("lambert", truth, LIGHTS) * factors[:, None, None]
+    return write_card(tmp_path_factory.mktemp("unequal") / "card", images, LIGHTS)
+
+
+def recover(capture, out, *options):
+    code, said, error = run_cli("recover", capture, "-o", out, "--model", "lambert", "--json", *options)
+    assert code == 0, error
+    return json.loads(said), json.loads((out / "report.json").read_text())
+
+
+def test_estimated_intensities_make_the_maps_right_and_relight_what_was_held_out(tmp_path, capture, truth, factors):
+    said, report = recover(capture, tmp_path / "out", "--intensities", "estimate", "--hold-out", HELD_OUT)
+    assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
+    assert report["settings"]["intensities"] == "estimate"
+    assert report["seconds"]["lights"] > 0
+    assert np.median(angle(read_map(tmp_path / "out" / "normal.exr"), truth["normal"])) < 0.5
+    assert min(report["relighting_psnr_db"].values()) > 40
+    assert said["warnings"] == []
+
+
+def test_intensities_that_are_taken_as_1_and_are_not_are_warned_of_with_the_remedy(tmp_path, capture, truth):
+    _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0", "--intensities", "given")
+    assert any("--intensities estimate" in line for line in report["warnings"])
+    assert "lights" not in report
+    assert np.median(angle(read_map(tmp_path / "out" / "normal.exr"), truth["normal"])) > 5
+
+
+def test_intensities_that_the_images_contradict_are_estimated_unasked_and_that_is_said(
+    tmp_path, capture, truth, factors
+):
+    _, report = recover(capture, tmp_path / "whole", "--set", "prior_rounds=0")
+    assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
+    assert ["so they were estimated" in line for line in report["warnings"]] == [True]
+    normal = read_map(tmp_path / "whole" / "normal.exr")
+    assert np.median(angle(normal, truth["normal"])) < 0.5
+    _, tiled = recover(capture, tmp_path / "tiles", "--set", "prior_rounds=0", "--memory", "device=300K")
+    assert tiled["settings"]["tiles"] > 1
+    np.testing.assert_array_equal(read_map(tmp_path / "tiles" / "normal.exr"), normal)
+
+
+def test_intensities_that_are_right_are_left_alone(tmp_path, truth):
+    capture = write_card(tmp_path / "equal", render_oracle("lambert", truth, LIGHTS), LIGHTS)
+    _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0")
+    assert "lights" not in report and report["warnings"] == []
+
+
+def test_lights_that_lie_close_together_do_not_tell_their_intensities(tmp_path, truth, factors):
+    narrow = dome_lights(12, widest=22)
+    images = render_oracle("lambert", truth, narrow) * factors[:, None, None]
+    _, report = recover(write_card(tmp_path / "narrow", images, narrow), tmp_path / "out", "--set", "prior_rounds=0")
+    assert "lights" not in report
+    assert any("too close together" in line for line in report["warnings"])
+
+
+def test_directions_are_refined_and_those_that_are_right_raise_no_warning(tmp_path, truth):
+    rng = np.random.default_rng(3)
+    wrong = LIGHTS + np.radians(2) * rng.normal(size=LIGHTS.shape)
+    wrong /= np.linalg.norm(wrong, axis=-1, keepdims=True)
+    capture = write_card(tmp_path / "card", render_oracle("lambert", truth, LIGHTS), wrong)
+    _, report = recover(capture, tmp_path / "out", "--refine-directions", 2)
+    found = np.array(report["lights"]["lights"])[:, :3]
+    assert apart(found, LIGHTS).mean() < 0.6 * apart(wrong, LIGHTS).mean()
+    np.testing.assert_allclose(np.array(report["lights"]["intensities"]), 1)
+    assert report["warnings"] == []
+
+
+@pytest.mark.parametrize("degrees", ["-1", "21", "nan"])
+def test_directions_that_are_too_far_off_are_refused_before_anything_is_written(tmp_path, capture, degrees):
+    code, _, error = run_cli("recover", capture, "-o", tmp_path / "out", f"--refine-directions={degrees}")
+    assert code == 2
+    assert "--refine-directions" in error and "20" in error
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,389 @@
+"""``recover`` through the public command: its files, models of one's own, interrupts, running again."""
+
+import functools
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from irpso_addon.blender import images as blender_images
+from irpso_addon.capture.images.exr import write_exr
+from tests.builders import command_line as cli_maker
+from tests.builders.command_line import MODELS, angle, read_map, run_cli
+
+SHAPE = (18, 24)
+LIGHTS = cli_maker.dome_lights(36, widest=75)
+RANGES = {
+    "lambert": {},
+    "principled": {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)},
+    "cook_torrance_two_lobe": {"r1": (0.15, 0.25), "r2": (0.4, 0.6), "w": (0.4, 0.7)},
+    "ward": {"strength": (0.1, 0.3), "slope": (0.15, 0.4)},
+    "oren_nayar": {"sigma": (0.2, 0.8)},
+}
+OWN = {"ward", "oren_nayar"}
+# Swarms of seven and eight dimensions are far from done after the preset's 1500 iterations.
+ITERATIONS = {"lambert": 1000, "principled": 3000, "cook_torrance_two_lobe": 3000, "ward": 3000, "oren_nayar": 2000}
+# Seen along the normal, σ and the albedo make up for each other to within 0.1 % of the radiance: the albedo is given.
+KNOWN = {"oren_nayar": "base_color"}
+ROOT = Path(__file__).resolve().parents[3]
+
+
+pytestmark = pytest.mark.usefixtures("one_probe")
+
+
+@pytest.fixture(scope="module")
+def recovered(tmp_path_factory):
+    """Return model → (the known maps, the result's folder, the answer of --json), each recovered once."""
+    folder = tmp_path_factory.mktemp("recovered")
+
+    @functools.cache
+    def recover(name):
+        values = cli_maker.smooth_maps(SHAPE, RANGES[name], seed=3)
+        capture = cli_maker.write_card(folder / name, cli_maker.render_oracle(name, values, LIGHTS), LIGHTS)
+        model = MODELS / f"{name}.toml" if name in OWN else name
+        out = folder / f"{name} out"
+        options = ["--iterations", ITERATIONS[name], "--seed", 5, "-o", out, "--json"]
+        if name in KNOWN:
+            known = values[KNOWN[name]].astype(np.float32)
+            write_exr(folder / "known.exr", {"": {c: known[..., i] for i, c in enumerate("RGB")}})
+            options += ["--known", f"{KNOWN[name]}={folder / 'known.exr'}"]
+        code, answer, err = run_cli("recover", capture, "--model", model, *options)
+        assert (code, err) == (0, "")
+        return values, out, json.loads(answer.splitlines()[-1])
+
+    return recover
+
+
+FILES = {
+    "lambert": {"base_color", "normal"},
+    "principled": {"base_color", "normal", "roughness", "specular"},
+    "cook_torrance_two_lobe": {"base_color", "normal", "roughness_lobes"},
+}
+OTHERS = {
+    "residual.exr",
+    "confidence.exr",
+    "maps.exr",
+    "report.json",
+    "preview.png",
+    "convergence.png",
+    "material.blend",
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_result_holds_all_files_and_no_other(name, recovered):
+    _, out, _ = recovered(name)
+    pictures = {f"{stem}.{kind}" for stem in FILES[name] for kind in ("png", "exr")}
+    pictures |= {"confidence.png"} if name != "lambert" else set()  # which has no number that is searched
+    assert {path.name for path in out.iterdir()} == pictures | OTHERS
+    with OpenEXR.File(str(out / "maps.exr"), separate_channels=True) as file:
+        parts = {part.name() for part in file.parts}
+    assert parts >= FILES[name] | {"residual", "coverage", "confidence_normal"}
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert set(report["files"]) == (pictures | OTHERS) - {"material.blend"}
+    assert report["settings"]["model"] == name and report["seed"] == 5 and report["texels"] == SHAPE[0] * SHAPE[1]
+    assert report["evaluations"] > 0 and {"read", "prepare", "solve"} <= set(report["seconds"])
+    assert report["versions"]["blender"] and report["gpu"]
+
+
+def top_row_first(path):
+    """Return an EXR's pixels in the order of the file, by OpenEXR alone."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        return np.stack([channels[c].pixels for c in "RGBY" if c in channels], axis=-1)
+
+
+def test_maps_lie_pixel_for_pixel_on_the_images_top_row_first(recovered):
+    values, out, _ = recovered("lambert")
+    image = top_row_first(out.parent / "lambert" / "000.exr")
+    normal = values["normal"][::-1]
+    # The files' own rows: radiance over cosine is the albedo, by the equation of Lambert alone.
+    expected = image / (normal @ LIGHTS[0])[..., None]
+    np.testing.assert_allclose(top_row_first(out / "base_color.exr"), expected, atol=2e-3)
+    found = angle(top_row_first(out / "normal.exr"), normal)
+    assert found.max() < 0.1
+    # Turned in any way it would be far off.
+    for other in (normal[::-1], normal[:, ::-1], normal[::-1, ::-1]):
+        assert angle(top_row_first(out / "normal.exr"), other).max() > 10
+
+
+def test_png_maps_hold_what_the_exr_maps_hold(recovered):
+    import bpy
+
+    values, out, _ = recovered("principled")
+    for name, decode, tolerance in (
+        ("normal", lambda v: v * 2 - 1, 3e-3),
+        ("roughness", lambda v: v[..., :1], 2e-5),
+        ("base_color", lambda v: np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4), 5e-5),
+    ):
+        image = bpy.data.images.load(str(out / f"{name}.png"))
+        image.colorspace_settings.name = "Non-Color"
+        pixels = np.empty(SHAPE[0] * SHAPE[1] * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        bpy.data.images.remove(image)
+        found = decode(pixels.reshape(*SHAPE, -1)[..., :3])
+        np.testing.assert_allclose(found, read_map(out / f"{name}.exr"), atol=tolerance)
+
+
+# Largest allowed errors: normal (mean, 99th percentile) in degrees; then each scalar's mean in per cent of its range.
+BOUNDS = {
+    "lambert": (0.01, 0.05, {}),
+    "principled": (0.25, 1.5, {"roughness": 2.0, "specular": 5.0}),
+    "cook_torrance_two_lobe": (0.1, 0.4, {"r1": 1.0, "r2": 7.0, "w": 5.0}),
+    "ward": (0.1, 0.4, {"strength": 1.5, "slope": 1.0}),
+    "oren_nayar": (0.1, 0.4, {"sigma": 1.0}),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_a_material_comes_back_from_its_images(name, recovered):
+    from irpso_addon.reflectance.model import load_model
+    from irpso_addon.results.read import read_maps
+
+    values, out, answer = recovered(name)
+    model = load_model(MODELS / f"{name}.toml" if name in OWN else name)
+    found = read_maps(out, model)
+    normal = angle(found["normal"], values["normal"])
+    mean, worst, scalars = BOUNDS[name]
+    color = 100 * np.abs(found["base_color"] - values["base_color"]).mean()
+    text = f"normal {normal.mean():.4f}° (99 %: {np.percentile(normal, 99):.3f}°), base_color {color:.3f} %"
+    errors = {}
+    for scalar in scalars:
+        low, high = model.parameter(scalar).range
+        errors[scalar] = 100 * np.abs(found[scalar][..., 0] - values[scalar]).mean() / (high - low)
+        text += f", {scalar} {errors[scalar]:.3f} %"
+    print(f"\n{name}: {text}; residual {answer['residual']['mean']:.2e}; solved in {answer['seconds']['solve']:.1f} s")
+    assert normal.mean() < mean and np.percentile(normal, 99) < worst and color < 0.5
+    assert all(errors[scalar] < bound for scalar, bound in scalars.items())
+
+
+def srgb(linear):
+    """IEC 61966-2-1, of what fits 0 to 1."""
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
+    values, out, _ = recovered("lambert")
+    truth = out / "normal.exr"
+    code, answer, _ = run_cli(
+        "recover", out.parent / "lambert", "--model", "lambert", "--preset", "swarm", "--iterations", 30,
+        "--set", "seed=random", "--ground-truth", truth,
+        "--hold-out", "3,7", "-o", tmp_path / "out", "--json",
+    )  # fmt: skip
+    answer = json.loads(answer.splitlines()[-1])
+    expected = angle(read_map(tmp_path / "out" / "normal.exr"), read_map(truth))
+    assert code == 0
+    assert expected.mean() > 0.01
+    assert answer["ground_truth"]["normal"]["mean"] == pytest.approx(expected.mean(), rel=1e-3)
+    assert answer["ground_truth"]["normal"]["p99"] == pytest.approx(np.percentile(expected, 99), rel=1e-3)
+    assert set(answer["relighting_psnr_db"]) == {"light 3", "light 7"} and (tmp_path / "out" / "relit.png").is_file()
+    found = {name: read_map(tmp_path / "out" / f"{name}.exr") for name in ("normal", "base_color")}
+    seen, relit = (cli_maker.render_oracle("lambert", maps, LIGHTS[3:4])[0] for maps in (values, found))
+    white = np.percentile(seen, 99.5)
+    difference = srgb(seen / white) - srgb(relit / white)
+    assert answer["relighting_psnr_db"]["light 3"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.05)
+
+
+def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
+    lights = cli_maker.dome_lights(20, widest=30)
+    values = cli_maker.smooth_maps((24, 30), {"roughness": (0.3, 0.4), "specular": (1.0, 1.0)})
+    images = cli_maker.render_oracle("principled", values, lights)
+    folder = cli_maker.write_card(tmp_path / "shiny", images, lights)
+    out = tmp_path / "out"
+    # Matt by order: what it relights lacks all highlights.
+    code, answer, _ = run_cli(
+        "recover", folder, "--known", "specular=0", "--known", "roughness=1", "--hold-out", "auto", "-o", out, "--json"
+    )
+    answer = json.loads(answer.splitlines()[-1])
+    assert code == 0
+    names, shown = ["light 4", "light 12"], 0
+    assert list(answer["relighting_psnr_db"]) == list(answer["relighting_highlights_psnr_db"]) == names
+    found = {"normal": read_map(out / "normal.exr"), "base_color": read_map(out / "base_color.exr")}
+    for name, light, image in zip(names, (lights[4], lights[12]), (images[4], images[12]), strict=True):
+        matt = cli_maker.render_oracle("lambert", found, [light])[0]
+        seen, diffuse = image[..., :3], matt[..., :3]
+        white = np.percentile(seen, 99.5)
+        bright = seen.mean(axis=-1) > 1.5 * diffuse.mean(axis=-1) + 0.02 * np.percentile(seen.mean(axis=-1), 99.5)
+        highlights = answer["relighting_highlights_psnr_db"][name]
+        if not bright.any():
+            assert highlights is None
+            continue
+        difference = (srgb(np.clip(seen / white, 0, 1)) - srgb(np.clip(diffuse / white, 0, 1)))[bright]
+        expected = -10 * np.log10((difference**2).mean())
+        assert highlights == pytest.approx(expected, abs=0.3)
+        assert answer["relighting_psnr_db"][name] > expected + 3
+        shown += 1
+    assert shown
+
+
+def test_what_is_known_is_not_searched(recovered, tmp_path):
+    values, out, _ = recovered("principled")
+    code, _, _ = run_cli(
+        "recover", out.parent / "principled", "--known", f"normal={out / 'normal.exr'}", "--known", "specular=0.25",
+        "--iterations", 20, "-o", tmp_path / "out", "--quiet",
+    )  # fmt: skip
+    assert code == 0
+    np.testing.assert_array_equal(read_map(tmp_path / "out" / "normal.exr"), read_map(out / "normal.exr"))
+    np.testing.assert_array_equal(read_map(tmp_path / "out" / "specular.exr"), np.float32(0.25))
+
+
+def test_running_again_into_a_folder_updates_it_and_leaves_the_users_files(recovered, tmp_path):
+    _, out, _ = recovered("principled")
+    folder = tmp_path / "out"
+    shutil.copytree(out, folder)
+    (folder / "notes.txt").write_text("of the user")
+    code, _, _ = run_cli(
+        "recover", out.parent / "lambert", "--model", "lambert", "--iterations", 20, "-o", folder, "--quiet"
+    )
+    assert code == 0
+    pictures = {f"{stem}.{kind}" for stem in FILES["lambert"] for kind in ("png", "exr")}
+    assert {path.name for path in folder.iterdir()} == pictures | OTHERS | {"notes.txt"}
+    assert json.loads((folder / "report.json").read_text(encoding="utf-8"))["model"] == "lambert"
+
+
+def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered, tmp_path):
+    _, out, _ = recovered("principled")
+    capture = out.parent / "principled"
+    options = ["recover", capture, "--iterations", "1200", "--seed", "9"]
+    folder = tmp_path / "out"
+
+    def interrupted(number, *more):
+        command = [sys.executable, "-m", "irpso_addon", *map(str, (*options, *more, "-o", folder))]
+        process = subprocess.Popen(
+            command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        percents = []
+        for line in process.stderr:
+            if found := re.match(r"recover \[.*\] +(\d+) %", line):
+                percents.append(int(found[1]))
+                if percents[-1] >= 10:
+                    process.send_signal(number)
+                    break
+        rest = process.stderr.read()
+        assert process.wait(60) == 130
+        assert [path.name for path in folder.iterdir()] == ["checkpoint.npz"]
+        assert f"{folder / 'checkpoint.npz'} holds the run so far, go on with --resume" in rest
+        return percents[0]
+
+    assert interrupted(signal.SIGINT) == 0
+    assert interrupted(signal.SIGTERM, "--resume") >= 10, "it began anew"
+    assert run_cli(*options, "--resume", "--quiet", "-o", folder)[0] == 0
+    assert not (folder / "checkpoint.npz").exists()
+    assert run_cli(*options, "--quiet", "-o", tmp_path / "whole")[0] == 0
+    names = {path.name for path in folder.iterdir()}
+    assert names == {path.name for path in (tmp_path / "whole").iterdir()}
+    for name in names - {"report.json", "material.blend"}:
+        assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import live
+
+    _, out, _ = recovered("lambert")
+    folder, seen = tmp_path / "out", []
+    show = live.LivePicture.show
+
+    def shown(self, maps):
+        show(self, maps)
+        seen.append(blender_images.decode(folder / "live.png").values[..., :3])
+
+    monkeypatch.setattr(live.LivePicture, "show", shown)
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 120, "--json", "-o", folder]
+    assert run_cli(*options, "--live")[0] == 0
+    assert len(seen) >= 40 and not (folder / "live.png").exists()
+    # Base colour, normal and residual side by side, whose texels have become what the finished maps hold.
+    found = blender_images.decode(folder / "base_color.png").values[..., :3]
+    assert seen[0].shape == seen[-1].shape and seen[0].shape[1] > 3 * found.shape[1]
+    assert np.abs(seen[-1] - seen[0]).max() > 0.1
+    colours = {tuple(np.rint(255 * c)) for c in found.reshape(-1, 3)}
+    shown_colours = {tuple(np.rint(255 * c)) for c in seen[-1].reshape(-1, 3)}
+    assert len(colours & shown_colours) > 0.9 * len(colours)
+
+
+def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import live
+    from irpso_addon.core.errors import InputError
+
+    def full(path, *_, **__):
+        raise InputError(f"{path}: cannot be written (No space left on device); choose another place")
+
+    monkeypatch.setattr(live, "encode_png", full)
+    _, out, _ = recovered("lambert")
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 40, "--json"]
+    code, answer, err = run_cli(*options, "--live", "-o", tmp_path / "out")
+    assert code == 0 and err.count("live.png: cannot be written") == 1
+    assert sum("live.png" in text for text in json.loads(answer.splitlines()[-1])["warnings"]) == 1
+
+
+def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_path, monkeypatch):
+    from irpso_addon.commands import recover
+
+    _, out, _ = recovered("lambert")
+    monkeypatch.setattr(recover, "card_steps", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    code, answer, err = run_cli("recover", out.parent / "lambert", "-o", tmp_path / "out")
+    assert (code, answer, err.strip()) == (130, "", "irpso: interrupted")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_checkpoint_of_other_settings_is_refused_by_what_differs(recovered, tmp_path):
+    from irpso_addon.solver.engine.recovery import Recovery
+
+    _, out, _ = recovered("lambert")
+    folder = tmp_path / "out"
+    options = ["recover", out.parent / "lambert", "--model", "lambert", "--iterations", 40, "-o", folder, "--quiet"]
+    step = Recovery.step
+
+    def stopped(self, *_):
+        signal.raise_signal(signal.SIGINT)
+        return step(self, 1)
+
+    Recovery.step = stopped
+    try:
+        assert run_cli(*options)[0] == 130
+    finally:
+        Recovery.step = step
+    before = cli_maker.listing(folder)
+    assert set(before) == {"checkpoint.npz"}
+    code, _, err = run_cli(*options, "--resume", "--seed", 3)
+    assert (code, cli_maker.listing(folder)) == (2, before)
+    assert err.count("\n") == 1 and "checkpoint.npz: is of another recovery: seed differ" in err
+
+
+@pytest.mark.parametrize("name", ["bunny_lambert_noshadow", "bunny_lambert", "bunny_specular", "rti_icon"])
+def test_inspect_finds_no_error_in_real_captures(name, shared_data):
+    code, out, err = run_cli("inspect", shared_data / name)
+    assert (code, err) == (0, "")
+    assert "error:" not in out
+    facts = dict(line.split(None, 1) for line in out.splitlines()[:6])
+    images, size = ("72", "402×395") if name == "rti_icon" else ("50", "256×256")
+    assert facts["images"] == images and facts["lights"] == f"{images} distant, 0 near"
+    assert facts["camera"].startswith(size)
+
+
+def test_doctor_names_the_gpu_its_limits_and_what_will_be_used():
+    import bpy
+    import gpu
+
+    from irpso_addon.reflectance.model import shipped_models
+
+    code, out, err = run_cli("doctor")
+    assert (code, err) == (0, "")
+    facts = dict(line.split("  ", 1) for line in out.splitlines())
+    facts = {name.strip(): value.strip() for name, value in facts.items()}
+    assert facts["version of blender"] == bpy.app.version_string
+    assert facts["GPU"] == gpu.platform.renderer_get()
+    assert facts["largest texture"].startswith(f"{gpu.capabilities.max_texture_size_get()} texels")
+    assert facts["passes used"] in ("fragment", "compute")
+    assert facts["models"].split(", ") == shipped_models()
+    code, out, _ = run_cli("doctor", "--json")
+    assert code == 0 and json.loads(out)["renderer"] == facts["GPU"]

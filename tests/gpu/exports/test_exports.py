@@ -1,0 +1,256 @@
+"""Exports read back by hand: OpenLIME by its shader's formulas, PTM by its format's description."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.exports import openlime, ptm, textures
+from irpso_addon.exports.result import Result, read_result
+from irpso_addon.geometry.height import Height
+from irpso_addon.results.extra_maps import height_map
+from irpso_addon.results.write import write_maps
+from tests.builders import command_line as cli_maker
+from tests.builders.command_line import run_cli
+from tests.builders.exports import SHAPE, on_a_sheet, picture, read_glb, result_of, srgb, unsrgb
+from tests.oracles import reflectance as oracles
+
+pytestmark = pytest.mark.usefixtures("one_probe")
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+# --- textures -------------------------------------------------------------------------------------------------------
+
+
+def test_a_texture_set_holds_each_map_under_the_usual_names(tmp_path):
+    result = result_of("principled")
+    height = Height(np.linspace(-2, 3, 560, dtype=np.float32).reshape(SHAPE), np.ones(SHAPE, bool), "texels")
+    found = textures.write_textures(Result("leaf", result.maps, height), tmp_path / "set")
+    names = {f"leaf_{n}.png" for n in ("BaseColor", "Normal", "Roughness", "Metallic", "Specular", "ORM", "Height")}
+    assert set(found["files"]) == names == {path.name for path in (tmp_path / "set").iterdir()}
+    v, shown = result.maps.values, {n[5:-4]: picture(tmp_path / "set" / n)[..., :3] for n in names}
+    np.testing.assert_allclose(shown["BaseColor"], srgb(v["base_color"]), atol=0.51 / 255)
+    np.testing.assert_allclose(shown["Normal"], v["normal"] * 0.5 + 0.5, atol=1e-5)
+    np.testing.assert_allclose(shown["Roughness"][..., :1], v["roughness"], atol=0.51 / 255)
+    np.testing.assert_allclose(shown["Specular"][..., :1], v["specular"], atol=0.51 / 255)
+    orm = np.stack([np.ones(SHAPE), v["roughness"][..., 0], np.zeros(SHAPE)], axis=-1)
+    np.testing.assert_allclose(shown["ORM"], orm, atol=0.51 / 255)
+    np.testing.assert_allclose(shown["Height"][..., 0] * 5 - 2, height.values, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("convention", "name", "turned"),
+    [("unreal", "T_leaf_N", True), ("unity", "leaf_Normal", False), ("substance", "leaf_Normal_DirectX", True)],
+)
+def test_a_program_gets_the_normals_that_it_expects(convention, name, turned, tmp_path):
+    result = result_of("principled")
+    textures.write_textures(result, tmp_path, convention)
+    green = picture(tmp_path / f"{name}.png")[..., 1] * 2 - 1
+    np.testing.assert_allclose(green, (-1 if turned else 1) * result.maps.values["normal"][..., 1], atol=5e-5)
+
+
+def test_unitys_mask_map_holds_smoothness_in_alpha(tmp_path):
+    result = result_of("principled")
+    textures.write_textures(result, tmp_path, "unity")
+    mask = picture(tmp_path / "leaf_MaskMap.png")
+    np.testing.assert_allclose(mask[..., 3], 1 - result.maps.values["roughness"][..., 0], atol=0.51 / 255)
+    assert (mask[..., 0] == 0).all() and (mask[..., 1] == 1).all()
+
+
+def test_udim_tiles_are_files_of_their_own(tmp_path):
+    result = result_of("principled", shape=(16, 32), tiles=(1001, 1012))
+    found = textures.write_textures(result, tmp_path)
+    assert {"leaf_BaseColor.1001.png", "leaf_BaseColor.1012.png"} <= set(found["files"])
+    second = picture(tmp_path / "leaf_Roughness.1012.png")[..., :1]
+    np.testing.assert_allclose(second, result.maps.values["roughness"][:, 16:], atol=0.51 / 255)
+
+
+# --- OpenLIME -------------------------------------------------------------------------------------------------------
+
+
+def openlime_radiance(folder, light):
+    """Return (H, W, 3) what OpenLIME's shader computes before its gamma, by the formulas of its ShaderBRDF."""
+    info = json.loads((folder / "info.json").read_text())
+    kd, ks, normals, gloss = (picture(folder / info["channels"][c]) for c in ("kd", "ks", "normals", "gloss"))
+    assert info["colorspaces"] == {"kd": "srgb", "ks": "srgb"}
+    n = normals[..., :3] * 2.0 - 1
+    length = np.linalg.norm(n, axis=-1, keepdims=True)
+    n = n / np.maximum(length, 1e-9)
+    low, high = info["alphaLimits"]
+    least, most = 1 - high**0.25, 1 - low**0.25
+    alpha = (1 - gloss[..., 0] * (most - least) - least) ** 4
+    half = oracles.unit(light + np.array([0, 0, 1.0]))
+    nl, nv, nh = n @ light, n[..., 2], n @ half
+    ward = np.exp(-(np.tan(np.arccos(np.clip(nh, -1, 1))) ** 2) / alpha**2)
+    ward = ward / (4 * np.pi * alpha**2 * np.sqrt(np.maximum(nl * nv, 1e-9)))
+    shaded = (unsrgb(kd[..., :3]) / np.pi + unsrgb(ks[..., :3]) * ward[..., None]) * np.maximum(nl, 0)[..., None]
+    return np.where(length < 0.5, 0, shaded * info["brightness"])
+
+
+@pytest.mark.parametrize(("name", "bound"), [("cook_torrance_two_lobe", 0.06), ("principled", 0.06), ("lambert", 0.02)])
+def test_openlimes_layer_looks_like_the_material(name, bound, tmp_path):
+    result = result_of(name)
+    found = openlime.write_openlime(result, tmp_path / "layer")
+    values = {k: v[..., 0] if v.shape[-1] == 1 else v for k, v in result.maps.values.items()}
+    lights = cli_maker.dome_lights(24, widest=65)
+    shown = np.stack([openlime_radiance(tmp_path / "layer", light) for light in lights])
+    truth = cli_maker.render_oracle(name, values, lights)
+    error = np.sqrt(((shown - truth) ** 2).mean() / (truth**2).mean())
+    print(f"\n{name} in OpenLIME: {100 * error:.2f} % RMS of the radiance; lobe {found['info']['ward_error']['mean']}")
+    assert error < bound
+
+
+def test_what_is_outside_is_transparent_in_openlime(tmp_path):
+    covered = np.ones(SHAPE, bool)
+    covered[:4] = False
+    openlime.write_openlime(result_of("principled", covered=covered), tmp_path)
+    length = np.linalg.norm(picture(tmp_path / "normals.png")[..., :3] * 2 - 1, axis=-1)
+    assert (length[:4] < 0.5).all() and (length[4:] > 0.9).all()
+
+
+# --- PTM ------------------------------------------------------------------------------------------------------------
+
+
+def read_ptm(path):
+    """Return coefficients (H, W, 3, 6), row 0 at the bottom, by Malzbender & Gelb 2001."""
+    data = path.read_bytes()
+    lines, at = [], 0
+    while len(lines) < 6:
+        end = data.index(b"\n", at)
+        lines.append(data[at:end].decode("ascii"))
+        at = end + 1
+    assert lines[:2] == ["PTM_1.2", "PTM_FORMAT_RGB"]
+    width, height = int(lines[2]), int(lines[3])
+    scale, bias = np.array(lines[4].split(), float), np.array([int(word) for word in lines[5].split()])
+    assert len(data) - at == 18 * width * height
+    found = np.zeros((height, width, 3, 6))
+    for channel in range(3):
+        for y in range(height):
+            for x in range(width):
+                place = at + 6 * (width * height * channel + width * y + x)
+                found[y, x, channel] = (np.frombuffer(data, np.uint8, 6, place) - bias) * scale
+    return found
+
+
+def test_a_ptm_shows_the_material_under_lights_that_it_was_not_fitted_to(tmp_path):
+    covered = np.ones(SHAPE, bool)
+    covered[:, :3] = False
+    result = result_of("lambert", covered=covered, tilt=15)
+    report = ptm.write_ptm(result, tmp_path / "leaf.ptm")
+    coefficients = read_ptm(tmp_path / "leaf.ptm")
+    lights = cli_maker.dome_lights(7, widest=50)
+    shown = np.stack([coefficients @ [u * u, v * v, u * v, u, v, 1] for u, v, _ in lights])
+    truth = 255 * srgb(cli_maker.render_oracle("lambert", result.maps.values, lights))
+    psnr = 10 * np.log10(255**2 / ((np.clip(shown, 0, 255) - truth)[:, covered] ** 2).mean())
+    print(f"\nPTM of lambert: {psnr:.1f} dB under other lights, fit {report['leaf.ptm']}")
+    assert psnr > 30
+    assert np.abs(shown[:, ~covered]).max() < 3
+
+
+def test_the_coefficients_are_the_least_squares_ones_but_for_their_bytes(tmp_path):
+    result = result_of("principled")
+    ptm.write_ptm(result, tmp_path / "leaf.ptm")
+    found = read_ptm(tmp_path / "leaf.ptm")
+    lights = ptm.even_lights(64, 80.0)
+    values = {k: v[..., 0] if v.shape[-1] == 1 else v for k, v in result.maps.values.items()}
+    pictures = 255 * srgb(cli_maker.render_oracle("principled", values, lights))
+    terms = np.stack([[u * u, v * v, u * v, u, v, 1] for u, v, _ in lights])
+    truth, *_ = np.linalg.lstsq(terms, pictures.reshape(64, -1), rcond=None)
+    truth = np.moveaxis(truth.reshape(6, *SHAPE, 3), 0, -1)
+    step = np.ptp(truth, axis=(0, 1, 2)) / 254
+    assert (np.abs(found - truth).max(axis=(0, 1, 2)) < 0.51 * step + 0.02).all()
+
+
+# --- the command ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A result's folder with material.blend."""
+    result, obj = on_a_sheet("principled", texels=48)
+    report = {"model": "principled", "settings": {"model": "principled"}}
+    height = Height(result.maps.values["specular"][..., 0], result.maps.covered, "world")
+    write_maps(result.maps, tmp_path / "leaf", report | {"height": height.described()}, None, [height_map(height)])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "leaf" / "material.blend"), copy=True)
+    return tmp_path / "leaf"
+
+
+def test_a_results_folder_is_read_as_it_was_written(folder):
+    found = read_result(folder)
+    assert found.name == "leaf" and found.blend == folder / "material.blend" and found.height.unit == "world"
+    assert found.maps.covered.any() and not found.maps.covered.all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "files"),
+    [
+        ("gltf", {"leaf.glb"}), ("ptm", {"leaf.ptm"}),
+        ("openlime", {"kd.png", "ks.png", "normals.png", "gloss.png", "info.json"}),
+        ("textures", {"T_leaf_BC.png", "T_leaf_N.png", "T_leaf_ORM.png", "T_leaf_S.png", "T_leaf_H.png"}),
+    ],
+)  # fmt: skip
+def test_the_command_writes_each_format(kind, files, folder, tmp_path):
+    code, out, err = run_cli(
+        "export", folder, "--format", kind, "--convention", "unreal", "-o", tmp_path / "out", "--json"
+    )
+    assert (code, err) == (0, "") and str(tmp_path / "out") in json.loads(out.splitlines()[-1])["output"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == files
+
+
+def test_a_file_can_be_named(folder, tmp_path):
+    code, _, err = run_cli("export", folder, "--format", "gltf", "-o", tmp_path / "mine.glb", "--quiet")
+    assert (code, err) == (0, "") and read_glb(tmp_path / "mine.glb")[0]["asset"]["version"] == "2.0"
+
+
+def test_what_cannot_be_exported_is_refused_in_one_line_with_nothing_written(folder, tmp_path):
+    out = tmp_path / "out"
+
+    def refused(*options):
+        code, _, err = run_cli("export", *options, "-o", out)
+        assert code == 2 and err.count("\n") == 1 and not out.exists()
+        return err
+
+    assert "holds no report.json" in refused(tmp_path, "--format", "ptm")
+    (tmp_path / "report.json").write_text('{"texels": 3, "slots": {"Skin": {}, "Eyes": {}}}')
+    assert f"give one of their folders: '{tmp_path / 'Skin'}'" in refused(tmp_path, "--format", "ptm")
+    assert "no such mesh; it has 'sheet'" in refused(folder, "--format", "gltf", "--object", "cube")
+    (folder / "material.blend").unlink()
+    assert "holds no material.blend" in refused(folder, "--format", "gltf")
+    own = cli_maker.MODELS / "two_colours.toml"
+    if own.exists():
+        assert "is not known" in refused(folder, "--format", "openlime", "--model", own)
+
+
+def test_an_unknown_normal_map_is_refused_before_anything_is_read(tmp_path):
+    code, _, err = run_cli("recover", tmp_path, "--normals", "object,tangant", "-o", tmp_path / "out")
+    assert code == 2 and "'tangant' is no normal map; choose some of object, world, directx" in err
+
+
+def test_recover_writes_what_is_asked_for_besides(tmp_path):
+    lights = cli_maker.dome_lights(12, widest=60)
+    values = cli_maker.smooth_maps(SHAPE, {}, seed=3)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    truth = 1.5 * np.sin(0.3 * x + 0.1 * y)
+    slope = 1.5 * np.cos(0.3 * x + 0.1 * y)
+    values["normal"] = oracles.unit(np.stack([-0.3 * slope, -0.1 * slope, np.ones(SHAPE)], axis=-1))
+    cli_maker.write_card(tmp_path / "leaf", cli_maker.render_oracle("lambert", values, lights), lights)
+    code, _, err = run_cli(
+        "recover", tmp_path / "leaf", "--model", "lambert", "--normals", "directx,object", "--displacement",
+        "--iterations", 40, "-o", tmp_path / "out", "--quiet",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    found = read_result(tmp_path / "out")
+    green = picture(tmp_path / "out" / "normal_directx.png")[..., 1] * 2 - 1
+    np.testing.assert_allclose(green, -found.maps.values["normal"][..., 1], atol=5e-5)
+    described = json.loads((tmp_path / "out" / "report.json").read_text())["height"]
+    assert described["unit"] == "texels"
+    heights = (picture(tmp_path / "out" / "height.png")[..., 0] - described["midlevel"]) * described["scale"]
+    assert np.abs(heights - heights.mean() - truth + truth.mean()).max() < 0.05
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "material.blend"))
+    (material,) = bpy.data.materials
+    assert material.displacement_method == "BOTH" and "IRPSO displacement" in material.node_tree.nodes

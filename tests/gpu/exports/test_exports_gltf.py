@@ -1,0 +1,151 @@
+"""glTF read back by its chunks, as its specification describes them, and shaded as viewers do."""
+
+import functools
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Quaternion
+
+from irpso_addon.blender.material import apply_material, card_object
+from irpso_addon.exports import gltf
+from tests.builders.command_line import angle
+from tests.builders.exports import accessor, image_of, lean, on_a_sheet, read_glb, srgb
+from tests.oracles import reflectance as oracles
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def counts():
+    return [len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "images", "node_groups")]
+
+
+def test_gltf_carries_every_map_pixel_for_pixel(tmp_path):
+    result, obj = on_a_sheet("principled")
+    before = counts()
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    assert counts() == before and obj.select_get() is False
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    (material,) = table["materials"]
+    pbr, inside, v = material["pbrMetallicRoughness"], result.maps.covered, result.maps.values
+    show = functools.partial(image_of, table, binary, folder=tmp_path)
+    half = 0.51 / 255
+    color = show(pbr["baseColorTexture"])[..., :3]
+    np.testing.assert_allclose(color[inside], srgb(v["base_color"])[inside], atol=half)
+    orm = show(pbr["metallicRoughnessTexture"])
+    assert (orm[..., 0] == 1).all() and (orm[..., 2] == 0).all()
+    np.testing.assert_allclose(orm[..., 1][inside], v["roughness"][..., 0][inside], atol=half)
+    # Factors that are not written are 1.
+    assert not {"roughnessFactor", "metallicFactor", "baseColorFactor"} & set(pbr)
+    normal = show(material["normalTexture"])[..., :3]
+    np.testing.assert_allclose(normal[inside], (v["normal"] * 0.5 + 0.5)[inside], atol=half)
+    assert "scale" not in material["normalTexture"]
+    # F0 = ((n − 1) / (n + 1))² · factor, the factor in alpha (KHR_materials_ior, KHR_materials_specular).
+    ior = material["extensions"]["KHR_materials_ior"]["ior"]
+    specular = material["extensions"]["KHR_materials_specular"]
+    factor = show(specular["specularTexture"])[..., 3] * specular.get("specularFactor", 1.0)
+    f0 = ((ior - 1) / (ior + 1)) ** 2 * factor
+    np.testing.assert_allclose(f0[inside], 0.08 * v["specular"][..., 0][inside], atol=0.08 * half)
+    assert specular.get("specularColorFactor", [1, 1, 1]) == [1, 1, 1]
+
+
+def gltf_normals(table, binary, path, unit_frame):
+    """Return the angle (degrees) between what a glTF viewer shades with and the field, at points of all triangles."""
+    (primitive,) = table["meshes"][0]["primitives"]
+    read = {key: accessor(table, binary, at).astype(np.float64) for key, at in primitive["attributes"].items()}
+    corner = accessor(table, binary, primitive["indices"]).reshape(-1, 3)
+    weights = np.array([[0.6, 0.3, 0.1], [1 / 3, 1 / 3, 1 / 3], [0.2, 0.2, 0.6]])
+    at = {
+        key: np.einsum("pk,tki->tpi", weights, value[corner]).reshape(-1, value.shape[1]) for key, value in read.items()
+    }
+    image = image_of(table, binary, table["materials"][0]["normalTexture"], path)[::-1]  # v runs down in glTF
+    height, width = image.shape[:2]
+    x, y = at["TEXCOORD_0"][:, 0] * width - 0.5, at["TEXCOORD_0"][:, 1] * height - 0.5
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    texel = (image[y0, x0] * (1 - fx) + image[y0, x0 + 1] * fx) * (1 - fy)
+    texel = (texel + (image[y0 + 1, x0] * (1 - fx) + image[y0 + 1, x0 + 1] * fx) * fy)[:, :3] * 2 - 1
+    normal, tangent = at["NORMAL"], at["TANGENT"][:, :3]
+    sign = np.sign(at["TANGENT"][:, 3:])
+    if unit_frame:  # as three.js does, and the Khronos sample viewer
+        normal, tangent = oracles.unit(normal), oracles.unit(tangent)
+    shaded = texel[:, :1] * tangent + texel[:, 1:2] * sign * np.cross(normal, tangent) + texel[:, 2:] * normal
+    node = table["nodes"][0]
+    turn = Matrix.LocRotScale(
+        node["translation"], Quaternion((node["rotation"][3], *node["rotation"][:3])), node["scale"]
+    )
+    to_world = np.array(turn)
+    shaded = oracles.unit(shaded @ to_world[:3, :3].T)
+    surface = oracles.unit(oracles.unit(at["NORMAL"]) @ to_world[:3, :3].T)
+    place = at["POSITION"] @ to_world[:3, :3].T + to_world[:3, 3]
+    # glTF's y is up: (x, y, z) is Blender's (x, −z, y).
+    to_blender = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    place, surface, shaded = (vector @ to_blender.T for vector in (place, surface, shaded))
+    return angle(shaded, oracles.unit(surface + lean(place)))
+
+
+def test_a_gltf_viewer_shades_with_the_recovered_world_normals(tmp_path):
+    result, obj = on_a_sheet("principled", texels=384)
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    for frame in (False, True):
+        error = gltf_normals(table, binary, tmp_path, frame)
+        median, high = np.percentile(error, (50, 99))
+        print(f"\nglTF, {'unit' if frame else 'interpolated'} frames: median {median:.3f}°, 99 % {high:.3f}°")
+        # 8 bits are 0.3°.
+        assert median < (0.8 if frame else 0.3) and high < (3.0 if frame else 0.8)
+
+
+def test_blenders_exporter_alone_carries_all_maps_but_specular(tmp_path):
+    """Why the material is built anew for it."""
+    result, obj = on_a_sheet("principled")
+    obj.select_set(True)
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "own.glb"), use_selection=True, export_format="GLB")
+    table, binary = read_glb(tmp_path / "own.glb")
+    (material,) = table["materials"]
+    inside, v = result.maps.covered, result.maps.values
+    show = functools.partial(image_of, table, binary, folder=tmp_path)
+    color = show(material["pbrMetallicRoughness"]["baseColorTexture"])[..., :3]
+    np.testing.assert_allclose(color[inside], srgb(v["base_color"])[inside], atol=0.51 / 255)
+    normal = show(material["normalTexture"])[..., :3]
+    np.testing.assert_allclose(normal[inside], (v["normal"] * 0.5 + 0.5)[inside], atol=0.51 / 255)
+    roughness = show(material["pbrMetallicRoughness"]["metallicRoughnessTexture"])[..., 1:2]
+    np.testing.assert_allclose(roughness[inside], v["roughness"][inside], atol=0.51 / 255)
+    # The factor is alpha, and the picture that it names has none, or 1 everywhere: specular is 0.5 for a viewer.
+    specular = show(material["extensions"]["KHR_materials_specular"]["specularTexture"])
+    assert specular.shape[-1] < 4 or (specular[..., 3] == 1).all()
+
+
+def test_two_lobes_become_one_with_the_error_told(tmp_path):
+    result, obj = on_a_sheet("cook_torrance_two_lobe")
+    found = gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    assert 0.05 < found["one_lobe_error"]["median"] < 0.5
+    table, binary = read_glb(tmp_path / "leaf.glb")
+    texture = table["materials"][0]["pbrMetallicRoughness"]["metallicRoughnessTexture"]
+    alpha = image_of(table, binary, texture, tmp_path)[..., 1] ** 2
+    inside, v = result.maps.covered, result.maps.values
+    # Between the two lobes' own widths, GGX being a little wider than Beckmann at the same peak.
+    assert (alpha[inside] > v["r1"][..., 0][inside] * 0.9).all() and (alpha[inside] < v["r2"][..., 0][inside]).all()
+
+
+def test_gltf_of_lambert_has_no_highlight(tmp_path):
+    result, obj = on_a_sheet("lambert", texels=32)
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    (material,) = read_glb(tmp_path / "leaf.glb")[0]["materials"]
+    assert material["extensions"]["KHR_materials_specular"]["specularFactor"] == 0
+
+
+@pytest.mark.parametrize(("card", "mode"), [(True, 33071), (False, 10497)])  # CLAMP_TO_EDGE, REPEAT (OpenGL)
+def test_textures_of_a_card_end_at_its_borders(card, mode, tmp_path):
+    result, obj = on_a_sheet("principled", texels=32)
+    if card:
+        obj = card_object("leaf", 32, 32)
+        apply_material(obj, bpy.data.materials["IRPSO leaf"])
+    gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
+    table, _ = read_glb(tmp_path / "leaf.glb")
+    for texture in table["textures"]:
+        sampler = table["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        assert {sampler.get(key, 10497) for key in ("wrapS", "wrapT")} == {mode}

@@ -1,0 +1,332 @@
+"""Passes: which texels they touch, how their sources are put together, and what is said where one does not compile."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.errors import GpuUnavailableError, ShaderError
+from irpso_addon.core.paths import SHADERS
+from irpso_addon.gpu import context, textures
+from irpso_addon.gpu.bands import Bands
+from irpso_addon.gpu.compiler import messages_of
+from irpso_addon.gpu.library import read_source
+from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.kernels.kernels import copy_pass, render_pass
+
+KERNELS = Path(__file__).parents[1] / "kernels"
+CONSTANTS = {"u_mark": "INT", "u_skip": "INT", "u_scale": "FLOAT"}
+BEFORE = -7.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def gpu():
+    """A GPU context."""
+    context.ensure()
+
+
+@pytest.fixture(params=["fragment", "compute"])
+def entry(request):
+    """Both entries."""
+    return request.param
+
+
+def marks(entry, width, height, outputs=1, rows=None, skip=0):
+    """Run the kernel that marks where it runs on cleared targets; return what they hold."""
+    formats = ["R32F" if i == 1 else "RGBA32F" for i in range(outputs)]
+    given = tuple(Output(f"o_{i}", name) for i, name in enumerate(formats))
+    work = Pass(Kernel(KERNELS / "marks.glsl", given, {}, CONSTANTS, {"OUTPUTS": outputs}), entry)
+    targets = [textures.empty(width, height, name, value=BEFORE) for name in formats]
+    for each in rows or [None]:
+        work.run(targets, {}, {"u_mark": 5, "u_skip": skip, "u_scale": 0.1}, each)
+    result = [read(target) for target in targets]
+    work.close()
+    return result
+
+
+def read(target):
+    """Return a target's contents, copied by a fragment pass: what a dispatch wrote is not read directly."""
+    copy, result = copy_pass(), textures.empty(target.width, target.height)
+    copy.run([result], {"u_source": target})
+    array = textures.download(result)
+    copy.close()
+    return array[..., : textures.CHANNELS[target.format]]
+
+
+def expected(width, height):
+    """Return what a texel is marked with."""
+    y, x = np.mgrid[:height, :width]
+    return np.stack([x, y, np.full_like(x, 5), np.full(x.shape, np.float32(0.1))], axis=-1).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 1), (1, 9), (8, 8), (9, 8), (17, 13), (63, 65), (100, 3)], ids=str)
+def test_every_texel_is_run_once_and_at_its_own_place(entry, size):
+    np.testing.assert_array_equal(marks(entry, *size)[0], expected(*size))
+
+
+@pytest.mark.parametrize("rows", [(0, 1), (5, 6), (12, 13), (3, 11), (0, 13), (8, 9), (7, 8)], ids=str)
+def test_a_band_of_rows_leaves_the_other_rows_alone(entry, rows):
+    found = marks(entry, 17, 13, rows=[rows])[0]
+    wanted = np.full((13, 17, 4), BEFORE, np.float32)
+    wanted[rows[0] : rows[1]] = expected(17, 13)[rows[0] : rows[1]]
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_what_a_draw_callback_blends_with_does_not_touch_a_pass(entry):
+    import gpu
+
+    gpu.state.blend_set("ALPHA")
+    try:
+        found = marks(entry, 17, 13)[0]
+        assert gpu.state.blend_get() == "ALPHA"
+    finally:
+        gpu.state.blend_set("NONE")
+    np.testing.assert_array_equal(found, expected(17, 13))
+
+
+def test_bands_one_after_the_other_make_the_whole(entry):
+    found = marks(entry, 17, 13, rows=[(0, 3), (3, 4), (4, 12), (12, 13)])[0]
+    np.testing.assert_array_equal(found, expected(17, 13))
+
+
+@pytest.mark.parametrize("skip", [1, 2, 3])
+def test_a_kernel_that_returns_false_leaves_all_its_outputs_as_they_were(entry, skip):
+    found = marks(entry, 17, 13, outputs=3, skip=skip)
+    y, x = np.mgrid[:13, :17]
+    left = (x + y) % skip == 0
+    for i, array in enumerate(found):
+        assert (array[left] == BEFORE).all()
+        assert (array[~left] != BEFORE).all(), i
+
+
+@pytest.mark.parametrize("outputs", range(1, 7))
+def test_up_to_six_outputs_of_two_formats_are_each_written(entry, outputs):
+    found = marks(entry, 9, 5, outputs=outputs)
+    y, x = np.mgrid[:5, :9]
+    for i, array in enumerate(found):
+        wanted = (1000.0 * y + x)[..., None] if i == 1 else expected(9, 5) + np.float32(i)
+        np.testing.assert_array_equal(array, wanted.astype(np.float32))
+
+
+def test_a_seventh_output_is_refused_before_a_shader_is_made(entry):
+    outputs = tuple(Output(f"o_{i}") for i in range(7))
+    with pytest.raises(ValueError, match="has 7"):
+        Pass(Kernel(KERNELS / "marks.glsl", outputs, {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+
+
+def test_a_pass_runs_again_on_other_targets_of_another_size(entry):
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    for size in ((5, 3), (20, 30), (5, 3)):
+        target = textures.empty(*size, value=BEFORE)
+        work.run([target], {}, {"u_mark": 5, "u_skip": 0, "u_scale": 0.1})
+        np.testing.assert_array_equal(read(target), expected(*size))
+    work.close()
+
+
+def test_a_fence_is_waited_at_before_anything_was_drawn(entry):
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    target = textures.empty(5, 3, value=BEFORE)
+    work.fence([target])
+    np.testing.assert_array_equal(textures.download(target), np.full((3, 5, 4), BEFORE))
+    work.close()
+
+
+@pytest.mark.parametrize("seconds", [1e-9, 1e-4, 10.0])
+@pytest.mark.parametrize("height", [1, 5, 64, 333])
+def test_bands_cover_every_row_once_whatever_time_they_are_given(seconds, height):
+    bands = Bands()
+    for _ in range(70):
+        drawn = []
+        for _ in bands.run("pass", height, seconds, drawn.append, lambda: None):
+            pass
+        assert [row for first, last in drawn for row in range(first, last)] == list(range(height))
+
+
+class Costs:
+    """A clock that a draw advances: each row costs its own time, and nothing else does."""
+
+    def __init__(self, seconds_per_row):
+        self.now, self.costs, self.bands = 0.0, np.asarray(seconds_per_row), []
+
+    def perf_counter(self):
+        return self.now
+
+    def draw(self, rows):
+        cost = self.costs[rows[0] : rows[1]].sum()
+        self.bands.append(cost)
+        self.now += cost
+
+
+@pytest.mark.parametrize("paced", [True, False])
+def test_the_first_bands_of_a_pass_are_short_and_then_as_long_as_asked_for(monkeypatch, paced):
+    clock = Costs(np.full(512, 1e-3))
+    monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
+    bands = Bands(paced)
+    for _ in range(3):
+        for _ in bands.run("pass", 512, 0.02, clock.draw, lambda: None):
+            pass
+    assert max(clock.bands) <= 0.02 + 1e-9
+    assert max(clock.bands[:2]) <= 0.008 + 1e-9  # nothing is known of it yet
+    assert np.median(clock.bands[4:]) >= 0.016
+
+
+def test_a_region_that_is_dearer_by_far_stalls_nothing_once_it_is_known(monkeypatch):
+    clock = Costs(np.where(np.arange(512) < 256, 1e-5, 1e-3))  # texels that are done cost little
+    monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
+    bands = Bands(paced=True)
+    for run in range(4):
+        clock.bands.clear()
+        for _ in bands.run("pass", 512, 0.02, clock.draw, lambda: None):
+            pass
+        assert run == 0 or max(clock.bands) < 0.08
+        assert sum(cost > 0.021 for cost in clock.bands) <= 2
+
+
+@pytest.mark.parametrize("paced", [True, False])
+def test_every_band_is_waited_for_where_somebody_looks_at_the_clock(paced):
+    bands, order = Bands(paced), []
+    for _ in range(20):
+        order.clear()
+        for _ in bands.run("pass", 64, 1.0, lambda rows: order.append("draw"), lambda: order.append("fence")):
+            order.append("look")
+    unfenced = sum(a == "draw" and b == "look" for a, b in zip(order, order[1:], strict=False))
+    assert (unfenced == 0) == paced
+
+
+def test_a_pass_is_compiled_where_it_is_first_run(entry, monkeypatch):
+    compiled = []
+    from irpso_addon.gpu import passes
+
+    real = passes.compile_shader
+    monkeypatch.setattr(passes, "compile_shader", lambda name, *rest: compiled.append(name) or real(name, *rest))
+    work = Pass(Kernel(KERNELS / "marks.glsl", (Output("o_0"),), {}, CONSTANTS, {"OUTPUTS": 1}), entry)
+    assert not compiled
+    target = textures.empty(5, 3, value=BEFORE)
+    for _ in range(2):
+        work.run([target], {}, {"u_mark": 5, "u_skip": 0, "u_scale": 0.1})
+        assert len(compiled) == 1
+    work.close()
+
+
+def test_samplers_that_a_kernel_does_not_speak_of_take_no_room(entry, monkeypatch):
+    monkeypatch.setattr(context, "max_samplers", lambda: 1)
+    source, copied = textures.upload(np.full((3, 5, 4), 2.5, np.float32)), textures.empty(5, 3)
+    others = {f"u_other_{i}": "FLOAT_2D" for i in range(40)}
+    copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {**others, "u_source": "FLOAT_2D"}, {}, {}), entry)
+    copy.run([copied], {"u_source": source})
+    assert (read(copied) == 2.5).all()
+    copy.close()
+    monkeypatch.setattr(context, "max_samplers", lambda: 0)
+    with pytest.raises(GpuUnavailableError, match=r"reads 0 textures in a shader, view/copy\.glsl needs 1; choose"):
+        Pass(copy.kernel, entry).compile()
+
+
+# ---- sources -----------------------------------------------------------------------------------------------------
+
+
+def write(folder, **files):
+    """Write shader files; return the path of the first."""
+    for name, text in files.items():
+        (folder / f"{name}.glsl").write_text(text, encoding="utf-8")
+    return folder / f"{next(iter(files))}.glsl"
+
+
+KERNEL = "bool texel_kernel(ivec2 texel)\n{\n    o_value = vec4(half_of(1.0));\n    return true;\n}\n"
+
+
+def test_an_include_is_found_beside_the_file_then_among_what_ships_and_stands_once(tmp_path):
+    a = write(
+        tmp_path,
+        a='#include "b.glsl"\n#include "c.glsl"\n#include "common/random.glsl"\nfloat a;\n',
+        b='#include "c.glsl"\nfloat b;\n',
+        c="float c;\n",
+    )
+    source = read_source(a)
+    order = [source.index(text) for text in ("float c;", "float b;", "uvec4 pcg4d", "float a;")]
+    assert order == sorted(order)
+    assert source.count("float c;") == 1
+    assert re.findall(r'#line 1 "(.+)"', source) == ["c.glsl", "b.glsl", "common/random.glsl", "a.glsl"]
+
+
+def test_what_is_given_stands_before_files_of_the_same_name(tmp_path):
+    a = write(tmp_path, a='#include "b.glsl"\nfloat a;\n', b="float wrong;\n", other="float right;\n")
+    assert "float given;" in read_source(a, {"b.glsl": "float given;"})
+    source = read_source(a, {"b.glsl": tmp_path / "other.glsl"})
+    assert "float right;" in source and "float wrong;" not in source
+
+
+def test_files_that_include_each_other_end(tmp_path):
+    a = write(tmp_path, a='#include "b.glsl"\nfloat a;\n', b='#include "a.glsl"\nfloat b;\n')
+    assert read_source(a).count("float a;") == 1
+
+
+def test_a_missing_include_names_the_file_and_line_that_asks_for_it(tmp_path):
+    a = write(tmp_path, a='float a;\n#include "b.glsl"\n', b='\n\n#include "brdf/none.glsl"\n')
+    with pytest.raises(ShaderError) as caught:
+        read_source(a)
+    assert str(caught.value).startswith('b.glsl:3: #include "brdf/none.glsl" names no file')
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_source_is_an_error_for_a_person():
+    with pytest.raises(ShaderError, match="names no file"):
+        read_source("swarm/none.glsl")
+
+
+@pytest.mark.parametrize(
+    ("files", "where"),
+    [
+        ({"a": KERNEL}, "a.glsl:3"),
+        ({"a": '\n#include "b.glsl"\n' + KERNEL, "b": "float half_of(float x) {\n    return x * y;\n}\n"}, "b.glsl:2"),
+        ({"a": '#include "b.glsl"\n' + KERNEL, "b": "\n\nfloat half_of(float x) { return 0.5 * x }\n"}, "b.glsl:3"),
+        ({"a": '#include "common/random.glsl"\n\n' + KERNEL}, "a.glsl:5"),
+    ],
+)
+def test_a_compile_error_names_file_and_line(tmp_path, entry, files, where):
+    path = write(tmp_path, **files)
+    with pytest.raises(ShaderError) as caught:
+        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry).compile()
+    first, *lines = str(caught.value).splitlines()
+    assert first == f"shader '{path}' does not compile"
+    assert lines[0].startswith(where + ":") and "rror" in lines[0]
+    assert all(re.match(r"\S+\.glsl:\d+:", line) for line in lines)
+
+
+def test_an_error_in_a_users_model_names_its_own_file_and_line(tmp_path):
+    table = (SHADERS / "models" / "lambert.toml").read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(table.replace('name = "lambert"', 'name = "mine"', 1), encoding="utf-8")
+    shader = "vec3 reflectance(Material s, vec3 l, vec3 v)\n{\n    return s.base_colour;\n}\n"
+    (tmp_path / "mine.glsl").write_text(shader, encoding="utf-8")
+    with pytest.raises(ShaderError) as caught:
+        render_pass(load_model(tmp_path / "mine.toml"), {"CARD": 1}).compile()
+    assert "\nmine.glsl:3:" in str(caught.value) and "base_colour" in str(caught.value)
+
+
+def test_a_shader_that_compiles_after_one_that_does_not_is_whole(tmp_path, entry):
+    path = write(tmp_path, a=KERNEL)
+    with pytest.raises(ShaderError):
+        Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry).compile()
+    np.testing.assert_array_equal(marks(entry, 9, 7)[0], expected(9, 7))
+
+
+LOG = """00:00.484  gpu.shader       | ERROR pyGPU_Shader FragShader:
+                            |       |
+                            |   317 |     o_value = foo(1.0);
+                            |       |             ^
+                            |       | bad.glsl:4:9: Error: no function with name 'foo'
+                            |       | bad.glsl:4:9: Error: no function with name 'foo'
+                            |       | my own.glsl:12: warning: unused
+                            |
+"""
+
+
+def test_a_log_is_cut_down_to_its_errors():
+    assert messages_of(LOG) == "bad.glsl:4:9: Error: no function with name 'foo'"
+    assert messages_of(LOG.replace("Error", "note")).splitlines()[-1] == "my own.glsl:12: warning: unused"
+
+
+def test_a_log_without_places_is_kept_as_it_is():
+    assert messages_of("  Linking:\n  Error: unresolved reference\n") == "Linking:\n  Error: unresolved reference"
+    assert messages_of("") == ""

@@ -1,0 +1,97 @@
+"""The built zip, installed into a Blender that has nothing else, by a process that never saw this repository."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+SCRIPTS = ROOT / "scripts"
+
+pytestmark = pytest.mark.bpy_only
+
+sys.path.insert(0, str(SCRIPTS))
+install_extension = pytest.importorskip("install_extension")
+
+
+def installed(package: Path) -> dict:
+    """Install a zip in the bpy wheel that runs this; return what was found."""
+    command = [sys.executable, SCRIPTS / "install_extension.py", package, "--json", "--wheel"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("install")
+    build = [sys.executable, SCRIPTS / "extension.py", folder, "--without-wheels"]
+    return Path(subprocess.run(build, capture_output=True, text=True, check=True).stdout.strip())
+
+
+@pytest.fixture(scope="module")
+def told(package) -> dict:
+    return installed(package)
+
+
+def test_blender_installs_and_enables_the_zip(told):
+    assert (told["done"], told["enabled"]) == (["FINISHED"], ["bl_ext.user_default.irpso"])
+
+
+def test_enabling_adds_one_command_and_disabling_takes_it_away(told):
+    assert (told["commands"], told["commands after"]) == (["irpso"], [])
+
+
+def test_enabling_adds_the_interface_and_disabling_takes_it_away(told):
+    assert "Settings" in told["classes"]
+    assert told["classes after"] == []
+
+
+def test_the_installed_program_knows_its_own_package(told):
+    assert told["base"] == "bl_ext.user_default.irpso"
+
+
+def test_the_installed_program_finds_its_own_shaders_and_presets(told):
+    assert (told["model"], told["schedule"]) == ("lambert", "standard")
+    assert told["root"].startswith(told["profile"])
+
+
+def test_every_module_of_the_program_can_be_imported_from_where_it_is_installed(told):
+    shipped = [path for path in (ROOT / "irpso_addon").rglob("*.py") if path.name != "__init__.py"]
+    packages = [path for path in (ROOT / "irpso_addon").rglob("__init__.py")]
+    assert told["modules"] == len(shipped) - 1 + len(packages) - 1  # without __main__ and the package itself
+
+
+def test_blender_has_nothing_to_warn_of(told):
+    assert told["violations"] == []
+
+
+def test_the_program_writes_nothing_into_its_own_folder(told):
+    assert told["written"] == []
+
+
+def test_a_zip_without_wheels_brings_no_openexr(told):
+    assert told["exr"] is None
+
+
+def test_what_is_wrong_with_an_installation_is_said(told):
+    assert install_extension.faults(told, with_wheels=False) == []
+    broken = told | {"classes after": ["Settings"], "commands": []}
+    assert install_extension.faults(broken, with_wheels=True) == [
+        "the command irpso was not registered",
+        "classes outlived the extension: ['Settings']",
+        "OpenEXR is not that of the zip but None",
+        "OpenEXR gave back other numbers than it got",
+    ]
+
+
+def test_a_zip_with_wheels_brings_the_openexr_that_the_program_uses(tmp_path):
+    extension = install_extension.extension
+    if not (extension.CACHE / extension.wheels.requirement()).is_dir():
+        pytest.skip("the wheels of OpenEXR are not on this machine; `make extension` downloads them")
+    package, pythons = extension.build_all(tmp_path)[extension.this_platform()]
+    told = installed(package)
+    assert told["python"] in pythons
+    assert told["exr"].startswith(told["profile"]) and told["exr same"]

@@ -1,0 +1,412 @@
+"""The spatial prior: its pooling against float64, whom it moves and whom not, and what never changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.errors import InputError
+from irpso_addon.gpu import context, textures
+from irpso_addon.gpu.bands import Bands
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.spatial_prior import RunningPrior
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.settings.resolve import resolve
+from irpso_addon.solver.settings.schedule import Prior, load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
+from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, subject, unit, with_radiance
+from tests.oracles import confidence as confidence_oracle
+from tests.oracles import spatial_prior as prior_oracle
+
+TWO_LOBES = load_model("cook_torrance_two_lobe")
+PRIOR = Prior(rounds=2, scales=2, iterations=3)
+NOISE = 0.003
+recover = pytest.fixture(recoveries)
+
+
+def schedule_of(swarm=8, loss="robust", **settings):
+    """Few iterations of swarms and polish, and a prior."""
+    schedule = load_schedule("standard").replaced(
+        iterations=swarm,
+        polish_iterations=3,
+        polish_rounds=0,
+        survey_iterations=0,
+        loss=loss,
+        shadow=0.0,
+        materials_rounds=0,
+    )
+    return schedule.replaced(prior=replace(PRIOR, **settings))
+
+
+class Bench:
+    """A prior over a domain's given estimates, on the GPU. values: name → (H, W, components)."""
+
+    def __init__(self, model, domain, values, schedule, entry="fragment"):
+        context.ensure()
+        self.model, self.domain, self.pack = model, domain, Packing(domain.solvable)
+        scale = self.pack.pack(np.ones(domain.shape, np.float32))
+        self.uploaded = DomainTextures(domain, self.pack, self.pack.pack_layers(domain.stack), scale)
+        self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
+        resolved = resolve(schedule, model, set())[-1]
+        self.prior = RunningPrior(resolved, model, schedule, self.uploaded, self.estimates, entry)
+        self.bands = Bands()
+
+    def run(self, iterations=None):
+        """Make iterations until so many were made, or all."""
+        while not self.prior.done and (iterations is None or self.prior.iteration < iterations):
+            for _ in self.prior.advance(self.bands, 0.25):
+                pass
+
+    def found(self):
+        """What was found, name → (H, W, components) float64."""
+        self.prior.resolve()
+        values = self.estimates.values()
+        return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in values.items()}
+
+    def read(self, held):
+        """(H, W, 4 n) of n textures."""
+        packed = np.concatenate([self.prior._reader.read(texture) for texture in held], axis=-1)
+        return self.pack.unpack(packed, np.nan).astype(np.float64)
+
+    def belief(self):
+        """Means and deviations, (H, W, C) each."""
+        both = self.read(self.prior.textures.belief)
+        half = both.shape[-1] // 2
+        return both[..., : self.model.components], both[..., half : half + self.model.components]
+
+    def tell(self, **deviations):
+        """Say how well the samples tell numbers: name → (H, W)."""
+        own = self.read(self.prior.textures.own)
+        components = {p.name: p.components for p in self.model.parameters}
+        for name, value in deviations.items():
+            at = self.model.offset(name)
+            own[..., at : at + components[name]] = value[..., None]
+        held = self.prior.textures
+        packed = self.pack.pack(own.astype(np.float32))
+        held.own = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
+        held.belief[held.count :] = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
+
+
+@pytest.fixture
+def prior():
+    """Return a bench of a prior."""
+    made = []
+
+    def make(*arguments, **settings):
+        made.append(Bench(*arguments, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.prior.close()
+
+
+def noisy(domain, seed=5, sigma=NOISE):
+    """The domain with noise on its samples."""
+    stack = domain.stack.copy()
+    stack[..., :3] += np.random.default_rng(seed).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
+    return replace(domain, stack=stack)
+
+
+def smooth(height, width, observations=30, seed=2, model=TWO_LOBES, **options):
+    """(domain, truth, halves): two materials side by side on a bumpy card, seen with noise; halves tells which."""
+    rng, shape = np.random.default_rng(seed), (height, width)
+    right = np.broadcast_to(np.arange(width) >= width // 2, shape)
+
+    def of(left, other):
+        return np.where(right, other, left)[..., None] + np.zeros(shape)[..., None]
+
+    truth = {
+        "base_color": np.where(right[..., None], (0.2, 0.5, 0.6), (0.6, 0.3, 0.2)),
+        "normal": unit(rng.normal(size=(*shape, 3)) * 0.1 + (0, 0, 1)),
+        "r1": of(0.2, 0.12), "r2": of(0.5, 0.35), "w": of(0.5, 0.7),
+        "roughness": of(0.3, 0.5), "specular": of(0.5, 0.8),
+    }  # fmt: skip
+    truth = {p.name: truth[p.name].astype(np.float32) for p in model.parameters}
+    domain = with_radiance(make_domain(height, width, observations, holes=False, **options), model.name, truth)
+    return noisy(domain), truth, right
+
+
+def components(model, values):
+    """(H, W, C) of name → (H, W, components)."""
+    return np.concatenate([values[p.name] for p in model.parameters], axis=-1).astype(np.float64)
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_the_pooling_is_that_of_float64(prior, rounds, entry):
+    domain = make_domain(9, 12, 10, holes=True)
+    rng, shape = np.random.default_rng(4), (9, 12)
+    _, truth = subject(9, 12, "cook_torrance_two_lobe")
+    values = {**truth, "base_color": (0.5 + 0.03 * rng.normal(size=(*shape, 3))).astype(np.float32)}
+    bench = prior(TWO_LOBES, domain, values, schedule_of(rounds=rounds, scales=3), entry=entry)
+    bench.run(2)
+    deviations = {name: 10 ** rng.uniform(-4, 0, shape) for name in ("r1", "r2", "w")}
+    bench.tell(**{name: np.minimum(d, 0.75) for name, d in deviations.items()})
+    own = bench.read(bench.prior.textures.own)[..., : TWO_LOBES.components]
+    bench.run(2 + rounds)
+    mean, deviation = bench.belief()
+    estimates, covered = components(TWO_LOBES, values), domain.solvable
+    wanted, spread = prior_oracle.pooled(Prior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
+    pooled = [c for c, _ in prior_oracle.components(TWO_LOBES)]
+    assert (spread[covered][:, pooled] > 0).any(axis=0).all()
+    for c in pooled:
+        np.testing.assert_array_equal(deviation[covered][:, c] > 0, spread[covered][:, c] > 0)
+        np.testing.assert_allclose(deviation[covered][:, c], spread[covered][:, c], rtol=2e-3, atol=1e-6)
+        np.testing.assert_allclose(mean[covered][:, c], wanted[covered][:, c], atol=2e-4)
+    others = [c for c in range(TWO_LOBES.components) if c not in pooled]
+    assert not deviation[covered][:, others].any()  # normals are not pooled
+
+
+def test_the_noise_is_that_of_the_samples_and_of_the_neighbours(prior):
+    domain, truth, _ = smooth(8, 9, observations=12)
+    domain.stack[2:, 4, 4, 3] = 0  # two samples tell less than the model has unknowns
+    bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
+    bench.run(2)
+    noise = bench.read([bench.prior.textures.noise])
+    clean = with_radiance(domain, TWO_LOBES.name, truth).stack.astype(np.float64)
+    error = np.where(domain.stack[..., 3:] > 0, domain.stack[..., :3] - clean[..., :3], 0)
+    errors = (domain.stack[..., 3:] * error**2).sum(axis=(0, 3))
+    channels = 3 * domain.stack[..., 3].sum(axis=0)
+    np.testing.assert_allclose(noise[..., 0], errors, rtol=2e-3)
+    np.testing.assert_allclose(noise[..., 1], channels, rtol=1e-6)
+    freedom = np.maximum(channels - 8, 0)
+    assert freedom[4, 4] == 0
+    for row, column in ((4, 4), (0, 0), (7, 3)):
+        there = prior_oracle.around(domain.shape, domain.solvable, row, column, PRIOR.scales)
+        shared = errors[there][freedom[there] > 0].sum() / freedom[there].sum()
+        own = errors[row, column] if freedom[row, column] > 0 else 0
+        wanted = (own + PRIOR.noise_freedom * shared) / (freedom[row, column] + PRIOR.noise_freedom)
+        assert noise[row, column, 2] == pytest.approx(wanted, rel=2e-3)
+    # Nothing was fitted, so that none of 36 samples is spent on the 8 unknowns.
+    assert np.sqrt(noise[4, 4, 2]) == pytest.approx(NOISE * np.sqrt(36 / 28), rel=0.1)
+
+
+def test_what_the_samples_tell_is_the_inverse_of_the_normal_matrix_at_that_noise(prior):
+    domain, truth, _ = smooth(6, 7)
+    bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
+    bench.run(2)
+    own, noise = bench.read(bench.prior.textures.own), bench.read([bench.prior.textures.noise])
+    j = confidence_oracle.jacobian(domain, TWO_LOBES, {name: v.astype(np.float64) for name, v in truth.items()})
+    weighted = j * domain.stack[None, ..., 3:]
+    gram = np.einsum("akyxc,bkyxc->yxab", weighted, j)
+    wanted = np.sqrt(noise[..., 2, None] * np.diagonal(np.linalg.inv(gram), axis1=-2, axis2=-1))
+    scalars = {name: i for i, (p, _, _) in enumerate(confidence_oracle.unknowns(TWO_LOBES)) for name in [p.name]}
+    for name in ("r1", "r2", "w"):
+        p = TWO_LOBES.parameter(name)
+        told = wanted[..., scalars[name]] < 0.2
+        assert told.sum() > 20
+        found = own[..., TWO_LOBES.offset(name)] / (p.range[1] - p.range[0])
+        np.testing.assert_allclose(found[told], wanted[told][:, scalars[name]], rtol=0.02)
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+def test_texels_that_know_do_not_move_and_those_that_do_not_take_what_their_likes_have(prior, entry):
+    domain, truth, right = smooth(12, 14)
+    ignorant = np.zeros(domain.shape, bool)
+    ignorant[[3, 3, 8, 8], [2, 11, 6, 7]] = True  # the last two beside the other material
+    domain.stack[:, ignorant, 3] = 0
+    domain.stack[:4, ignorant, 3] = 1
+    values = {name: value.copy() for name, value in truth.items()}
+    for name, wrong in (("r1", 0.4), ("r2", 0.7), ("w", 0.1)):
+        values[name][ignorant] = wrong
+    bench = prior(TWO_LOBES, domain, values, schedule_of(scales=3, iterations=8, tolerance=1e3), entry=entry)
+    bench.run(2)
+    everywhere = np.where(ignorant, 0.75, 1e-3)
+    bench.tell(r1=everywhere, r2=everywhere, w=everywhere, base_color=everywhere / 100)
+    bench.run(4)
+    mean, _ = bench.belief()
+    bench.run()
+    found = bench.found()
+    for name, value in truth.items():
+        np.testing.assert_array_equal(found[name][~ignorant], value[~ignorant])
+    for row, column in np.argwhere(ignorant):
+        for name in ("r1", "r2", "w"):
+            own, other = (
+                truth[name][(right == side) & ~ignorant].mean() for side in (right[row, column], not right[row, column])
+            )
+            assert abs(mean[row, column, TWO_LOBES.offset(name)] - own) < 0.02 * abs(own - other)
+            assert abs(found[name][row, column, 0] - own) < 0.2 * abs(own - other)
+
+
+def test_a_texel_keeps_what_it_had_where_its_samples_say_that_its_neighbours_are_wrong(prior):
+    domain, truth, _ = smooth(8, 8)
+    values = {name: value.copy() for name, value in truth.items()}
+    bench = prior(TWO_LOBES, domain, values, schedule_of(tolerance=3.0))
+    bench.run(2)
+    low = np.full(domain.shape, 1e-3)
+    low[3, 3] = 0.75  # told to know nothing, while its samples are as good as all
+    bench.tell(r1=low, r2=low, w=low)
+    held = bench.prior.textures
+    moved = bench.pack.pack(bench.read(held.belief[: held.count]).astype(np.float32))
+    for name, wrong in (("r1", 0.5), ("r2", 0.75), ("w", 0.05)):
+        moved[..., TWO_LOBES.offset(name)] = np.where(np.arange(64).reshape(8, 8) == 27, 0.5, wrong)
+    held.belief[: held.count] = [textures.upload(moved[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
+    bench.run()
+    found = bench.found()
+    assert bench.belief()[1][3, 3, TWO_LOBES.offset("w")] > 0  # there is a prior
+    before, after = (
+        confidence_oracle.radiance(domain, TWO_LOBES.name, {name: v.astype(np.float64) for name, v in what.items()})
+        for what in (values, found)
+    )
+    noise = bench.read([held.noise])[3, 3, 2]
+    samples = domain.stack[..., :3].astype(np.float64)
+    weight = domain.stack[:, 3, 3, 3:]
+    deviances = [(weight * (render - samples)[:, 3, 3] ** 2).sum() / noise for render in (before, after)]
+    assert deviances[1] - deviances[0] <= 9 + 0.5
+    assert abs(found["w"][3, 3, 0] - 0.05) > 0.2
+
+
+def test_two_lobes_are_told_better_with_their_neighbours_than_without(recover):
+    domain, truth, _ = smooth(16, 18, 24)
+    few = np.random.default_rng(3).random(domain.shape) < 0.15
+    domain.stack[6:, few, 3] = 0
+    errors = {}
+    for rounds in (0, 2):
+        run = recover(domain, TWO_LOBES, schedule_of(20, rounds=rounds, scales=3, iterations=6))
+        run.step()
+        found = run.maps(confidence=False).values
+        errors[rounds] = {name: abs(found[name] - truth[name]).mean() for name in ("r1", "r2", "w")}
+        turned = np.arccos(np.clip((found["normal"] * truth["normal"]).sum(axis=-1), -1, 1))
+        errors[rounds]["normal"] = np.degrees(turned).mean()
+    for name in ("r1", "r2", "w"):
+        assert errors[2][name] < 0.7 * errors[0][name]
+    assert errors[2]["normal"] < errors[0]["normal"]
+
+
+def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover):
+    domain, _, _ = smooth(6, 7)
+    plain = replace(schedule_of(rounds=2), prior=Prior())
+    bits = []
+    for schedule in (plain, plain.replaced(prior_rounds=0, prior_likeness=0.7)):
+        run = recover(domain, TWO_LOBES, schedule)
+        run.step()
+        bits.append(bits_of(run.maps(confidence=False)))
+    assert bits[0] == bits[1]
+    assert resolve(schedule_of(), load_model("lambert"), set())[-1].title == "polish"
+    assert resolve(schedule_of(), TWO_LOBES, {"r1", "r2", "w"})[-1].title == "polish"
+
+
+@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
+def test_tiles_with_a_halo_of_its_reach_give_the_same_bits(recover, card):
+    domain, _ = subject(model="cook_torrance_two_lobe", card=card, observations=12)
+    schedule = schedule_of()
+    whole = recover(noisy(domain), TWO_LOBES, schedule)
+    whole.step()
+    assert run_tiled(noisy(domain), TWO_LOBES, schedule, recover, 4) == bits_of(whole.maps())
+
+
+@pytest.mark.parametrize("on_device", [None, 1])
+def test_tiles_that_are_exchanged_by_the_program_do_so_too(recover, on_device):
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    schedule = schedule_of().replaced(materials_rounds=1, materials_iterations=2)
+    whole = recover(domain, TWO_LOBES, schedule)
+    whole.step()
+    boxes = [(0, 0, 7, 13), (7, 0, 10, 4), (7, 4, 10, 9)]
+    with TiledRecovery(
+        domain, TWO_LOBES, schedule, 1, entry="fragment", boxes=boxes, halo=4, on_device=on_device
+    ) as run:
+        run.step()
+        assert bits_of(run.maps()) == bits_of(whole.maps())
+
+
+def test_slices_looks_between_and_checkpoints_change_nothing(recover, tmp_path):
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    schedule = schedule_of()
+    whole = recover(domain, TWO_LOBES, schedule)
+    total = whole.step().iterations_in_all
+    wanted = bits_of(whole.maps())
+    sliced = recover(domain, TWO_LOBES, schedule)
+    while not sliced.step(time_budget_s=1e-6).done:
+        sliced.maps(confidence=False)
+    assert bits_of(sliced.maps()) == wanted
+    for left in range(1, PRIOR.rounds + PRIOR.iterations + 2):
+        first = recover(domain, TWO_LOBES, schedule)
+        first.step(iterations=total - left)
+        assert first.progress.title == "prior"
+        first.save(tmp_path / "run.npz")
+        second = recover(domain, TWO_LOBES, schedule)
+        second.load(tmp_path / "run.npz")
+        second.step()
+        assert bits_of(second.maps()) == wanted
+
+
+def test_a_look_before_the_end_shows_what_the_polish_has_found(recover):
+    domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
+    without = recover(domain, TWO_LOBES, schedule_of(rounds=0))
+    without.step()
+    wanted = bits_of(without.maps(confidence=False))
+    run = recover(domain, TWO_LOBES, schedule_of())
+    while run.progress.title != "prior":
+        run.step(iterations=1)
+    for _ in range(PRIOR.rounds + PRIOR.iterations + 1):
+        run.step(iterations=1)
+        assert bits_of(run.maps(confidence=False)) == wanted
+    run.step()
+    assert bits_of(run.maps(confidence=False)) != wanted
+
+
+@pytest.mark.parametrize(
+    ("model", "loss"),
+    [
+        ("principled", "l1"),
+        ("cook_torrance_two_lobe", "l2"),
+        ("principled", "robust"),
+        ("cook_torrance_two_lobe", "robust"),
+    ],
+)
+def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, loss):
+    domain = make_domain(11, 12, 9, card=False, near=True, perspective=True, colored=True)
+    model = load_model(model)
+    run = recover(domain, model, schedule_of(3, loss=loss))
+    run.step()
+    maps = run.maps(confidence=False)
+    for p in model.parameters:
+        value = maps.values[p.name][maps.covered]
+        assert np.isfinite(value).all()
+        assert (value >= p.range[0]).all() and (value <= p.range[1]).all()
+    for first, second in zip(model.ordered, model.ordered[1:], strict=False):
+        assert (maps.values[first] <= maps.values[second])[maps.covered].all()
+
+
+def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover):
+    schedule = schedule_of().replaced(iterations=0)
+    need = recovery_need(TWO_LOBES, schedule, (), 12).phases[-1]
+    domain, truth, _ = smooth(9, 11, 12)
+    taken = []
+    original = textures._texture
+
+    def counted(width, height, layers=0, **properties):
+        taken.append(width * height * max(1, layers) * 4 * textures.CHANNELS[properties["format"]])
+        return original(width, height, layers, **properties)
+
+    bench = Bench(TWO_LOBES, domain, truth, schedule)
+    monkeypatch.setattr(textures, "_texture", counted)
+    again = RunningPrior(resolve(schedule, TWO_LOBES, set())[-1], TWO_LOBES, schedule, bench.uploaded, bench.estimates,
+                         "fragment")  # fmt: skip
+    again.textures.ensure()
+    assert sum(taken) == 99 * need.textures
+    assert sum(array.nbytes for array in again.state().values()) == 99 * need.kept
+    reaches, renders = [], 0
+    while not again.done:
+        reaches.append(again.reach)
+        renders += again.evaluations
+        for _ in again.advance(Bands(), 0.25):
+            pass
+    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == (
+        need.reach,
+        need.exchanges,
+        need.evaluations,
+    )
+    again.close()
+    bench.prior.close()
+
+
+@pytest.mark.parametrize("setting, value", [("rounds", -1), ("scales", 0), ("scales", 7), ("iterations", 0),
+                                            ("likeness", 0.0), ("spread", float("nan")), ("tolerance", "3"),
+                                            ("turn", 1)])  # fmt: skip
+def test_settings_that_make_no_sense_are_refused_by_name(setting, value):
+    with pytest.raises(InputError, match=f"prior_{setting}"):
+        load_schedule("standard").replaced(**{f"prior_{setting}": value})

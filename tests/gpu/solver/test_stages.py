@@ -1,0 +1,245 @@
+"""Stages: what is known is held, what is unseen is left alone, thresholds stop, lobes keep their order."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.tiles import tile
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.prepare import prepare
+from tests.builders.domains import SHORT, bits_of, recoveries, subject
+from tests.oracles import random_numbers as numbers
+from tests.oracles import swarm as oracle
+
+LAMBERT = load_model("lambert")
+TWO_LOBES = load_model("cook_torrance_two_lobe")
+recover = pytest.fixture(recoveries)
+
+
+# ---- what is not there -------------------------------------------------------------------------------------------
+
+
+def test_what_weighs_nothing_may_be_nan_and_changes_nothing(recover):
+    domain, _ = subject()
+    dark = domain.stack[..., 3] == 0
+    assert np.isnan(domain.stack[dark, :3]).all() and dark.any()
+    clean = domain.stack.copy()
+    clean[dark] = 0
+    found = []
+    for stack in (domain.stack, clean):
+        recovery = recover(dataclasses.replace(domain, stack=stack), schedule=SHORT.replaced(seed="lambert"))
+        recovery.step()
+        maps = recovery.maps()
+        assert all(np.isfinite(value).all() for value in (*maps.values.values(), maps.residual))
+        found.append(bits_of(maps))
+    assert found[0] == found[1]
+
+
+def test_the_unit_of_the_lights_does_not_matter(recover):
+    domain, _ = subject()
+    # A power of two, so that float32 has nothing to round.
+    brighter = dataclasses.replace(
+        domain, stack=domain.stack * np.float32([4, 4, 4, 1]), intensities=domain.intensities * np.float32(4)
+    )
+    found = []
+    for given in (domain, brighter):
+        recovery = recover(given, schedule=SHORT.replaced(iterations=200, loss="robust"))
+        recovery.step()
+        found.append(recovery.maps(confidence=False).values)
+    for name in found[0]:
+        np.testing.assert_array_equal(found[0][name], found[1][name])
+
+
+def test_a_texel_that_nothing_is_known_of_stays_at_the_default(recover):
+    domain, _ = subject()
+    unseen = ~domain.solvable
+    assert (unseen & domain.bake.coverage).any() and (~domain.bake.coverage).any()
+    recovery = recover(domain)
+    recovery.step()
+    maps = recovery.maps()
+    np.testing.assert_array_equal(maps.covered, ~unseen)
+    for p in LAMBERT.parameters:
+        np.testing.assert_array_equal(
+            maps.values[p.name][unseen], np.broadcast_to(p.default, (unseen.sum(), p.components))
+        )
+    assert not maps.residual[unseen].any()
+
+
+@pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
+def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
+    domain, _ = subject(holes=False)
+    domain.stack[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
+    domain.stack[3, 6, 7, 1] = np.inf
+    recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
+    recovery.step(iterations=8)
+    stage = recovery._phase
+    fitness = stage.global_fitness()
+    bad = np.zeros(domain.shape, bool)
+    bad[4, 5] = bad[6, 7] = True
+    assert (fitness[bad] >= 1e29).all() and (fitness[~bad] < 1e29).all()
+    assert all(np.isfinite(stage.reader.read(texture)).all() for texture in stage.swarm.remembered.values())
+    recovery.step()
+    assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
+
+
+def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
+    domain, _ = subject(5, 4)
+    domain.stack[..., 3] = 0
+    recovery = recover(domain)
+    assert recovery.step().evaluations == 0
+    maps = recovery.maps()
+    assert not maps.covered.any() and (maps.values["normal"] == (0, 0, 1)).all()
+
+
+# ---- stages ------------------------------------------------------------------------------------------------------
+
+
+def test_known_maps_are_held_exactly_and_the_rest_is_found(recover):
+    domain, truth = subject(observations=12)
+    schedule = load_schedule("swarm").replaced(iterations=700, seed="random")
+    recovery = recover(domain, schedule=schedule, known={"normal": truth["normal"]})
+    assert recovery.progress.title == "base_color"
+    recovery.step()
+    maps = recovery.maps()
+    seen = maps.covered
+    np.testing.assert_array_equal(maps.values["normal"][seen], truth["normal"][seen])
+    error = np.abs(maps.values["base_color"] - truth["base_color"])[seen]
+    assert np.median(error) < 1e-3
+    np.testing.assert_array_equal(recover(domain, known={"normal": truth["normal"]}).maps().values["normal"][seen],
+                                  truth["normal"][seen])  # fmt: skip
+
+
+def test_a_known_value_may_be_one_for_all_texels(recover):
+    domain, _ = subject()
+    recovery = recover(domain, known={"base_color": np.array([0.1, 0.2, 0.3])})
+    recovery.step()
+    maps = recovery.maps()
+    assert (maps.values["base_color"][maps.covered] == np.float32([0.1, 0.2, 0.3])).all()
+
+
+@pytest.mark.parametrize(
+    ("known", "word"),
+    [
+        ({"normal": np.zeros((3, 3, 3))}, "resample"),
+        ({"normal": np.zeros(2)}, "resample"),
+        ({"base_color": np.full((13, 17, 3), np.nan)}, "not finite"),
+        ({"roughness": np.zeros(1)}, "no parameter 'roughness'"),
+        ({"normal": np.zeros(3), "base_color": np.zeros(3)}, "nothing is left to find"),
+    ],
+)
+def test_known_maps_that_do_not_fit_are_refused(recover, known, word):
+    with pytest.raises(InputError, match=word) as caught:
+        recover(subject()[0], known=known)
+    assert "\n" not in str(caught.value)
+
+
+def test_cycles_of_stages_improve_on_the_estimates_of_the_one_before(recover):
+    domain, _ = subject(observations=12)
+    residuals = []
+    for cycles in (1, 3):
+        recovery = recover(domain, schedule=load_schedule("paper").replaced(iterations=150, cycles=cycles))
+        recovery.step()
+        maps = recovery.maps()
+        residuals.append(maps.residual[maps.covered])
+    # A stage starts from what is known: its first particle stands there, so that no texel gets worse.
+    assert (residuals[1] <= residuals[0] + 1e-5).all()
+    assert residuals[1].mean() < 0.5 * residuals[0].mean()
+
+
+def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
+    domain, _ = subject(holes=False)
+    schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
+    recovery = recover(domain, schedule=schedule, known={"normal": np.array([0, 0, 1.0])})
+    recovery.step(iterations=60)
+    before = recovery._phase.global_fitness(), recovery.halo()
+    reached = before[0] <= 0.08
+    assert 0 < reached.sum() < reached.size
+    recovery.step(iterations=20)
+    np.testing.assert_array_equal(recovery._phase.global_fitness()[reached], before[0][reached])
+    np.testing.assert_array_equal(recovery.halo()[reached], before[1][reached])
+    easy = recover(domain, schedule=schedule.replaced(threshold=0.5))
+    progress = easy.step()
+    assert progress.done and progress.evaluations < 200 * domain.solvable.sum()
+
+
+def test_a_tile_stops_at_the_threshold_too(recover):
+    domain, _ = subject(holes=False)
+    part = tile(domain, 3, 3, 6, 6, halo=2)
+    recovery = recover(part, schedule=SHORT.replaced(iterations=1000, loss="l1", threshold=0.5))
+    assert recovery.step().evaluations < 200 * 36
+
+
+@pytest.mark.parametrize(
+    "search", [["normal"], ["diffuse"], ["normal", "base_color"], ["r1", "w"], ["specular", "normal"]]
+)
+def test_any_choice_of_parameters_is_searched_and_no_other_moves(recover, search):
+    domain, _ = subject(7, 5, "cook_torrance_two_lobe", observations=12)
+    recovery = recover(domain, TWO_LOBES, SHORT.replaced(search=search))
+    guess = prepare(domain, TWO_LOBES, recovery.schedule).guess
+    before = recover(domain, TWO_LOBES, SHORT).maps()
+    recovery.step()
+    maps = recovery.maps()
+    seen = maps.covered
+    for p in TWO_LOBES.parameters:
+        same = (maps.values[p.name][seen] == guess[p.name][seen]).all()
+        assert same != (p.name in search or p.stage in search), p.name
+    assert before.values.keys() == maps.values.keys()
+
+
+def test_the_residual_is_the_mean_absolute_error_of_the_render(recover):
+    domain, _ = subject(card=False, near=True, perspective=True, colored=True)
+    recovery = recover(domain, schedule=SHORT.replaced(shadow=0.0))
+    recovery.step(iterations=5)
+    maps = recovery.maps()
+    shape = domain.shape
+    schedule = dataclasses.replace(SHORT, fitness=dataclasses.replace(SHORT.fitness, loss="l1"))
+    stage = recovery._stages[0]
+    problem = oracle.Problem(domain, LAMBERT, stage, schedule, maps.values, np.ones(shape), 1)
+    error = oracle.fitness(dataclasses.replace(problem, stage=dataclasses.replace(stage, parameters=())), np.zeros(1))
+    np.testing.assert_allclose(maps.residual[maps.covered], error[maps.covered], rtol=1e-5, atol=1e-6)
+
+
+def test_looking_at_maps_often_keeps_nothing(recover):
+    recovery = recover(subject()[0], entry="compute")
+    for _ in range(5):
+        recovery.step(iterations=1)
+        recovery.maps()
+        recovery.halo()
+    assert len(recovery._findings._residual._framebuffers) == 1
+    assert len(recovery._phase.reader._copy._framebuffers) <= 2
+
+
+# ---- interchangeable lobes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("search", [["specular"], ["all"]])
+def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search):
+    domain, _ = subject(7, 5, "cook_torrance_two_lobe", observations=12)
+    recovery = recover(domain, TWO_LOBES, SHORT.replaced(search=search, iterations=60, walls="reflect", v_max=1.0))
+    at = recovery._phase.codec.defines
+    for steps in (0, 1, 1, 5, 40):
+        recovery.step(iterations=steps)
+        stage = recovery._phase
+        tiles = {name: stage.reader.read(texture) for name, texture in stage.swarm.remembered.items()}
+        sizes = (stage.particles, stage.height, stage.width)
+        for name in ("position", "best"):
+            x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.codec.blocks)
+            assert (x[..., at["LOBE_FIRST"]] <= x[..., at["LOBE_SECOND"]]).all()
+            assert x.min() >= 0 and x.max() <= 1
+    maps = recovery.maps()
+    assert (maps.values["r1"] <= maps.values["r2"])[maps.covered].all()
+
+
+def test_exchanging_the_lobes_leaves_the_render_as_it_was(recover):
+    domain, truth = subject(7, 5, "cook_torrance_two_lobe", observations=12, rng_seed=8)
+    noise = {**truth, "base_color": truth["base_color"] * 0.8}
+    exchanged = {**noise, "r1": noise["r2"], "r2": noise["r1"], "w": 1 - noise["w"]}
+    residuals = []
+    for values in (noise, exchanged):
+        known = {name: value for name, value in values.items() if name != "normal"}
+        residuals.append(recover(domain, TWO_LOBES, SHORT, known=known | {"r1": values["r1"]}).maps().residual)
+    np.testing.assert_allclose(*residuals, rtol=1e-5, atol=1e-6)
+    assert residuals[0][domain.solvable].min() > 1e-3

@@ -1,0 +1,291 @@
+"""Recoveries tile by tile: the maps of the whole domain, bit for bit, whatever the tiles and wherever they wait."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.errors import InputError
+from irpso_addon.gpu import textures
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
+from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.state.checkpoint import tiles_of
+from tests.builders.domains import SHORT, subject
+
+TWO_LOBES = load_model("cook_torrance_two_lobe")
+LAMBERT = load_model("lambert")
+# Ragged, with one of a single texel and one (at the lower left) in which nothing is covered.
+BOXES = [(0, 0, 2, 3), (2, 0, 5, 3), (0, 3, 7, 2), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 11, 3), (16, 5, 1, 1),
+         (16, 6, 1, 2), (5, 8, 11, 5), (16, 8, 1, 5)]  # fmt: skip
+FEW = [(0, 0, 2, 3), (2, 0, 15, 3), (0, 3, 17, 10)]
+SCHEDULES = {
+    "one particle at a time": SHORT.replaced(neighbour_every=3),
+    "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
+    "several stages": load_schedule("paper").replaced(iterations=6, cycles=2, particles=4, c3=0.3, search=["normal"]),
+    "standard": load_schedule("standard").replaced(iterations=8, materials_rounds=0, prior_rounds=0),
+    "materials": load_schedule("standard").replaced(
+        iterations=2,
+        survey_iterations=0,
+        prior_rounds=0,
+        polish_iterations=2,
+        polish_rounds=0,
+        materials_iterations=3,
+    ),
+    "polish": load_schedule("standard").replaced(
+        iterations=6, materials_rounds=0, prior_rounds=0, polish=Polish(iterations=3, rounds=2)
+    ),
+}
+
+
+def everything(maps):
+    """Return all arrays of maps as bytes."""
+    arrays = {**maps.values, "covered": maps.covered, "residual": maps.residual}
+    arrays |= {f"{name} σ": a for name, a in (maps.confidence or {}).items()}
+    arrays |= {f"{name} elsewhere": a for name, a in (maps.alternatives or {}).items()}
+    return {name: np.ascontiguousarray(array).tobytes() for name, array in arrays.items()}
+
+
+def with_hole(**options):
+    domain, _ = subject(**options)
+    domain.bake.coverage[:3, :2] = False
+    return domain
+
+
+def whole_of(domain, schedule, entry="fragment", model=TWO_LOBES, **options):
+    """Return (all arrays of the maps, progress) of a recovery of the whole domain at once."""
+    with Recovery(domain, model, schedule, 1, entry=entry, **options) as whole:
+        progress = whole.step()
+        return everything(whole.maps()), progress
+
+
+def tiled(domain, schedule, boxes=BOXES, entry="fragment", halo=2, model=TWO_LOBES, resident=True, **options):
+    options = {"on_device": None if resident else 1, **options}
+    return TiledRecovery(domain, model, schedule, 1, entry=entry, boxes=boxes, halo=halo, **options)
+
+
+@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_tiles_give_the_maps_of_the_whole_bit_for_bit(name, card):
+    domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
+    wanted, progress = whole_of(domain, SCHEDULES[name])
+    with tiled(domain, SCHEDULES[name]) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize("on_scratch", [False, True])
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_path):
+    domain = with_hole(model="cook_torrance_two_lobe", card=False, observations=12)
+    wanted, progress = whole_of(domain, SCHEDULES[name])
+    with tiled(domain, SCHEDULES[name], FEW, resident=False, scratch=tmp_path if on_scratch else None) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+        assert sum(part.recovery is not None for part in recovery._tiles) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("resident", [True, False])
+@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
+def test_a_prior_that_looks_far_beyond_its_tile_is_that_of_the_whole(card, resident):
+    domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
+    schedule = load_schedule("standard").replaced(iterations=2, prior_rounds=2, prior_scales=2)
+    need = recovery_need(TWO_LOBES, schedule, (), 12)
+    assert need.reach == 4
+    wanted, progress = whole_of(domain, schedule)
+    boxes = FEW if resident else [(0, 0, 9, 13), (9, 0, 8, 13)]
+    with tiled(domain, schedule, boxes, halo=need.reach, resident=resident) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize("on_device", [2, 4])
+def test_as_many_tiles_as_are_allowed_stay_on_the_device(on_device):
+    domain = with_hole(card=False)
+    wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
+    boxes = [(0, 0, 9, 6), (9, 0, 8, 6), (0, 6, 4, 7), (4, 6, 5, 7), (9, 6, 8, 7)]
+    with tiled(domain, SCHEDULES["wide window"], boxes, model=LAMBERT, on_device=on_device) as recovery:
+        while not recovery.step(iterations=1).done:
+            assert sum(part.recovery is not None for part in recovery._tiles) == on_device
+        assert recovery.progress == progress and not recovery.resident
+        assert everything(recovery.maps()) == wanted
+
+
+def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
+    domain = with_hole(model="cook_torrance_two_lobe", observations=12)
+    wanted, _ = whole_of(domain, SCHEDULES["standard"], "compute")
+    with tiled(domain, SCHEDULES["standard"], FEW, "compute", resident=False) as recovery:
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
+
+
+@pytest.mark.parametrize("resident", [True, False])
+def test_slices_of_time_and_looks_between_change_nothing(resident, monkeypatch):
+    monkeypatch.setattr("irpso_addon.solver.engine.tiled.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
+    domain = with_hole(card=False)
+    wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
+    with tiled(domain, SCHEDULES["wide window"], FEW, resident=resident, model=LAMBERT) as recovery:
+        fractions, slices, placing = [0.0], 0, []
+        while not (now := recovery.step(time_budget_s=1e-6)).done:
+            slices += 1
+            fractions.append(now.fraction)
+            placing += [now.fraction] * (now.iteration < 0)
+            if now.iteration >= 0 and slices % 10 == 0:  # maps() ends what is under way
+                recovery.maps(confidence=False)
+        assert slices > 12 and fractions == sorted(fractions)
+        assert len(set(placing)) > len(FEW)  # it rises before the first iteration, and inside a tile
+        assert recovery.progress == progress
+        assert everything(recovery.maps()) == wanted
+
+
+def test_a_step_makes_the_iterations_it_is_asked_for_in_tiles_too():
+    with tiled(with_hole(), SHORT.replaced(c3=0.0, neighbour_every=0), FEW, resident=False, model=LAMBERT) as recovery:
+        assert (recovery.step(iterations=0).iteration, recovery.progress.evaluations > 0) == (0, True)
+        assert recovery.step(iterations=1).iteration == 1
+        assert recovery.step(iterations=7).iteration == 8
+        assert recovery.step(iterations=9).done
+
+
+@pytest.mark.parametrize("stop", [0, 3, 6, 7])
+@pytest.mark.parametrize("how", ["resident", "turns", "scratch"])
+def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
+    domain = with_hole(card=False)
+    schedule = SCHEDULES["several stages"].replaced(neighbour_every=2)
+    wanted, progress = whole_of(domain, schedule, model=LAMBERT)
+    options = {"resident": how == "resident", "scratch": tmp_path if how == "scratch" else None, "model": LAMBERT}
+    with tiled(domain, schedule, FEW, **options) as first:
+        first.step(iterations=stop)
+        first.save(tmp_path / "run.npz", {"mark": np.arange(3)})
+        before = first.progress
+    with tiled(domain, schedule, FEW, **options) as second:
+        second.step(iterations=2)
+        np.testing.assert_array_equal(second.load(tmp_path / "run.npz")["mark"], np.arange(3))
+        assert second.progress == before
+        assert second.step() == progress
+        assert everything(second.maps()) == wanted
+        second.save(tmp_path / "run.npz")
+        assert tiles_of(tmp_path / "run.npz") == (FEW[1:], 2)  # in the first nothing is covered
+    with tiled(domain, schedule, FEW, **options) as third:
+        third.load(tmp_path / "run.npz")
+        assert third.progress.done and everything(third.maps()) == wanted
+
+
+@pytest.mark.parametrize(("how", "stop"), [("resident", 5), ("turns", 6), ("turns", 8)])
+def test_tiles_go_on_within_a_round_of_shared_materials(how, stop, tmp_path):
+    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES["materials"]
+    wanted, progress = whole_of(domain, schedule)
+    with tiled(domain, schedule, FEW, resident=how == "resident") as first:
+        first.step(iterations=stop)
+        first.save(tmp_path / "run.npz")
+    with tiled(domain, schedule, FEW, resident=how == "resident") as second:
+        second.load(tmp_path / "run.npz")
+        while not second.progress.done:
+            second.step(iterations=1)
+        assert second.progress == progress and everything(second.maps()) == wanted
+
+
+def test_a_checkpoint_of_other_tiles_is_refused(tmp_path):
+    domain = with_hole()
+    with tiled(domain, SHORT, FEW, model=LAMBERT) as recovery:
+        recovery.save(tmp_path / "tiled")
+    with Recovery(domain, LAMBERT, SHORT, 1, entry="fragment") as whole:
+        whole.save(tmp_path / "whole")
+        with pytest.raises(InputError, match="tiles differ"):
+            whole.load(tmp_path / "tiled")
+    with tiled(domain, SHORT, BOXES, model=LAMBERT) as recovery:
+        for name in ("tiled", "whole"):
+            with pytest.raises(InputError, match="tiles differ"):
+                recovery.load(tmp_path / name)
+    assert tiles_of(tmp_path / "whole") == ([], 0)
+
+
+@pytest.mark.parametrize("resident", [True, False])
+@pytest.mark.parametrize("threshold", [0.06, 0.2])
+def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
+    domain, _ = subject(9, 8, holes=False)
+    schedule = SHORT.replaced(iterations=400, cycles=2, loss="l1", threshold=threshold, c3=0.0, neighbour_every=30)
+    wanted, progress = whole_of(domain, schedule, model=LAMBERT)
+    texels = 72
+    assert progress.evaluations < 2 * (400 + 6) * texels
+    boxes = [(0, 0, 8, 4), (0, 4, 3, 5), (3, 4, 5, 5)]
+    with tiled(domain, schedule, boxes, resident=resident, model=LAMBERT) as recovery:
+        assert recovery.step() == progress
+        assert everything(recovery.maps()) == wanted
+
+
+def test_known_maps_are_cut_with_their_tiles():
+    domain, truth = subject(card=False)
+    known = {"normal": truth["normal"]}
+    wanted, _ = whole_of(domain, SHORT, model=LAMBERT, known=known)
+    with tiled(domain, SHORT, model=LAMBERT, known=known) as recovery:
+        recovery.step()
+        assert everything(recovery.maps()) == wanted
+
+
+def test_a_halo_narrower_than_the_reach_and_tiles_with_gaps_are_refused():
+    domain = with_hole()
+    with (
+        tiled(domain, SCHEDULES["wide window"], halo=1, model=LAMBERT) as recovery,
+        pytest.raises(ValueError, match="2"),
+    ):
+        recovery.step()
+    for boxes in (FEW[:-1], [*FEW, (3, 3, 2, 2)]):
+        with pytest.raises(ValueError, match="one of them"):
+            tiled(domain, SHORT, boxes, model=LAMBERT)
+
+
+@pytest.fixture
+def device(monkeypatch):
+    """Return how many bytes of textures there have been at once since the last time of asking."""
+    made, peak, original = [], [0], textures._texture
+
+    def counted(width, height, layers=0, **properties):
+        texture = original(width, height, layers, **properties)
+        made.append((texture, width * height * max(1, layers) * 4 * textures.CHANNELS[properties["format"]]))
+        # Two references: this list's and the argument's. What has no other is gone but for the counting.
+        made[:] = [item for item in made if item[0] is texture or sys.getrefcount(item[0]) > 2]
+        peak[0] = max(peak[0], sum(size for _, size in made))
+        return texture
+
+    def told():
+        made.clear()
+        found, peak[0] = peak[0], 0
+        return found
+
+    monkeypatch.setattr(textures, "_texture", counted)
+    return told
+
+
+@pytest.mark.parametrize("entry", ["fragment", "compute"])
+@pytest.mark.parametrize("model", ["lambert", "principled", "cook_torrance_two_lobe"])
+@pytest.mark.parametrize("preset", ["swarm", "standard", "paper"])
+def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, device):
+    model, schedule = load_model(model), load_schedule(preset).replaced(iterations=2, cycles=1)
+    domain, _ = subject(20, 20, holes=False, observations=12)
+    domain.bake.coverage[15:] = False
+    with Recovery(domain, model, schedule, 1, entry=entry) as recovery:
+        recovery.step()
+        recovery.maps()
+    need = recovery_need(model, schedule, (), 12, compute=entry == "compute")
+    # Compute dispatches are read back through copies, which were not asked for here.
+    copies = 306 * 16 * (1 + max(phase.atlas for phase in need.phases)) if need.compute else 0
+    taken = device()
+    assert taken <= device_bytes(300, 400, need) <= 1.05 * taken + copies
+
+
+@pytest.mark.parametrize("preset, budget", [("swarm", 3 << 20), ("standard", 5 << 19)])
+def test_tiles_that_take_turns_take_no_more_than_the_plan_says(preset, budget, device):
+    domain, _ = subject(40, 40, holes=False, observations=12)
+    schedule = load_schedule(preset).replaced(iterations=6)
+    need = recovery_need(LAMBERT, schedule, (), 12)
+    plan = plan_recovery(domain.solvable, need, Memory(budget, 4 << 30), Limits(texture=150_000))
+    assert len(plan.tiles) > plan.on_device > 1
+    with tiled(domain, schedule, plan.boxes, halo=plan.halo, model=LAMBERT, on_device=plan.on_device) as recovery:
+        recovery.step()
+        recovery.maps()
+    assert 0.7 * plan.device < device() <= plan.device <= budget

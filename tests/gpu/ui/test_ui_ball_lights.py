@@ -1,0 +1,79 @@
+"""The button that finds lights from a ball."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.read import read_capture
+from irpso_addon.ui.ball_lights import free_table
+from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
+
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
+
+CAMERA, CENTRE, RADIUS = Camera.from_fov(96, 80, 30.0), np.array([0.2, -0.1, -8.0]), 1.4
+LIGHTS = cap(6, 50)
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    """A folder of mirror balls, and the mask outside of it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder, rng = tmp_path / "photographs", np.random.default_rng(1)
+    folder.mkdir()
+    for number, light in enumerate(LIGHTS):
+        image = photographed(mirror_image(CAMERA, [(CENTRE, RADIUS)], light), rng, 0.8)
+        write_exr(folder / f"{number}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
+    write_exr(tmp_path / "ball.exr", {"": {"Y": trace(CAMERA, CENTRE, RADIUS)[3].astype(np.float32)}})
+    return folder
+
+
+def press(folder, **given):
+    return bpy.ops.irpso.lights_from_ball(photographs=str(folder), kind="mirror", fov=math.radians(30), **given)
+
+
+def test_a_mask_makes_the_folder_a_capture_that_is_imported(photographs):
+    assert press(photographs, found_by="MASK", mask=str(photographs.parent / "ball.exr")) == {"FINISHED"}
+    settings = bpy.context.scene.irpso
+    assert settings.capture_path == str(photographs / "capture.toml") and settings.source == "FILES"
+    capture = read_capture(settings.capture_path)
+    assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 1.0
+    assert (photographs / "capture_balls.png").is_file() and (photographs / "capture_report.json").is_file()
+
+
+def test_a_circle_counts_from_the_upper_left_and_a_table_is_never_overwritten(photographs):
+    inside = np.argwhere(trace(CAMERA, CENTRE, RADIUS)[3]) + 0.5
+    (y, x), radius = inside.mean(axis=0), np.sqrt(len(inside) / np.pi)
+    circle = (x, CAMERA.height - y, radius)
+    (photographs / "capture.toml").write_text("format = 1")
+    (photographs / "filenames.txt").write_text("".join(f"{n}.exr\n" for n in range(len(LIGHTS))))
+    with pytest.raises(RuntimeError, match="has no"):
+        press(photographs, found_by="CIRCLE", circle=circle)
+    assert (photographs / "capture.toml").read_text() == "format = 1"
+    (photographs / "capture.toml").unlink()
+    assert press(photographs, found_by="CIRCLE", circle=circle) == {"FINISHED"}
+    first = (photographs / "capture.toml").read_text()
+    assert press(photographs, found_by="CIRCLE", circle=circle) == {"FINISHED"}
+    assert (photographs / "capture.toml").read_text() == first
+    assert free_table(photographs).name == "capture_2.toml"
+    capture = read_capture(photographs / "capture_1.toml")
+    assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 1.5
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"found_by": "MASK"}, "no file is chosen"),
+        ({"found_by": "CIRCLE"}, "Radius: is 0"),
+        ({"found_by": "CIRCLE", "circle": (900, 10, 20)}, "outside the image"),
+    ],
+)
+def test_what_is_missing_is_said_and_nothing_written(photographs, given, words):
+    before = sorted(p.name for p in photographs.iterdir())
+    with pytest.raises(RuntimeError, match=words):
+        press(photographs, **given)
+    assert sorted(p.name for p in photographs.iterdir()) == before
+    assert bpy.context.scene.irpso.capture_path == ""

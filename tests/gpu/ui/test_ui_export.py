@@ -1,0 +1,167 @@
+"""What Export writes, in background."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+import irpso_addon
+from irpso_addon.core.paths import DEFAULT_MODEL
+from irpso_addon.exports.result import read_result
+from tests.builders import command_line as cli_maker
+from tests.gpu.ui.test_ui_panels import Drawn
+
+SHAPE = (18, 24)
+LIGHTS = cli_maker.dome_lights(16, widest=70)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irpso_addon.register()
+    yield
+    irpso_addon.unregister()
+
+
+@pytest.fixture(scope="module")
+def session_of_card(registered, tmp_path_factory):
+    """A card's session, run to its end once."""
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    folder = tmp_path_factory.mktemp("capture") / "leaf"
+    cli_maker.write_card(folder, cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
+    bpy.context.scene.irpso.capture_path = str(folder)
+    running = session.begin(make_job(bpy.context))
+    running.run()
+    yield running
+    session.end()
+
+
+@pytest.fixture
+def settings(session_of_card):
+    """The scene's settings, in a file that holds nothing yet."""
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])
+    settings = bpy.context.scene.irpso
+    settings.displacement = False
+    return settings
+
+
+def refusal(**values):
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.irpso.export(**values)
+    return str(caught.value).strip()
+
+
+def test_what_is_ticked_lies_beside_the_maps_and_can_be_read_back(settings, tmp_path):
+    wanted = {"normal_object": True, "normal_directx": True, "height": True}
+    assert bpy.ops.irpso.export(filepath=str(tmp_path / "out"), **wanted) == {"FINISHED"}
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"normal_object.exr", "normal_directx.png", "height.png", "height.exr"} <= files
+    assert not {"normal_world.exr", "normal_directx.exr"} & files
+    described = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert described["height"]["unit"] == "texels" and described["settings"]["model"] == DEFAULT_MODEL
+    assert read_result(tmp_path / "out").maps.covered.shape == SHAPE
+
+
+def test_keep_displaces_the_card_where_that_is_ticked_and_no_more_where_it_is_not(settings):
+    settings.displacement = True
+    assert bpy.ops.irpso.keep() == {"FINISHED"}
+    material = bpy.data.materials["IRPSO leaf"]
+    node = material.node_tree.nodes["IRPSO displacement"]
+    assert (node.space, node.inputs["Midlevel"].default_value) == ("OBJECT", 0)
+    assert np.isclose(node.inputs["Scale"].default_value, 1 / SHAPE[1])
+    assert material.displacement_method == "BOTH"
+    settings.displacement = False
+    bpy.ops.irpso.keep()
+    assert "IRPSO displacement" not in material.node_tree.nodes
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "files"),
+    [
+        ("textures", "set", {f"T_leaf_{n}.png" for n in ("BC", "N", "ORM", "S")}),
+        ("openlime", "layer", {"kd.png", "ks.png", "normals.png", "gloss.png", "info.json"}),
+        ("ptm", "leaf.ptm", None),
+    ],
+)
+def test_the_button_writes_the_chosen_format(kind, place, files, settings, tmp_path):
+    done = bpy.ops.irpso.export(filepath=str(tmp_path / place), format=kind, convention="unreal", height=False)
+    assert done == {"FINISHED"}
+    if files is None:
+        assert (tmp_path / place).read_bytes().startswith(b"PTM_1.2\n")
+    else:
+        assert {path.name for path in (tmp_path / place).iterdir()} == files
+
+
+def test_gltf_wants_the_card_to_be_kept_first_and_leaves_the_file_as_it_was(settings, tmp_path):
+    wanted = {"filepath": str(tmp_path / "leaf.glb"), "format": "gltf"}
+    assert "press Keep first" in refusal(**wanted)
+    bpy.ops.irpso.keep()
+    before = [len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "images")]
+    assert bpy.ops.irpso.export(**wanted) == {"FINISHED"}
+    assert (tmp_path / "leaf.glb").read_bytes()[:4] == b"glTF"
+    assert before == [len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "images")]
+    assert bpy.context.view_layer.objects.active.name == "IRPSO leaf"
+
+
+def test_a_place_that_cannot_be_written_is_told_in_one_line(settings, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    for kind in ("maps", "textures"):
+        said = refusal(filepath=str(tmp_path / "file" / "set"), format=kind)
+        assert "is a file" in said and "with -o" not in said and len(said.splitlines()) == 1
+    assert (tmp_path / "file").read_text() == "in the way"
+    assert "choose where" in refusal(filepath="")
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("maps", ["normal_object", "normal_world", "normal_directx", "height"]),
+        ("textures", ["convention", "height"]),
+        ("gltf", []), ("openlime", []), ("ptm", []),
+    ],
+)  # fmt: skip
+def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):
+    from irpso_addon.ui.export import IRPSO_OT_export
+
+    drawn = Drawn()
+    known = bpy.ops.irpso.export.get_rna_type()
+    IRPSO_OT_export.draw(SimpleNamespace(layout=drawn, format=kind, bl_rna=known), bpy.context)
+    assert drawn.notes["props"] == ["format", *options]
+
+
+def test_another_format_changes_a_proposed_name_and_leaves_a_chosen_one(session_of_card):
+    from irpso_addon.ui.export import IRPSO_OT_export
+
+    asked = SimpleNamespace(filepath="/out/leaf maps", format="gltf")
+    assert IRPSO_OT_export.check(asked, bpy.context) and asked.filepath == "/out/leaf.glb"
+    asked.format = "textures"
+    assert IRPSO_OT_export.check(asked, bpy.context) and asked.filepath == "/out/leaf textures"
+    assert not IRPSO_OT_export.check(asked, bpy.context)
+    asked.filepath, asked.format = "/out/mine", "ptm"
+    assert not IRPSO_OT_export.check(asked, bpy.context) and asked.filepath == "/out/mine"
+
+
+def test_the_proposed_folder_is_never_that_of_the_photographs(session_of_card, monkeypatch):
+    from irpso_addon.ui import export
+
+    folder = Path(bpy.context.scene.irpso.capture_path)
+    assert export.proposed_folder(session_of_card) == folder.parent
+    for blend, wanted in ((folder / "a.blend", folder.parent), (folder.parent / "work" / "a.blend", None)):
+        monkeypatch.setattr(export, "bpy", SimpleNamespace(data=SimpleNamespace(filepath=str(blend))))
+        assert export.proposed_folder(session_of_card) == (wanted or blend.parent)
+
+
+def test_file_export_lists_every_format_while_the_extension_is_there(session_of_card):
+    from irpso_addon.ui.export import IRPSO_MT_export
+
+    drawn = Drawn()
+    IRPSO_MT_export.draw(SimpleNamespace(layout=drawn), bpy.context)
+    assert drawn.notes["operators"] == ["irpso.export"] * 5
+    modules = [draw.__module__ for draw in bpy.types.TOPBAR_MT_file_export._dyn_ui_initialize()]
+    assert modules.count("irpso_addon.ui.export") == 1

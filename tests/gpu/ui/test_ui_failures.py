@@ -1,0 +1,90 @@
+"""The panel reports failures of timers, draw handlers and modal operators, in words and once."""
+
+import logging
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from irpso_addon.core.errors import InputError
+from irpso_addon.ui import capture_import, failures, panels, recover, session, upkeep
+from irpso_addon.ui.overlay import handlers, probes
+from tests.builders.captures import write_diligent
+
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
+
+
+@pytest.fixture(autouse=True)
+def scene(registered):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    failures.clear()
+    yield bpy.context.scene
+    failures.clear()
+
+
+def broken(*_, **__):
+    raise IndexError("index -1 is out of bounds")
+
+
+def test_a_check_that_fails_ends_and_is_told_in_the_panel(scene, tmp_path, monkeypatch):
+    write_diligent(tmp_path)
+    scene.irpso.capture_path = str(tmp_path)
+
+    def steps():
+        yield "Checking images: 1 of 5"
+        broken()
+
+    monkeypatch.setattr(capture_import, "_running",
+                        [capture_import._Check(scene.session_uid, scene.irpso.capture_path, steps())])  # fmt: skip
+    assert capture_import._tick() is None and not capture_import._running
+    assert failures.said() == ("The check has ended: index -1 is out of bounds",)
+    assert panels.IRPSO_PT_failures.poll(bpy.context)
+
+
+@pytest.mark.parametrize("name", ["_idle", "_draw_view", "_draw_pixels", "_draw_image", "_follow"])
+def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, name):
+    running = SimpleNamespace(closed=False, active=False, failure="")
+    stage = SimpleNamespace(running=running, home_window=0, **dict.fromkeys(("is_home", "is_due"), lambda: True),
+                            **dict.fromkeys(("update", "wants_redraw", "close"), broken))  # fmt: skip
+    monkeypatch.setattr(handlers, "_stage", stage)
+    monkeypatch.setattr(handlers, "_failed", None)
+    monkeypatch.setattr(handlers, "Stage", SimpleNamespace(draw_view=broken, draw_pixels=broken, draw_image=broken))
+    monkeypatch.setattr(session, "_current", running)
+    monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
+    with caplog.at_level(logging.ERROR):
+        for _ in range(3):
+            getattr(handlers, name)()
+            if name.startswith("_draw"):
+                monkeypatch.setattr(handlers, "_failed", None)  # even so
+    assert failures.said() == ("The overlay has ended: index -1 is out of bounds",)
+    assert len([one for one in caplog.records if one.exc_info]) == 1
+    assert running.failure == ""  # the recovery itself is well
+
+
+@pytest.mark.parametrize("operator", [recover.IRPSO_OT_run, probes.IRPSO_OT_probe])
+def test_a_modal_operator_that_fails_leaves_and_is_told(monkeypatch, operator):
+    left = []
+    one = SimpleNamespace(_heed=broken, _leave=lambda context: left.append(True) or {"FINISHED"},
+                          _session=SimpleNamespace(pause=lambda: left.append("paused")))  # fmt: skip
+    assert operator.modal(one, bpy.context, SimpleNamespace(type="TIMER", value="NOTHING")) == {"FINISHED"}
+    assert left[-1] is True and failures.said()[0].endswith("has ended: index -1 is out of bounds")
+
+
+def test_a_list_that_cannot_be_filled_is_told_and_not_raised(monkeypatch):
+    monkeypatch.setattr(upkeep, "is_wanting", broken)
+    assert upkeep.fill_lists() is None and len(failures.said()) == 1
+
+
+def test_an_expected_error_is_told_in_its_own_words_with_settings_as_blender_calls_them():
+    with failures.told("The check"):
+        raise InputError("--memory 1K: is too little")
+    assert failures.said() == ("Memory Budget 1K: is too little",)
+
+
+def test_what_was_told_is_dismissed_by_its_button_or_by_another_file():
+    for dismiss in (bpy.ops.irpso.dismiss_failures, lambda: bpy.ops.wm.read_factory_settings(use_empty=True)):
+        with failures.told("The check"):
+            broken()
+        assert failures.said()
+        dismiss()
+        assert failures.said() == () and not panels.IRPSO_PT_failures.poll(bpy.context)

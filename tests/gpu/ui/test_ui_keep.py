@@ -1,0 +1,232 @@
+"""Keeping what was found as a material, and exporting it as files, in background."""
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+import irpso_addon
+from irpso_addon.capture.images.exr import read_exr
+from irpso_addon.core.errors import InputError
+from tests.builders import command_line as cli_maker
+
+SHAPE = (18, 24)
+LIGHTS = cli_maker.dome_lights(16, widest=70)
+MAPS = ("base_color", "metallic", "normal", "roughness", "specular")
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    """A capture of a card."""
+    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    folder = tmp_path_factory.mktemp("capture") / "leaf"
+    return cli_maker.write_card(folder, cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irpso_addon.register()
+    yield
+    irpso_addon.unregister()
+
+
+@pytest.fixture(scope="module")
+def session_of_card(registered, card):
+    """The card's session, run to its end once: what comes after it is what is tested here."""
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    bpy.context.scene.irpso.capture_path = str(card)
+    running = session.begin(make_job(bpy.context))
+    running.run()
+    yield running
+    session.end()
+
+
+@pytest.fixture
+def recovered(session_of_card):
+    """The session, in a file that holds nothing yet."""
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects, *bpy.data.libraries])
+    session_of_card.history.clear()
+    session_of_card.probes.clear()
+    return session_of_card
+
+
+def refusal(call, **values):
+    with pytest.raises(RuntimeError) as caught:
+        call(**values)
+    return str(caught.value).strip()
+
+
+def image_values(name):
+    """Return (H, W, 4) of a map's image, row 0 at the bottom."""
+    image = bpy.data.images[f"IRPSO leaf {name}"]
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    width, height = image.size
+    return values.reshape(height, width, -1)
+
+
+def test_without_a_recovery_every_button_says_what_to_do():
+    for operator in (bpy.ops.irpso.keep, bpy.ops.irpso.export):
+        assert "press Recover" in refusal(operator)
+
+
+def test_keep_puts_the_maps_on_a_visible_card(recovered):
+    assert bpy.ops.irpso.keep() == {"FINISHED"}
+    (obj,) = bpy.context.scene.objects
+    assert obj.visible_get() and not obj.hide_render
+    assert bpy.context.view_layer.objects.active == obj and obj.select_get()
+    assert obj.data.materials[:] == [bpy.data.materials["IRPSO leaf"]]
+    assert recovered.kept and recovered.subject() == obj
+    assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is not None for name in MAPS)
+
+
+def test_the_kept_images_hold_what_was_found_to_16_bits(recovered):
+    bpy.ops.irpso.keep()
+    found = recovered.maps().values
+    normal = image_values("normal")[..., :3] * 2 - 1
+    assert np.abs(normal - found["normal"]).max() < 4 / 65535
+    assert np.abs(image_values("roughness")[..., 0] - found["roughness"][..., 0]).max() < 2 / 65535
+
+
+def test_keeping_again_updates_what_is_there_and_leaves_the_users_nodes(recovered):
+    bpy.ops.irpso.keep()
+    material = bpy.data.materials["IRPSO leaf"]
+    mine = material.node_tree.nodes.new("ShaderNodeHueSaturation")
+    principled = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    material.node_tree.links.new(mine.outputs["Color"], principled.inputs["Base Color"])
+    counts = len(bpy.data.materials), len(bpy.data.images), len(bpy.data.objects), len(material.node_tree.nodes)
+    (obj,) = bpy.context.scene.objects
+    obj.hide_viewport = True
+    bpy.ops.irpso.keep()
+    assert counts == (
+        len(bpy.data.materials), len(bpy.data.images), len(bpy.data.objects), len(material.node_tree.nodes),
+    )  # fmt: skip
+    assert principled.inputs["Base Color"].links[0].from_node == mine
+    assert obj.visible_get()
+
+
+def test_a_card_that_was_taken_out_of_the_scene_comes_back(recovered):
+    bpy.ops.irpso.keep()
+    (obj,) = bpy.context.scene.objects
+    bpy.context.scene.collection.objects.unlink(obj)
+    bpy.ops.irpso.keep()
+    assert bpy.context.scene.objects[:] == [obj]
+
+
+def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui import preferences
+
+    wanted = preferences.Wanted(output_folder=str(tmp_path / "maps"))
+    monkeypatch.setattr(preferences, "current", lambda context: wanted)
+    bpy.ops.irpso.keep()
+    assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == [f"IRPSO_leaf_{name}.png" for name in MAPS]
+    assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is None for name in MAPS)
+
+
+def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):
+    from irpso_addon.ui import preferences
+    from irpso_addon.ui.job import make_job
+
+    wanted = preferences.Wanted(output_folder="//irpso test maps/")
+    monkeypatch.setattr(preferences, "current", lambda context: wanted)
+    assert "Output Folder: //irpso test maps/ lies beside the .blend file, which is not saved" in refusal(
+        bpy.ops.irpso.keep
+    )
+    assert not bpy.data.materials and not Path("/irpso test maps").exists()
+    with pytest.raises(InputError, match="not saved yet"):  # before an hour of work, too
+        make_job(bpy.context)
+    assert "Export: //out lies beside" in refusal(bpy.ops.irpso.export, filepath="//out")
+
+
+def test_a_material_of_a_library_is_refused_with_what_to_do_and_nothing_is_made(recovered, tmp_path):
+    bpy.ops.irpso.keep()
+    bpy.data.materials["IRPSO leaf"].use_fake_user = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"), copy=True)
+    bpy.data.batch_remove([*bpy.data.materials, *bpy.data.images, *bpy.data.objects])
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (there, here):
+        here.materials = ["IRPSO leaf"]
+    said = refusal(bpy.ops.irpso.keep)
+    assert "make it local" in said and len(said.splitlines()) == 1
+    assert len(bpy.data.materials) == 1 and not bpy.data.objects
+
+
+def test_a_mesh_that_was_deleted_is_missed(recovered, monkeypatch):
+    monkeypatch.setattr(type(recovered), "mesh", property(lambda self: object()))
+    monkeypatch.setattr(type(recovered), "subject", lambda self: None)
+    assert "has been deleted" in refusal(bpy.ops.irpso.keep)
+    assert not bpy.data.materials
+
+
+def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_path):
+    recovered.history[:] = [(1, 0.1), (2, 0.05), (4, 0.02)]
+    bpy.ops.irpso.export(filepath=str(tmp_path / "out"))
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {
+        *(f"{name}.{kind}" for name in MAPS for kind in ("png", "exr")),
+        "maps.exr", "residual.exr", "confidence.exr", "confidence.png", "report.json", "preview.png",
+        "convergence.png",
+    }  # fmt: skip
+    found = recovered.maps()
+    written = read_exr(tmp_path / "out" / "roughness.exr")["roughness"]["Y"]
+    np.testing.assert_array_equal(written, found.values["roughness"][..., 0])
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    assert report["settings"]["preset"]["swarm"]["particles"] == 8
+    assert report["texels"] == SHAPE[0] * SHAPE[1] and report["seed"] == 0
+    assert set(report["priors_decided"]) == {"roughness", "metallic", "specular"}
+    assert set(report["two_modes"]) == {"roughness", "metallic"}
+    assert report["residual"]["mean"] == pytest.approx(found.residual.mean(), rel=1e-5)
+
+
+def test_the_curves_of_an_export_are_at_the_iterations_they_were_taken(recovered):
+    from irpso_addon.ui.keep import _curve
+
+    curves = _curve("x", [[(1, 0.1), (3, 0.05)], [(2, 0.2), (3, 0.1)]])
+    assert curves.iterations.tolist() == [1, 2, 3]
+    np.testing.assert_allclose(curves.errors, [[10, np.nan], [np.nan, 20], [5, 10]])
+
+
+def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
+    from irpso_addon.ui.keep import pictures_of
+
+    maps = recovered.maps()
+    assert set(pictures_of(recovered, maps)) == {"preview", "confidence"}
+    recovered.add_probe(3, 5)
+    recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]
+    assert set(pictures_of(recovered, maps)) == {"preview", "confidence", "convergence"}
+
+
+def test_a_fifth_probe_takes_the_place_and_the_number_of_the_oldest_which_is_told(recovered, capfd):
+    for column in range(4):
+        bpy.ops.irpso.probe(row=2, column=column)
+    assert "moved" not in capfd.readouterr().out
+    bpy.ops.irpso.probe(row=3, column=7)
+    assert "Probe 1 has moved here from texel 0, 2: there are four at most" in capfd.readouterr().out
+    assert [(probe.number, probe.column) for probe in recovered.probes] == [(2, 1), (3, 2), (4, 3), (1, 7)]
+    assert recovered.probe(1).column == 7 and recovered.probe(3).column == 2
+    bpy.ops.irpso.probe_remove(index=0)
+    assert recovered.probe(2) == recovered.probes[0]
+    bpy.ops.irpso.probe_clear()
+    assert recovered.probe(1) is None
+
+
+def test_image_nodes_are_called_as_the_sockets_that_they_drive(recovered):
+    bpy.ops.irpso.keep()
+    nodes = bpy.data.materials["IRPSO leaf"].node_tree.nodes
+    labels = {node.label for node in nodes if node.bl_idname == "ShaderNodeTexImage"}
+    assert labels == {"Base Color", "Normal", "Roughness", "Metallic", "Specular IOR Level"}
+
+
+def test_the_standard_view_is_set_only_when_asked_for(recovered):
+    view = bpy.context.scene.view_settings
+    view.view_transform = "Filmic"
+    view.look = "None"
+    bpy.ops.irpso.keep()
+    assert view.view_transform == "Filmic"
+    bpy.ops.irpso.standard_view()
+    assert view.view_transform == "Standard"
+    assert "has the Standard view" in refusal(bpy.ops.irpso.standard_view)

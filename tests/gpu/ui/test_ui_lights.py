@@ -1,0 +1,101 @@
+"""Lights that are not known well, in the window's session and panels."""
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.solver.lights.refine import Lights
+from tests.builders import command_line as cli_maker
+from tests.builders.lights import gains, off
+from tests.gpu.ui.test_ui_panels import Drawn
+
+LIGHTS = cli_maker.dome_lights(12)
+FACTORS = gains(12, np.random.default_rng(1))
+
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return cli_maker.smooth_maps((20, 24), {}, tilt=35)
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory, truth):
+    """The settings of a scene with a capture of a matte card under lights of unequal strength."""
+    images = cli_maker.render_oracle("lambert", truth, LIGHTS) * FACTORS[:, None, None]
+    folder = cli_maker.write_card(tmp_path_factory.mktemp("unequal") / "card", images, LIGHTS)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    settings = bpy.context.scene.irpso
+    settings.capture_path, settings.subject, settings.model = str(folder), "CARD", "lambert"
+    return settings
+
+
+def begun():
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    return session.begin(make_job(bpy.context))
+
+
+def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(settings):
+    from irpso_addon.ui.job import LightWish, make_job
+
+    assert make_job(bpy.context).lights == LightWish("auto", 0.0)
+    settings.refine_directions = np.radians(2.5)
+    settings.light_strengths = "ESTIMATE"
+    assert make_job(bpy.context).lights == LightWish("estimate", 2.5)
+    settings.refine_directions = 0
+
+
+def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_result(settings, truth, monkeypatch):
+    from irpso_addon.ui import keep, panels, session
+
+    settings.light_strengths = "ESTIMATE"
+    running = begun()
+    titles, fractions = set(), []
+    while running.active and running.recovery is None:
+        running.tick(0.01)
+        titles.add(running.title)
+        fractions.append(running.fraction)
+    assert not running.failure
+    assert "Finding the lights" in titles
+    assert len([part for part in fractions if 0 < part < 1]) > 10
+    while running.active:
+        running.tick(0.5)
+    assert off(running.lights.intensities, FACTORS).max() < 0.02
+    np.testing.assert_array_equal(running.recovery.domain.intensities, running.lights.intensities)
+    maps = running.maps()
+    assert np.median(cli_maker.angle(maps.values["normal"], truth["normal"])) < 0.5
+    assert keep.report_of(running, maps)["lights"] == running.lights.report()
+    drawn = Drawn()
+    monkeypatch.setattr(
+        panels.drawing, "fact", lambda layout, context, name, value, **_: drawn.notes["texts"].append(value)
+    )
+    panels.draw_result(drawn, bpy.context, running)
+    assert running.lights.summary() in drawn.notes["texts"]
+    found = running.lights
+    again = begun()  # what was found for the same photographs and settings need not be found again
+    while again.active and again.recovery is None:
+        again.tick(0.05)
+    assert again.lights is found
+    session.end()
+
+
+def test_the_panel_offers_both_settings(settings):
+    from irpso_addon.ui import panels
+
+    drawn = Drawn()
+    panels.IRPSO_PT_capture.draw(type("Panel", (), {"layout": drawn})(), bpy.context)
+    assert {"light_strengths", "refine_directions"} <= set(drawn.notes["props"])
+
+
+@pytest.mark.parametrize(
+    ("factors", "turned", "text"),
+    [(1.0, 0.0, "as given"), (2.0, 0.0, "2 to 2 × as given"), (1.0, 1.25, "turned by 1.2°")],
+)
+def test_a_summary_says_how_far_lights_are_from_those_given(factors, turned, text):
+    one = np.ones((4, 3))
+    lights = Lights(np.ones((4, 4)), one, factors * one, 0 * one, np.full(4, turned), 1.0, 3, 0.0)
+    assert lights.summary() == text

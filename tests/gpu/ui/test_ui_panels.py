@@ -1,0 +1,323 @@
+"""What the panels show in every state, drawn into a layout that checks each property, operator and icon it is given."""
+
+import sys
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+import irpso_addon
+from tests.builders import command_line as cli_maker
+
+LIGHTS = cli_maker.dome_lights(12, widest=70)
+ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
+
+
+OPENED: list[str] | None = None  # files, while they are watched
+
+
+def _watch(event, arguments):
+    if event == "open" and OPENED is not None:
+        OPENED.append(str(arguments[0]))
+
+
+sys.addaudithook(_watch)
+
+
+class Drawn:
+    """A layout that notes what is drawn, and refuses what Blender would not know."""
+
+    def __init__(self, notes=None):
+        object.__setattr__(self, "notes", {"props": [], "operators": [], "texts": []} if notes is None else notes)
+
+    def __setattr__(self, name, value):
+        assert name in bpy.types.UILayout.bl_rna.properties, name
+        object.__setattr__(self, name, value)
+
+    def _inner(self, **options):
+        assert set(options) <= {"align", "heading", "factor"}
+        return Drawn(self.notes)
+
+    row = column = box = split = _inner
+
+    def label(self, text="", icon="NONE", translate=True):
+        assert icon in ICONS, icon
+        self.notes["texts"].append(text)
+
+    def separator(self):
+        pass
+
+    def progress(self, factor=0.0, type="BAR", text="", translate=True):
+        assert 0 <= factor <= 1
+        self.notes["texts"].append(text)
+
+    def prop(self, data, name, text=None, **options):
+        assert name in data.bl_rna.properties, name
+        assert set(options) <= {"expand", "slider", "translate", "icon"}
+        self.notes["props"].append(name)
+
+    def template_ID(self, data, name, open=""):
+        assert name in data.bl_rna.properties
+        self.notes["props"].append(name)
+
+    def menu(self, name, text="", translate=True):
+        assert hasattr(bpy.types, name), name
+        self.notes["texts"].append(text)
+
+    def operator(self, name, text="", icon="NONE", emboss=True):
+        assert icon in ICONS, icon
+        kind = getattr(bpy.types, "IRPSO_OT_" + name.partition(".")[2], None) or next(
+            (c for c in bpy.types.Operator.__subclasses__() if c.bl_idname == name and c.is_registered), None
+        )
+        assert kind is not None, name
+        self.notes["operators"].append(name)
+        return SimpleNamespace()
+
+
+def panels(space="VIEW_3D"):
+    """Return the panels of the tab that are there now, those inside others included."""
+    from irpso_addon.ui import image_panels, view_panels
+    from irpso_addon.ui import panels as main_panels
+
+    classes = [*main_panels.CLASSES, *view_panels.CLASSES, *image_panels.CLASSES]
+    own = [cls for cls in classes if cls.bl_space_type == space]
+    shown = [cls for cls in own if not hasattr(cls, "poll") or cls.poll(bpy.context)]
+    names = {cls.__name__ for cls in shown}
+    return [cls for cls in shown if getattr(cls, "bl_parent_id", None) in (None, *names)]
+
+
+def drawn(space="VIEW_3D"):
+    """Draw all panels; return what is in them: props, operators, texts."""
+    notes = Drawn().notes
+    for cls in panels(space):
+        panel = SimpleNamespace(layout=Drawn(notes))
+        if hasattr(cls, "draw_header"):
+            cls.draw_header(panel, bpy.context)
+        cls.draw(panel, bpy.context)
+    return SimpleNamespace(**notes)
+
+
+def labels(space="VIEW_3D"):
+    return [cls.bl_label for cls in panels(space)]
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    values = cli_maker.smooth_maps((10, 12), {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    folder = tmp_path_factory.mktemp("capture") / "leaf"
+    return cli_maker.write_card(folder, cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
+
+
+@pytest.fixture(autouse=True)
+def settings(monkeypatch):
+    """The settings of a fresh file."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irpso_addon.register()
+    from irpso_addon.ui import drawing
+
+    monkeypatch.setattr(drawing, "_characters", lambda *_: 200)
+    yield bpy.context.scene.irpso
+    irpso_addon.unregister()
+
+
+@pytest.mark.bpy_only
+def test_a_fresh_scene_asks_for_a_capture_and_shows_nothing_that_needs_one(settings):
+    found = drawn()
+    assert labels()[:5] == ["Capture", "Subject", "Maps", "Recover", "Search Settings"]
+    assert "irpso.import_capture" in found.operators and "irpso.recover" in found.operators
+    assert "irpso.create_scene" not in found.operators and "capture_path" not in found.props
+    assert any("No capture" in text for text in found.texts)
+    assert not {"resolution", "shadows"} & set(found.props)  # of a card it is the images', and it shades nothing
+    settings.subject = "MESH"
+    assert {"resolution", "shadows"} <= set(drawn().props)
+    assert drawn("IMAGE_EDITOR").operators == []
+
+
+@pytest.mark.bpy_only
+def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings):
+    from irpso_addon.ui import upkeep
+
+    names = ["base_color", "normal", "roughness", "metallic", "specular"]
+    assert [item.name for item in settings.parameters] == names
+    other = bpy.data.scenes.new("other")
+    assert len(other.irpso.parameters) == 0
+    upkeep.fill_lists()
+    assert [item.name for item in other.irpso.parameters] == names
+
+
+@pytest.mark.bpy_only
+def test_what_is_given_is_asked_for_where_a_map_is_not_recovered(settings):
+    items = settings.parameters
+    items["base_color"].recover = items["roughness"].recover = items["normal"].recover = False
+    found = drawn()
+    assert found.props.count("recover") == 5 and found.props.count("image") == 3
+    assert found.props.count("color") == 1 and found.props.count("value") == 1
+    items["roughness"].image = bpy.data.images.new("given", 4, 4)
+    assert drawn().props.count("value") == 0
+    items["metallic"].recover = items["specular"].recover = False
+    settings.capture_path = "/somewhere"
+    assert any("Nothing to recover" in text for text in drawn().texts)
+
+
+@pytest.mark.bpy_only
+def test_every_setting_of_the_search_is_somewhere_in_the_panels(settings):
+    from irpso_addon.solver.settings.schedule import SETTINGS
+
+    settings.schedule.levels = 2
+    assert set(SETTINGS) <= set(drawn().props)
+
+
+@pytest.mark.bpy_only
+def test_settings_that_do_nothing_are_not_shown(settings):
+    settings.schedule.preset = "paper"
+    found = drawn().props
+    assert "polish_iterations" in found and "polish_rounds" not in found
+    assert "prior_rounds" in found and "prior_scales" not in found
+    assert "loss" in found and "delta" not in found
+    assert "level_iterations" not in found and "seeded" not in found
+
+
+@pytest.mark.bpy_only
+def test_findings_are_shown_errors_first_and_no_more_than_fit(settings):
+    settings.capture_path = settings.checked_path = "/somewhere"
+    settings.summary = "kind: table\nimages: 12\nenough for: normals\nlights: 12"
+    for number in range(12):
+        item = settings.findings.add()
+        item.severity, item.message = ("error" if number == 9 else "warning"), f"number {number} is wrong"
+    texts = drawn().texts
+    shown = [text for text in texts if text.startswith("number") and "is wrong" in text]
+    assert shown[0] == "number 9 is wrong" and len(shown) == 8
+    assert "This capture cannot be used: number 9 is wrong. Then check again" in " ".join(texts)  # below the button
+    assert "and 4 more like these" in texts and "Images" in texts and "Details" in labels()
+    settings.checked_path = "/another"
+    assert not any("is wrong" in text for text in drawn().texts)
+
+
+@pytest.mark.bpy_only
+def test_a_light_of_the_scene_is_given_its_photograph(settings):
+    settings.source = "SCENE"
+    assert any("Select a light" in text for text in drawn().texts)
+    light = bpy.data.objects.new("Key", bpy.data.lights.new("Key", "SUN"))
+    bpy.context.scene.collection.objects.link(light)
+    bpy.context.view_layer.objects.active = light
+    found = drawn()
+    assert "Key" in found.texts and "camera" in found.props
+
+
+def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(settings, card, tmp_path):
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    settings.capture_path = str(card)
+    assert "observation" not in drawn().props
+    bpy.ops.irpso.create_scene()
+    assert drawn().props.count("observation") == 1 and "of 12" in drawn().texts
+    session.begin(make_job(bpy.context))
+    assert drawn().props.count("observation") == 1  # during a recovery, whatever is shown
+    bpy.ops.irpso.cancel()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "lights.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lights.blend"))
+    assert drawn().props.count("observation") == 1
+
+
+def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, card):
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    settings.capture_path = str(card)
+    running = session.begin(make_job(bpy.context))
+    found = drawn()
+    assert "Capture" not in labels() and "Search Settings" not in labels() and "View" not in labels()
+    assert "irpso.cancel" in found.operators and "irpso.pause" not in found.operators
+    while running.state != "running" or running.recovery.progress.iteration < 1:
+        running.tick(0.01)
+    found = drawn()
+    assert {"irpso.pause", "irpso.stop", "irpso.cancel"} <= set(found.operators)
+    assert "irpso.recover" not in found.operators and "View" in labels()
+    progress = running.progress
+    assert f"{progress.iteration_in_all} / {progress.iterations_in_all}" in found.texts
+    bpy.ops.irpso.pause()
+    found = drawn()
+    assert "irpso.resume" in found.operators and "Search Settings" in labels() and "Capture" not in labels()
+    assert set(drawn("IMAGE_EDITOR").operators) >= {"irpso.resume", "irpso.stop", "irpso.cancel"}
+    bpy.ops.irpso.stop()
+    found = drawn()
+    assert "leaf: Stopped Early, Kept" in found.texts and {"irpso.resume", "irpso.recover"} <= set(found.operators)
+    assert f"{running.progress.iteration_in_all} / {progress.iterations_in_all}" in found.texts
+    running.resume()
+    running.run()
+    found = drawn()
+    assert "leaf: Done" in found.texts and "irpso.resume" not in found.operators
+    assert "irpso.keep" in found.operators and "irpso.recover" in found.operators
+    assert "Search Settings" in labels() and "View" in labels() and "Capture" not in labels()
+    bpy.context.scene.view_settings.view_transform = "Filmic"
+    assert "irpso.standard_view" not in drawn().operators
+    bpy.ops.irpso.keep()
+    found = drawn()
+    assert {"irpso.keep", "irpso.export", "irpso.cancel", "irpso.standard_view"} <= set(found.operators)
+    bpy.ops.irpso.cancel()
+    assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
+
+
+def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings, card):
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    settings.capture_path = str(card)
+    running = session.begin(make_job(bpy.context))
+    while running.state != "running":
+        running.tick(0.01)
+    view = settings.view
+    for shown, expected in {
+        "PARAMETER": {"parameter"},
+        "ERROR": {"red_error"},
+        "CONFIDENCE": {"parameter", "red_deviation"},
+        "RENDER": {"observation", "exposure"},
+        "REFERENCE": {"observation", "exposure", "mark_unused"},
+        "SPLIT": {"observation", "exposure", "mark_unused", "split"},
+    }.items():
+        view.shown = shown
+        found = set(drawn("IMAGE_EDITOR").props) & {
+            "parameter", "red_error", "red_angle", "red_deviation", "observation", "exposure", "mark_unused", "split",
+        }  # fmt: skip
+        assert found == expected, shown
+    view.shown, view.parameter = "CONFIDENCE", "normal"
+    assert {"red_angle"} == set(drawn().props) & {"red_error", "red_angle", "red_deviation"}
+    view.shown = "SPLIT"
+    view.observation = 900
+    assert view.observation == len(LIGHTS)
+    assert f"of {len(LIGHTS)}" in drawn().texts
+    running.add_probe(3, 4)
+    running.probes[0].curve.append((1, 0.0123))
+    found = drawn()
+    assert "1:  4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
+    view.show = False
+    assert "shown" not in drawn().props
+
+
+@pytest.mark.bpy_only
+@pytest.mark.parametrize("preset", ["standard", "paper", "/somewhere/own.toml"])
+def test_drawing_the_panels_opens_no_file(settings, preset, monkeypatch):
+    settings.schedule.preset = preset
+    settings.capture_path = "/somewhere"
+    settings.schedule.delta = 0.07
+    drawn()  # Python reads modules and Blender its own files once
+    monkeypatch.setattr(sys.modules[__name__], "OPENED", [])
+    drawn()
+    assert OPENED == []
+
+
+@pytest.mark.bpy_only
+def test_a_path_may_be_relative_to_the_file(settings, recwarn):
+    settings.capture_path = "//capture"
+    settings.model_path = "//own.toml"
+    assert [str(warning.message) for warning in recwarn if "relative" in str(warning.message)] == []
+
+
+@pytest.mark.bpy_only
+def test_numbers_are_written_for_people():
+    from irpso_addon.ui import drawing
+
+    assert [drawing.clock(s) for s in (0.4, 35, 723.2, 3723)] == ["0:00", "0:35", "12:03", "1:02:03"]
+    assert [drawing.rate(e) for e in (940.0, 12345.0, 2.314e6)] == ["0.9 k/s", "12.3 k/s", "2.31 M/s"]
+    assert [drawing.percent(e) for e in (0.01234, 0.5, 1.2e-6)] == ["1.23 %", "50 %", "< 0.001 %"]

@@ -1,0 +1,296 @@
+"""The window's session and the job it is given: what is read anew, what is given, and how a run ends."""
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.core.errors import InputError
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.maps import Maps
+from irpso_addon.results.write import write_maps
+from tests.builders import command_line as cli_maker
+
+SHAPE = (10, 12)
+LIGHTS = cli_maker.dome_lights(12, widest=70)
+
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+@pytest.fixture
+def scene():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A capture in the layout whose lights stand in a list of their own."""
+    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    images = cli_maker.render_oracle("principled", values, LIGHTS)
+    names = [f"{number:03d}.exr" for number in range(len(images))]
+    for name, image in zip(names, images, strict=True):
+        write_exr(tmp_path / name, {"image": dict(zip("RGB", np.moveaxis(np.float32(image), -1, 0), strict=True))})
+    (tmp_path / "filenames.txt").write_text("\n".join(names))
+    (tmp_path / "light_directions.txt").write_text("\n".join(" ".join(map(str, light[:3])) for light in LIGHTS))
+    return tmp_path
+
+
+@pytest.fixture
+def job(scene, folder):
+    from irpso_addon.ui.job import make_job
+
+    scene.irpso.capture_path, scene.irpso.subject = str(folder), "CARD"
+    return lambda: make_job(bpy.context)
+
+
+@pytest.fixture
+def running(job):
+    """A session under way."""
+    from irpso_addon.ui import session
+
+    bpy.context.scene.irpso.schedule.iterations = 4000
+    running = session.begin(job())
+    while running.recovery is None:
+        running.tick(0.05)
+    running.tick(0.05)
+    assert running.state == "running"
+    yield running
+    session.end()
+
+
+def swap_first_lines(path):
+    first, second, *others = path.read_text().splitlines()
+    path.write_text("\n".join([second, first, *others]))
+
+
+@pytest.mark.parametrize("name", ["light_directions.txt", "filenames.txt"])
+def test_a_list_that_was_edited_in_place_makes_another_domain(job, folder, name):
+    before = job().source
+    assert job().source == before
+    swap_first_lines(folder / name)
+    assert job().source != before
+
+
+def test_a_camera_that_was_edited_in_place_makes_another_domain(job, folder):
+    (folder / "camera.toml").write_text("fov_degrees = 30\n")
+    before = job().source
+    (folder / "camera.toml").write_text("fov_degrees = 31\n")
+    assert job().source != before
+
+
+def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain(job, monkeypatch):
+    from irpso_addon.ui import job as module
+
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
+    settings = bpy.context.scene.irpso
+    settings.subject, settings.resolution = "MESH", 8
+    asked, sources = [], []
+    monkeypatch.setattr(module, "mesh_steps", lambda *_, shadows, **__: asked.append(shadows) or iter(()))
+    for wanted in (None, False, True):
+        if wanted is not None:
+            settings.shadows = wanted
+        made = job()
+        list(made.loading())
+        sources.append(made.source)
+    assert asked == [True, False, True]
+    assert sources[0] == sources[2] != sources[1]
+
+
+def test_reading_for_a_mesh_is_done_when_its_images_and_its_camera_are(job):
+    from irpso_addon.ui import session
+
+    bpy.ops.mesh.primitive_plane_add(size=2)
+    settings = bpy.context.scene.irpso
+    settings.subject, settings.resolution = "MESH", 8
+    running = session.begin(job())
+    told = []
+    while running.recovery is None:
+        running.tick(1e-6)
+        if running.state == "loading":
+            told.append(running.fraction)
+    session.end()
+    assert told == sorted(told) and told[0] < 0.1 and told[-1] == 1.0
+    assert told.count(1.0) == 1 and len(set(told)) > len(LIGHTS)
+
+
+def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
+    obj = bpy.context.object
+    bpy.context.scene.irpso.subject = "MESH"
+    obj.data.shade_flat()
+    flat = job().source
+    assert job().source == flat
+    obj.data.shade_smooth()
+    assert job().source != flat
+
+
+def given(name, path, space):
+    from irpso_addon.ui.job import image_map
+
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = space
+    return image_map(image, load_model("principled").parameter(name), SHAPE)
+
+
+@pytest.fixture
+def maps(scene, tmp_path):
+    model, random = load_model("principled"), np.random.default_rng(5)
+    values = {p.name: np.float32(random.uniform(0.1, 0.9, (*SHAPE, p.components))) for p in model.parameters}
+    normals = random.normal(size=(*SHAPE, 3)) * 0.5 + (0, 0, 1.5)
+    values["normal"] = np.float32(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+    write_maps(Maps(model, values, np.ones(SHAPE, bool)), tmp_path / "maps", {}, {})
+    return tmp_path / "maps", values
+
+
+@pytest.mark.parametrize(
+    ("file", "space"),
+    [
+        ("normal.exr", "Non-Color"), ("roughness.exr", "Linear Rec.709"), ("base_color.exr", "Linear Rec.709"),
+        ("normal.png", "Non-Color"), ("roughness.png", "Non-Color"), ("base_color.png", "sRGB"),
+        ("normal.png", "sRGB"), ("roughness.png", "sRGB"),  # what Blender takes every PNG for
+    ],
+)  # fmt: skip
+def test_maps_that_were_written_can_be_given_again(maps, file, space):
+    folder, values = maps
+    name, _, ending = file.partition(".")
+    found = given(name, folder / file, space)
+    assert np.abs(found - values[name]).max() <= (0 if ending == "exr" else 1e-4)
+
+
+def test_a_flat_normal_map_is_flat_in_either_way_of_writing(scene, tmp_path):
+    for number, flat in enumerate([(0, 0, 1), (0.5, 0.5, 1)]):
+        image = np.broadcast_to(np.float32(flat), (*SHAPE, 3))
+        path = tmp_path / f"{number}.exr"
+        write_exr(path, {"image": dict(zip("RGB", np.moveaxis(image, -1, 0), strict=True))})
+        np.testing.assert_allclose(given("normal", path, "Non-Color"), np.broadcast_to((0, 0, 1), (*SHAPE, 3)))
+
+
+def test_both_ends_of_a_range_can_be_given(job):
+    item = bpy.context.scene.irpso.parameters["roughness"]
+    item.recover = False
+    for value in load_model("principled").parameter("roughness").range:
+        item.value = value
+        assert job().given["roughness"] == np.float32(value)
+    item.value = 0.019
+    with pytest.raises(InputError, match="between 0.02 and 1"):
+        job()
+
+
+def test_a_schedule_that_is_refused_is_not_taken_for_the_one_that_runs(running):
+    running.pause()
+    before = running.job.schedule
+    for _ in range(2):
+        with pytest.raises(InputError, match="Levels"):
+            running.resume(before.replaced(levels=2))
+        assert running.state == "paused" and running.job.schedule == before
+
+
+def test_whatever_goes_wrong_in_a_tick_ends_the_session_and_is_told(running, monkeypatch):
+    def fail(**_):
+        raise RuntimeError("the device is gone")
+
+    monkeypatch.setattr(running.recovery, "step", fail)
+    running.tick(0.01)
+    assert running.closed and running.failure == "The recovery has ended: the device is gone"
+
+
+def test_stopping_keeps_and_ends_the_run(running):
+    assert bpy.ops.irpso.stop() == {"FINISHED"}
+    assert running.state == "done" and running.kept
+    assert bpy.ops.irpso.recover.poll()
+
+
+def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_was_not(job):
+    from irpso_addon.ui import session
+
+    bpy.context.scene.irpso.schedule.preset = "swarm"
+    bpy.context.scene.irpso.schedule.iterations = 6
+    running = session.begin(job())
+    running.run()
+    whole, total = running.maps().values, running.progress.iterations_in_all
+    running = session.begin(job())
+    while running.recovery is None:
+        running.tick(0.05)
+    running.recovery.step(2)
+    assert not running.stopped and bpy.ops.irpso.stop() == {"FINISHED"}
+    assert running.stopped and running.kept and (running.state, running.title) == ("done", "Stopped")
+    assert (running.progress.iteration_in_all, total) == (2, 6)
+    assert bpy.ops.irpso.resume() == {"FINISHED"} and running.state == "running"
+    running.run()
+    assert not running.stopped and running.title == "Done"
+    assert not running.kept  # the material holds what was found after 2 iterations
+    for name, values in running.maps().values.items():
+        np.testing.assert_array_equal(values, whole[name])
+    session.end()
+
+
+def test_what_was_kept_is_so_until_that_is_undone(running):
+    from irpso_addon.ui import recover
+    from irpso_addon.ui.overlay import surface
+
+    def seen():
+        rendered = SimpleNamespace(space_data=SimpleNamespace(shading=SimpleNamespace(type="MATERIAL")))
+        return surface.shows_itself(rendered, running), recover.IRPSO_OT_cancel.description(bpy.context, None)[:4]
+
+    running.pause()
+    assert seen() == (False, "Drop")
+    bpy.ops.irpso.keep()
+    assert seen() == (True, "Let ")
+    (made,) = bpy.data.materials
+    made["irpso_kept"] = "another run"  # what an undo brings back where an earlier run's maps were kept before
+    assert seen() == (False, "Drop")
+    bpy.data.materials.remove(made)
+    assert seen() == (False, "Drop")
+
+
+def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
+    from irpso_addon.ui import keep
+
+    def refuse(*_):
+        raise InputError("'leaf' has been deleted: undo that")
+
+    monkeypatch.setattr(keep, "_keep", refuse)
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.irpso.stop()
+    assert str(caught.value).strip() == "Error: 'leaf' has been deleted: undo that"
+    assert running.state == "paused" and not running.kept
+
+
+def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
+    from irpso_addon.ui import session
+
+    settings = bpy.context.scene.irpso
+    bpy.ops.mesh.primitive_plane_add(location=(0, 0, -1))
+    obj, settings.subject, settings.resolution = bpy.context.object, "MESH", 8
+    settings.schedule.preset, settings.schedule.iterations = "swarm", 2
+    layers = obj.data.uv_layers
+    layers.active = layers.new(name="Turned")
+    coordinates = np.empty(8, np.float32)
+    layers["Turned"].uv.foreach_get("vector", coordinates)
+    layers["Turned"].uv.foreach_set("vector", 1 - coordinates)
+    assert layers["UVMap"].active_render
+    for marked, nodes in (("UVMap", ["Turned"]), ("Turned", [])):
+        layers[marked].active_render = True
+        session.begin(job()).run()
+        bpy.ops.irpso.keep()
+        tree = obj.active_material.node_tree
+        assert [node.uv_map for node in tree.nodes if node.bl_idname == "ShaderNodeUVMap"] == nodes
+        textures = [node for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage"]
+        assert all(node.inputs["Vector"].is_linked == bool(nodes) for node in textures) and textures
+        (normal,) = [node for node in tree.nodes if node.bl_idname == "ShaderNodeNormalMap"]
+        assert normal.uv_map == ("Turned" if nodes else "")
+    session.end()
+
+
+def test_errors_call_settings_as_blender_does(job, monkeypatch):
+    from irpso_addon.ui import preferences, session
+
+    monkeypatch.setattr(preferences, "current", lambda context: preferences.Wanted(memory="device=1K"))
+    running = session.begin(job())
+    while running.active:
+        running.tick(0.05)
+    assert running.failure.startswith("Memory Budget device=1.0 KiB") and "--" not in running.failure

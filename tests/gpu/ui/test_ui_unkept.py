@@ -1,0 +1,163 @@
+"""What is stored of a recovery that nobody has kept, and going on from it: settings, state, and what may be wrong."""
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.core.errors import InputError
+from tests.builders import command_line as cli_maker
+
+pytestmark = pytest.mark.usefixtures("registered")
+LIGHTS = cli_maker.dome_lights(12, widest=70)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The folder of what is stored; none of the user's is touched."""
+    from irpso_addon.ui import unkept
+
+    monkeypatch.setattr(unkept, "folder", lambda: tmp_path / "unkept")
+    unkept.look()
+    yield tmp_path / "unkept"
+    monkeypatch.undo()
+    unkept.look()
+
+
+@pytest.fixture
+def plane(tmp_path):
+    """Settings for the recovery of one slot of a mesh, roughness given by an image."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    values = cli_maker.smooth_maps((10, 10), {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
+    capture = cli_maker.write_card(tmp_path / "leaf", cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
+    bpy.ops.mesh.primitive_plane_add(size=2, location=(0, 0, -1))
+    for name in ("skin", "cloth"):
+        bpy.context.object.data.materials.append(bpy.data.materials.new(name))
+    settings = bpy.context.scene.irpso
+    settings.capture_path, settings.subject, settings.resolution, settings.seed = str(capture), "MESH", 8, 11
+    settings.slots, settings.shadows = "ACTIVE", False
+    settings.schedule.preset = "swarm"
+    settings.schedule.iterations, settings.schedule.delta = 6, 0.043
+    given = settings.parameters["roughness"]
+    given.recover, given.image = False, bpy.data.images.new("gloss", 8, 8, float_buffer=True)
+    given.image.pixels.foreach_set(np.linspace(0.2, 0.9, 8 * 8 * 4, dtype=np.float32))
+    return settings
+
+
+@pytest.fixture
+def stored(plane, folder):
+    """A recovery of which 3 of 6 iterations are made, stored as when its file closes."""
+    from irpso_addon.ui import session, unkept
+    from irpso_addon.ui.job import make_job
+
+    running = session.begin(make_job(bpy.context))
+    while running.recovery is None:
+        running.tick(0.05)
+    running.recovery.step(3)
+    running.history[:] = [(1, 0.5), (3, 0.25)]
+    fraction = running.fraction
+    assert 0 < fraction < 1
+    session.forget()
+    assert session.current() is None
+    (found,) = unkept.listed()
+    assert (found.name, found.fraction) == ("Plane skin", fraction)
+    return found
+
+
+def forget_settings(settings):
+    for setting in settings.bl_rna.properties:
+        if not setting.is_readonly:
+            settings.property_unset(setting.identifier)
+    settings.schedule.preset, settings.parameters["roughness"].recover = "standard", True
+
+
+def test_it_goes_on_with_its_own_settings_to_the_maps_of_a_run_that_was_never_closed(stored, plane):
+    from irpso_addon.ui import session
+    from irpso_addon.ui.job import make_job
+
+    bpy.context.object.active_material_index = 1
+    forget_settings(plane)
+    assert bpy.ops.irpso.restore(path=str(stored.path)) == {"FINISHED"}
+    running = session.current()
+    while running.active:
+        running.tick(0.05)
+    assert (running.failure, running.state, running.progress.iteration_in_all) == ("", "paused", 3)
+    assert running.history[:2] == [(1, 0.5), (3, 0.25)] and not running.kept
+    assert (plane.seed, plane.slots, plane.slot_list, plane.shadows) == (11, "NAMED", "0", False)
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    running.run()
+    values = running.maps().values
+    assert stored.path.exists()
+    assert bpy.ops.irpso.keep() == {"FINISHED"} and not stored.path.exists()
+    running = session.begin(make_job(bpy.context))
+    running.run()
+    for name, whole in running.maps().values.items():
+        np.testing.assert_array_equal(values[name], whole)
+    session.end()
+
+
+def test_what_is_kept_or_discarded_by_hand_is_not_stored(plane, folder):
+    from irpso_addon.ui import session, unkept
+    from irpso_addon.ui.job import make_job
+
+    session.begin(make_job(bpy.context)).run()
+    bpy.ops.irpso.keep()
+    session.forget()
+    session.begin(make_job(bpy.context)).run()
+    bpy.ops.irpso.cancel()
+    session.forget()
+    assert unkept.listed() == [] and not folder.exists()
+
+
+def test_discarding_what_was_restored_deletes_it_and_so_does_forget(stored, folder):
+    from irpso_addon.ui import session, unkept
+
+    mine = folder / "mine.npz"
+    mine.write_bytes(b"no checkpoint")
+    bpy.ops.irpso.restore(path=str(stored.path))
+    bpy.ops.irpso.cancel()
+    assert list(folder.iterdir()) == [mine] and session.current() is None
+    with pytest.raises(RuntimeError, match="stored no longer"):
+        bpy.ops.irpso.restore(path=str(stored.path))
+    with pytest.raises(RuntimeError, match="stored no longer"):
+        bpy.ops.irpso.forget(path=str(mine))
+    assert unkept.listed() == [] and mine.exists()
+
+
+def test_what_has_gone_with_the_file_is_said_and_nothing_is_changed(stored, plane):
+    plane.seed = 99
+    bpy.data.objects.remove(bpy.data.objects["Plane"])
+    with pytest.raises(RuntimeError) as caught:
+        bpy.ops.irpso.restore(path=str(stored.path))
+    assert "this file has no object 'Plane'" in str(caught.value) and plane.seed == 99
+    assert stored.path.exists()
+
+
+def test_photographs_that_have_changed_are_told_in_words_of_the_panel(stored, plane):
+    from irpso_addon.ui import session
+
+    plane.parameters["roughness"].image.pixels.foreach_set(np.full(8 * 8 * 4, 0.5, np.float32))
+    bpy.ops.irpso.restore(path=str(stored.path))
+    running = session.current()
+    while running.active:
+        running.tick(0.05)
+    assert "is of another recovery: known differs; forget it, and recover anew" in running.failure
+    assert "--" not in running.failure and stored.path.exists()
+
+
+def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
+    from irpso_addon.ui import session, unkept
+    from irpso_addon.ui.job import make_job
+
+    folder.write_text("in the way")
+    session.begin(make_job(bpy.context)).run()
+    session.forget()
+    assert session.current() is None and unkept.listed() == []
+    assert folder.read_text() == "in the way" and "Plane skin could not be stored" in caplog.text
+
+
+def test_a_given_image_that_is_not_in_the_file_is_named(stored):
+    from irpso_addon.ui import asked
+
+    gone = {**stored.asked, "parameters": {"roughness": {**stored.asked["parameters"]["roughness"], "image": "lost"}}}
+    with pytest.raises(InputError, match="no image 'lost', given for roughness"):
+        asked.ask_again(bpy.context.scene.irpso, gone)

@@ -1,0 +1,43 @@
+"""Materials far from the estimates in float64: what the alternatives' maps are compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irpso_addon.solver.settings.resolve import ResolvedStage
+from tests.oracles import confidence as confidence_oracle
+from tests.oracles import synchronous_swarm as generation
+
+_TRIED = (0.01, 0.04, 0.1, 0.25, 0.5, 0.75, 1.0)  # of a range
+_FAR, _MOST, _FLOOR = 0.3, 9.0, 0.01
+
+
+def worse(domain, model, values, schedule, scale, known=()):
+    """Name → (H, W, 1): n log((F + 0.01) / (F₀ + 0.01)) of the best alternative, within ±9, per searched scalar."""
+    linear = tuple(p for p in model.parameters if p.kind == "linear" and p.name not in known)
+    problem = generation.Generations(domain, model, ResolvedStage((), 0, solved=linear), schedule, values, scale, 1)
+    own, counted = generation.fitness(problem, values), generation.sample_weights(problem, values)
+    n = _independent(problem, values, len(confidence_oracle.unknowns(model, known)))
+    found = {}
+    for p in model.parameters:
+        given = p.name in known or p.is_normal or p.components > 1 or p.kind == "linear"
+        if given or p.prior is not None and p.prior.kind == "normal":
+            continue
+        low, width = p.range[0], p.range[1] - p.range[0]
+        lowest = np.full(domain.shape, np.inf)
+        for fraction in _TRIED:
+            there = {**values, p.name: np.full((*domain.shape, 1), low + fraction * width)}
+            far = np.abs(there[p.name] - values[p.name])[..., 0] >= _FAR * width
+            if linear:
+                there = problem.with_weights(there, generation.solve(problem, there, counted))
+            lowest = np.where(far, np.minimum(lowest, generation.fitness(problem, there)), lowest)
+        found[p.name] = np.clip(n * np.log((lowest + _FLOOR) / (own + _FLOOR)), -_MOST, _MOST)[..., None]
+    return found
+
+
+def _independent(problem, values, unknowns):
+    """(H, W): the samples that are left when ``unknowns`` are determined, channels that err together counted once."""
+    e, w = generation.error(problem, values), problem.domain.stack[..., 3].astype(np.float64)
+    errors = (w[..., None] * e**2).sum(axis=(0, -1))
+    alike = np.clip((w * e.sum(axis=-1) ** 2).sum(axis=0) / np.where(errors > 0, errors, 1), 1, 3)
+    return np.maximum(3 * w.sum(axis=0) - (1 + alike) / 2 * unknowns, 0) / alike

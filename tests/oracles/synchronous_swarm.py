@@ -1,0 +1,273 @@
+"""A generation in float64: swarms that move as a whole, with linear weights in closed form. Goes with swarm_oracle.
+
+Arrays of particles are (m, H, W, …), of texels (H, W, …). Linear weights are (…, L), in the order of the model's table
+with the colours first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from tests.oracles import confidence as confidence_oracle
+from tests.oracles import swarm
+
+SMALLEST = 1e-4  # of an l1 error: under it no error weighs more
+EDGE = 3e-6  # of a cosine: normals at the walls of their square come to the horizon to within this in float32
+
+
+@dataclass(frozen=True)
+class Generations(swarm.Problem):
+    """A problem whose stage may have ``solved`` parameters, and need not search any."""
+
+    @property
+    def dimensions(self) -> int:
+        """n."""
+        return sum(size for _, _, size in self.places)
+
+    @property
+    def weights(self) -> list[tuple[str, int, float, float]]:
+        """(name, component, lowest, highest) of every linear weight."""
+        solved = sorted(self.stage.solved, key=lambda p: -p.components)
+        return [(p.name, i, *p.range) for p in solved for i in range(p.components)]
+
+    def with_weights(self, s: dict[str, np.ndarray], w: np.ndarray) -> dict[str, np.ndarray]:
+        """Return a material with linear weights (…, L) put in."""
+        s, at = dict(s), 0
+        for p in sorted(self.stage.solved, key=lambda p: -p.components):
+            s[p.name] = w[..., at : at + p.components]
+            at += p.components
+        return s
+
+    def material(self, x: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the material of places (…, H, W, D) and linear weights (…, H, W, L)."""
+        return self.with_weights(self.decode(x), w)
+
+
+def radiance(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+    """(K, …, H, W, 3): the render of a material; nothing where light or view lie in the horizon, as float32 has it."""
+    domain = problem.domain
+    above = [(light > swarm.HORIZON) & (view > swarm.HORIZON) for light, view in cosines(problem, s["normal"])]
+    return np.where(above, confidence_oracle.radiance(domain, problem.model.name, s), 0)
+
+
+def cosines(problem: Generations, n: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield n·l and n·v (…, H, W, 1) of every observation."""
+    domain = problem.domain
+    frame, position = swarm.frames(domain.bake), domain.bake.position.astype(np.float64)
+    for light, view in zip(domain.lights, domain.views, strict=True):
+        yield tuple(swarm.dot(n, swarm.turned(frame, swarm.direction_to(row, position)[0])) for row in (light, view))
+
+
+def on_edge(problem: Generations, n: np.ndarray) -> np.ndarray:
+    """(…, H, W): whether rounding decides if some light or view is above the horizon of a normal."""
+    found = False
+    for weight, pair in zip(problem.domain.stack[..., 3], cosines(problem, n), strict=True):
+        found = found | ((weight > 0) & np.any([np.abs(c[..., 0]) < EDGE for c in pair], axis=0))
+    return found
+
+
+def error(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+    """(K, …, H, W, 3): what the render of a material has too much, in units of the loss."""
+    domain, settings = problem.domain, problem.schedule.fitness
+    seen = _expanded(domain.stack[..., 3:] > 0, s["normal"])
+    reference = _expanded(np.where(domain.stack[..., 3:] > 0, domain.stack[..., :3], 0).astype(np.float64), s["normal"])
+    result = np.where(seen, radiance(problem, s) - reference, 0)
+    if settings.loss == "robust":
+        brightness = domain.intensities.astype(np.float64).mean()
+        result = result / _expanded(
+            swarm.delta_of(domain.stack, brightness * problem.scale, settings, domain.noise), s["normal"]
+        )
+    return result
+
+
+def _expanded(samples: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    return samples[:, None] if normal.ndim == 4 else samples
+
+
+def fitness(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+    """(…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
+    e = error(problem, s)
+    loss = {"l1": np.abs, "l2": np.square, "robust": lambda a: np.log1p(a**2)}[problem.schedule.fitness.loss](e)
+    weight = _expanded(problem.domain.stack[..., 3].astype(np.float64), s["normal"])
+    total, weights = (weight * loss.sum(axis=-1)).sum(axis=0), weight.sum(axis=0)
+    return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), swarm.UNFIT)
+
+
+def sample_weights(problem: Generations, incumbent: dict[str, np.ndarray]) -> np.ndarray:
+    """(K, H, W, 3): what each sample counts in the least squares, by the error of the incumbent there."""
+    e = error(problem, incumbent)
+    kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
+    weight = problem.domain.stack[..., 3:].astype(np.float64)
+    if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
+        level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
+        settings = problem.schedule.fitness
+        weight = (
+            weight
+            * (
+                settings.delta
+                * level[..., None]
+                / swarm.delta_of(problem.domain.stack, level, settings, problem.domain.noise)
+            )
+            ** 2
+        )
+    return weight * kinds[problem.schedule.fitness.loss]
+
+
+def system(problem: Generations, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(K, …, H, W, 3, L) what radiance each weight brings at 1, and (K, …, H, W, 3) what is left for them to explain.
+
+    The bases are differences of renders: nothing of the shaders' own split into bases is used.
+    """
+    shape = s["normal"].shape[:-1]
+    none = np.zeros((*shape, len(problem.weights)))
+    rest = radiance(problem, problem.with_weights(s, none))
+    columns = []
+    for i in range(len(problem.weights)):
+        one = none.copy()
+        one[..., i] = 1
+        render = radiance(problem, problem.with_weights(s, one))
+        columns.append(render - rest)
+    seen = problem.domain.stack[..., 3:] > 0
+    left = _expanded(np.where(seen, problem.domain.stack[..., :3], 0).astype(np.float64), s["normal"])
+    return np.stack(columns, axis=-1), left - rest
+
+
+def solve(problem: Generations, s: dict[str, np.ndarray], counted: np.ndarray) -> np.ndarray:
+    """(…, H, W, L): the least squares of weights inside their ranges, for samples that count (K, H, W, 3).
+
+    Every choice of which weights lie at which end is tried; the best that keeps inside is the answer.
+    """
+    ranges = np.array([row[2:] for row in problem.weights])
+    a, right = system(problem, s)
+    counted = _expanded(counted, s["normal"])
+    gram = np.einsum("k...ci,k...c,k...cj->...ij", a, np.broadcast_to(counted, right.shape), a, optimize=True)
+    side = np.einsum("k...ci,k...c,k...c->...i", a, np.broadcast_to(counted, right.shape), right, optimize=True)
+    dark = np.einsum("...ii->...i", gram) == 0  # no observation shows it: it stays at its lowest
+    gram = gram + np.where(dark, 1.0, 0.0)[..., None] * np.eye(len(ranges))
+    side = np.where(dark, ranges[:, 0], side)
+    best, lowest = np.full(side.shape, np.nan), np.full(side.shape[:-1], np.inf)
+    for ends in product((None, 0, 1), repeat=len(ranges)):
+        w = np.zeros(side.shape)
+        free = np.array([end is None for end in ends])
+        for i, end in enumerate(ends):
+            if end is not None:
+                w[..., i] = ranges[i, end]
+        if free.any():
+            known = side - np.einsum("...ij,...j->...i", gram, w)
+            part = gram[..., free, :][..., free]
+            regular = part + 1e-14 * np.einsum("...ii->...", part)[..., None, None] * np.eye(free.sum())
+            w[..., free] = np.linalg.solve(regular, known[..., free][..., None])[..., 0]
+        cost = 0.5 * np.einsum("...i,...ij,...j->...", w, gram, w) - (w * side).sum(axis=-1)
+        inside = ((w >= ranges[:, 0] - 1e-12) & (w <= ranges[:, 1] + 1e-12)).all(axis=-1)
+        better = inside & (cost < lowest)
+        lowest = np.where(better, cost, lowest)
+        best = np.where(better[..., None], w, best)
+    return best
+
+
+@dataclass(frozen=True)
+class State(swarm.State):
+    """A swarm's state with the linear weights (H, W, L) of its best."""
+
+    w: np.ndarray
+
+
+@dataclass(frozen=True)
+class Generation:
+    """A state one generation on. fitness: (m, H, W) where the particles came to. weights: (m, H, W, L) theirs.
+
+    edge: (m, H, W) whether rounding decides if a light is above the horizon of a particle or of the incumbent.
+    margin: (m, H, W) by how much each lies from its own best, lead: (H, W) how clear the leader is: where that is next
+    to nothing float32 may differ.
+    """
+
+    state: State
+    fitness: np.ndarray
+    weights: np.ndarray
+    moved: np.ndarray
+    edge: np.ndarray
+    margin: np.ndarray = field(repr=False)
+    lead: np.ndarray = field(repr=False)
+
+
+def placed(problem: Generations, state: State) -> Generation:
+    """Return the state once all particles have been given their first places, which is iteration −1."""
+    constants = problem.schedule.swarm
+    seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
+    guess = problem.encode(problem.estimates)
+    # Of numbers that a Lambertian fit says nothing of, a seed knows nothing: they lie anywhere but in particle 0.
+    told = np.zeros(problem.columns, bool)
+    for name, at, size in problem.places:
+        p = problem.model.parameter(name)
+        told[at : at + size] = p.is_normal or (p.kind == "linear" and p.components == 3)
+    xs, vs = [], []
+    for k in range(problem.particles):
+        chance = swarm.uniforms(problem, -1, k, swarm.POSITION)
+        spread = constants.seed_spread if k else 0.0
+        near = np.clip(guess + spread * (2 * chance - 1), 0, 1)
+        xs.append(np.where((k < seeded) & (told | (k == 0)), near, chance))
+        vs.append(constants.start_speed * (2 * swarm.uniforms(problem, -1, k, swarm.VELOCITY) - 1))
+    return _committed(problem, state, np.stack(xs), np.stack(vs), problem.estimates, start=True)
+
+
+def generation(problem: Generations, state: State, iteration: int) -> Generation:
+    """Return the state after one iteration: Eq. 2 and 3 for every particle, then the bests."""
+    every = problem.schedule.swarm.neighbour_every
+    mean = swarm.mean_at(problem, state, iteration)
+    xs, vs = [], []
+    for k in range(problem.particles):
+        which = np.full(problem.domain.shape, k)
+        x, v = swarm.stepped(problem, state, which, mean, iteration)
+        last = problem.particles - 1 - k
+        if every and (iteration + 1) % every == 0 and last < 4:
+            beside = np.full(problem.domain.shape, (1, 3, 4, 6)[last])
+            x = swarm.neighbours_best(problem, state.g, x, beside)
+        xs.append(x)
+        vs.append(v)
+    incumbent = problem.material(state.g, state.w)
+    return _committed(problem, state, np.stack(xs), np.stack(vs), incumbent, start=False)
+
+
+def _committed(
+    problem: Generations, state: State, x: np.ndarray, v: np.ndarray, incumbent: dict[str, np.ndarray], start: bool
+) -> Generation:
+    solved, _ = swarm.solved_and_covered(problem.domain)
+    moved = solved & (state.g_fitness > problem.schedule.threshold)
+    x, v = swarm.ordered_lobes(problem, x, v)
+    s = problem.decode(x)
+    w = np.zeros((*x.shape[:-1], 0))
+    if problem.weights:
+        s["normal"] = np.broadcast_to(s["normal"], (*x.shape[:-1], 3))
+        w = solve(problem, s, sample_weights(problem, {n: np.asarray(a, np.float64) for n, a in incumbent.items()}))
+        s = problem.with_weights(s, w)
+    fit = np.broadcast_to(fitness(problem, s), x.shape[:-1])
+    improved = moved & (start | (fit < state.p_fitness))
+    leader = np.argmin(fit, axis=0)
+    lowest = np.min(fit, axis=0)
+    leads = moved & (start | (lowest < state.g_fitness))
+
+    def of_leader(a: np.ndarray) -> np.ndarray:
+        return np.take_along_axis(a, leader[None, ..., None], axis=0)[0]
+
+    after = State(
+        np.where(moved[..., None], x, state.x),
+        np.where(moved[..., None], v, state.v),
+        np.where(improved[..., None], x, state.p),
+        np.where(improved, fit, state.p_fitness),
+        np.where(leads[..., None], of_leader(x), state.g),
+        np.where(leads, lowest, state.g_fitness),
+        np.where(leads[..., None], of_leader(w), state.w),
+    )
+    second = np.sort(fit, axis=0)[1] if len(fit) > 1 else np.full(fit.shape[1:], np.inf)
+    lead = second - lowest if start else np.minimum(second - lowest, np.abs(lowest - state.g_fitness))
+    margin = np.full(fit.shape, np.inf) if start else np.abs(fit - state.p_fitness)
+    edge = np.broadcast_to(on_edge(problem, s["normal"]), fit.shape)
+    edge = edge | (on_edge(problem, incumbent["normal"]) if problem.weights else False)
+    margin, lead = np.where(edge, 0, margin), np.where(edge.any(axis=0), 0, lead)
+    return Generation(
+        after, fit, w, moved, edge & moved, np.where(moved, margin, np.inf), np.where(moved, lead, np.inf)
+    )

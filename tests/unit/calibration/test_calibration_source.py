@@ -1,0 +1,159 @@
+"""Exposures in names and in EXIF, which photographs are brackets, and which are developed."""
+
+import numpy as np
+import pytest
+
+from irpso_addon.calibration.radiometry.brackets import brackets_of, name_amount
+from irpso_addon.calibration.radiometry.source import Exposing, read_source
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.files import natural
+from tests.builders.captures import LIGHTS, chunk, decode_png, write_diligent, write_png
+from tests.builders.exif import exif
+
+EXIF, NAMES = Exposing("exif", True), Exposing("names", True)
+
+
+def photograph(path, seconds=None, f_number=None, iso=None, value=100, size=(4, 6)):
+    block = chunk(b"eXIf", exif(seconds, f_number, iso)) if seconds else b""
+    write_png(path, np.full((*size, 3), value), extra=block)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stem", "expected"),
+    [
+        ("lamp_1-60s", ("lamp", 1 / 60, "seconds")),
+        ("lamp 12 0.5s", ("lamp 12", 0.5, "seconds")),
+        ("lamp_12_2S", ("lamp_12", 2.0, "seconds")),
+        ("lamp-16ms", ("lamp", 0.016, "seconds")),
+        ("1-8s", ("", 1 / 8, "seconds")),
+        ("lamp_ev-2", ("lamp", 0.25, "stops")),
+        ("lamp_EV+1.3", ("lamp", 2**1.3, "stops")),
+        ("lamp_ev0", ("lamp", 1.0, "stops")),
+        ("lamp_+2EV", ("lamp", 4.0, "stops")),
+        ("lamp-1ev", ("lamp", 0.5, "stops")),
+        ("lamp_2ev", ("lamp", 4.0, "stops")),
+        ("IMG_0012", None),
+        ("chess", None),
+        ("DSC0012s", None),
+        ("lamp_1-0s", None),
+        ("lamp_0s", None),
+    ],
+)
+def test_the_end_of_a_name_tells_its_exposure(stem, expected):
+    found = name_amount(stem)
+    assert found == (None if expected is None else (expected[0], pytest.approx(expected[1]), expected[2]))
+
+
+def test_names_are_sorted_as_people_count(tmp_path):
+    names = ["a10", "a9", "a1", "B2"]
+    assert [p.name for p in sorted((tmp_path / n for n in names), key=natural)] == ["a1", "a9", "a10", "B2"]
+
+
+def test_a_bracket_ends_where_an_exposure_comes_again(tmp_path):
+    times = [(1, 60), (1, 15), (1, 240)] * 3
+    paths = [photograph(tmp_path / f"IMG_{k + 8}.png", t, (8, 1), 100) for k, t in enumerate(times)]
+    brackets, warnings = brackets_of(paths[::-1], "exif")
+    assert [b.name for b in brackets] == ["IMG_8", "IMG_11", "IMG_14"] and warnings == []
+    assert [p.name for p in brackets[1].paths] == ["IMG_13.png", "IMG_11.png", "IMG_12.png"]
+    assert brackets[1].amounts == pytest.approx((1 / 240 / 64, 1 / 60 / 64, 1 / 15 / 64))
+
+
+def test_a_missing_photograph_of_a_bracket_is_warned_of(tmp_path):
+    times = [(1, 60), (1, 15), (1, 60), (1, 60), (1, 15)]
+    paths = [photograph(tmp_path / f"{k}.png", t) for k, t in enumerate(times)]
+    brackets, (warning,) = brackets_of(paths, "exif")
+    assert [len(b.paths) for b in brackets] == [2, 1, 2] and "2.png" in warning and "missing" in warning
+
+
+def test_brackets_by_name_share_what_comes_before_the_exposure(tmp_path):
+    paths = [tmp_path / f"{lamp}_{e}.png" for lamp in ("a", "b 1") for e in ("ev-2", "ev+0", "ev+2")]
+    brackets, _ = brackets_of(paths, "names")
+    assert [(b.name, b.amounts) for b in brackets] == [("a", (0.25, 1, 4)), ("b 1", (0.25, 1, 4))]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_at_the_end_stand_for_the_exposures_that_are_given(tmp_path, first):
+    paths = [tmp_path / f"007_{k + first}.png" for k in range(3)]
+    (bracket,), _ = brackets_of(paths, "names", (0.5, 0.125, 2.0))
+    assert [(p.name, a) for p, a in zip(bracket.paths, bracket.amounts, strict=True)] == [
+        (f"007_{1 + first}.png", 0.125), (f"007_{first}.png", 0.5), (f"007_{2 + first}.png", 2.0)
+    ]  # fmt: skip
+
+
+def test_exposures_that_nobody_tells_are_refused(tmp_path):
+    plain = [photograph(tmp_path / f"{k}.png") for k in range(3)]
+    with pytest.raises(InputError, match=r"0\.png: has no exposure time in its EXIF; .*choose names"):
+        brackets_of(plain, "exif")
+    with pytest.raises(InputError, match=r"0\.png: its name tells no exposure"):
+        brackets_of(plain, "names")
+    with pytest.raises(InputError, match="some names tell seconds and some EV"):
+        brackets_of([tmp_path / "a_ev0.png", tmp_path / "a_2s.png"], "names")
+    with pytest.raises(InputError, match="--exposures has only 2"):
+        brackets_of([tmp_path / f"a_{k}.png" for k in range(3)], "names", (1.0, 2.0))
+    with pytest.raises(InputError, match="no two photographs make a bracket"):
+        brackets_of([tmp_path / "a_1s.png", tmp_path / "b_1s.png"], "names")
+    with pytest.raises(InputError, match="has the exposure of"):
+        brackets_of([tmp_path / "a_1s.png", tmp_path / "a_1000ms.png"], "names")
+
+
+def test_a_folder_is_all_its_photographs_but_what_is_left_out(tmp_path):
+    for name in ("10.png", "9.png", "mask.png", "dark.png"):
+        photograph(tmp_path / name)
+    (tmp_path / "notes.txt").write_text("no photograph")
+    source = read_source(tmp_path, decode_png, left_out=[tmp_path / "dark.png"])
+    assert [(s.name, s.amounts, s.size) for s in source.shots] == [("9", None, (6, 4)), ("10", None, (6, 4))]
+    assert source.capture is None
+
+
+def lists(folder, names, lights):
+    (folder / "filenames.txt").write_text("".join(f"{name}\n" for name in names))
+    np.savetxt(folder / "light_directions.txt", lights)
+
+
+def test_a_list_may_name_one_photograph_of_each_bracket(tmp_path):
+    for k in range(5):
+        for ev in (-2, 0, 2):
+            photograph(tmp_path / f"{k}_ev{ev}.png")
+    photograph(tmp_path / "card.png")
+    lists(tmp_path, [f"{k}_ev0.png" for k in (3, 1, 0, 4)], LIGHTS[[3, 1, 0, 4]])
+    source = read_source(tmp_path, decode_png, NAMES)
+    assert [[i.path.name for i in s.images] for s in source.shots] == [
+        [f"{k}_ev{ev}.png" for ev in (-2, 0, 2)] for k in (3, 1, 0, 4)
+    ]
+    found = [observation.light.vector for observation in source.capture.observations]
+    np.testing.assert_allclose(found, LIGHTS[[3, 1, 0, 4]])
+    assert "1 brackets beside it are not in its list" in source.warnings[0]
+
+
+def test_a_list_may_name_all_photographs_of_a_bracket_with_one_light(tmp_path):
+    names = [photograph(tmp_path / f"{n}.png", t).name for n, t in enumerate([(1, 60), (1, 15)] * 5)]
+    lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0))
+    source = read_source(tmp_path, decode_png, EXIF)
+    assert [len(s.images) for s in source.shots] == [2] * 5
+    np.testing.assert_allclose([o.light.vector for o in source.capture.observations], LIGHTS)
+    lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0)[1:].tolist() + [LIGHTS[0]])
+    with pytest.raises(InputError, match="line 2: is in one bracket with .*line 1, and their lights differ"):
+        read_source(tmp_path, decode_png, EXIF)
+
+
+def test_single_frames_are_scaled_by_their_own_exposure(tmp_path):
+    names = [photograph(tmp_path / f"{k}.png", (1, 10 * (k + 1))).name for k in range(5)]
+    lists(tmp_path, names, LIGHTS)
+    source = read_source(tmp_path, decode_png, Exposing("exif", False))
+    assert [s.amounts for s in source.shots] == [pytest.approx((0.1 / (k + 1),)) for k in range(5)]
+
+
+def test_parts_of_an_exr_are_no_brackets(tmp_path):
+    write_diligent(tmp_path / "a")
+    text = '[[camera]]\n[[observation]]\nimage = "000.exr"\npart = 0\nlight_direction = [0, 0, 1]\n'
+    (tmp_path / "a" / "capture.toml").write_text(text)
+    with pytest.raises(InputError, match="parts of one EXR have no exposures"):
+        read_source(tmp_path / "a", None, NAMES)
+
+
+def test_places_without_photographs_are_refused(tmp_path):
+    with pytest.raises(InputError, match="holds no photographs"):
+        read_source(tmp_path)
+    with pytest.raises(InputError, match="neither a capture nor a folder"):
+        read_source(tmp_path / "no")

@@ -1,0 +1,290 @@
+"""``develop`` and ``response`` through the command line, against a scene that is known; PNG read without Blender."""
+
+import json
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture import read_capture, read_exr
+from irpso_addon.commands import develop, response
+from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
+from tests.builders.command_line import listing, run_cli
+from tests.builders.exif import exif
+
+SIZE = 48
+TIMES = ((1, 240), (1, 60), (1, 15))
+NORMALS, BALL = sphere(SIZE)
+TINT = np.array([0.9, 0.6, 0.4])
+OFFSET = 0.01
+Y, X = np.meshgrid(np.linspace(-1, 1, SIZE), np.linspace(-1, 1, SIZE), indexing="ij")
+VIGNETTE = 1 - 0.3 * (X**2 + Y**2)
+CARD = np.s_[2:8, 3:9]  # rows from the bottom, columns: a grey card of 0.18
+SCENE = shade(NORMALS)
+SCENE[(slice(None), *CARD)] = 0.18
+BRIGHT = 4.0  # at the shortest exposure 1/240 s the file's largest value stands for this radiance
+
+
+@pytest.fixture(autouse=True)
+def png_without_blender(monkeypatch):
+    monkeypatch.setattr(develop, "decode", decode_png)
+    monkeypatch.setattr(response, "decode", decode_png)
+
+
+def write(path, light, seconds, bits=16, curve=lambda v: v):
+    """Write what a camera makes of light (H, W, 3), row 0 at the bottom, at an exposure."""
+    codes = np.rint(np.clip(curve(np.clip(light, 0, 1)), 0, 1) * (2**bits - 1)).astype(int)
+    write_png(path, codes[::-1], bits, chunk(b"eXIf", exif(seconds)))
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    """A folder of 5 lights × 3 exposures with vignetting, offset and tint, a dark frame for each, and a flat field."""
+    folder = tmp_path / "capture"
+    for name in ("", "dark", "flat"):
+        (folder / name).mkdir(parents=True)
+    for k, frame in enumerate(SCENE):
+        for i, (_, below) in enumerate(TIMES):
+            light = frame[..., None] * TINT * VIGNETTE[..., None] * (240 / below) / BRIGHT + OFFSET
+            write(folder / f"{3 * k + i:02d}.png", light, TIMES[i])
+    for i, time in enumerate(TIMES):
+        write(folder / "dark" / f"{i}.png", np.full((SIZE, SIZE, 3), OFFSET), time)
+    write(folder / "flat" / "a.png", 0.7 * TINT * VIGNETTE[..., None] + OFFSET, TIMES[1])
+    names = [f"{3 * k + 1:02d}.png" for k in range(len(LIGHTS))]
+    (folder / "filenames.txt").write_text("".join(f"{name}\n" for name in names))
+    np.savetxt(folder / "light_directions.txt", LIGHTS)
+    return folder
+
+
+EVERYTHING = ("--brackets", "exif", "--white", f"3,{SIZE - 8},6,6=0.18")
+
+
+def everything(folder):
+    return (*EVERYTHING, "--dark", folder / "dark", "--flat", folder / "flat")
+
+
+def test_brackets_with_all_corrections_come_out_as_the_scene(photographs, tmp_path):
+    before = listing(photographs)
+    code, out, err = run_cli("develop", photographs, "-o", tmp_path / "out", *everything(photographs), "--json")
+    assert (code, err) == (0, "")
+    assert listing(photographs) == before
+    capture = read_capture(tmp_path / "out")
+    np.testing.assert_allclose([o.light.vector for o in capture.observations], LIGHTS)
+    for observation, truth in zip(capture.observations, SCENE, strict=True):
+        rgba = observation.read()
+        assert (rgba[..., 3] == 1).all()
+        np.testing.assert_allclose(rgba[..., :3], truth[..., None] * np.ones(3), atol=4e-4)
+    result = json.loads(out)
+    assert result["images"] == 5 and result["warnings"] == []
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["images"][1]["files"] == ["03.png", "04.png", "05.png"]
+    assert report["images"][1]["exposures"] == [1, 4, 16]
+    # The flat's own mean goes with the scale: gain × tint × what the vignette has at the card.
+    ratio = np.array(report["white_gains"]) * TINT
+    np.testing.assert_allclose(ratio, ratio[0], rtol=2e-3)
+
+
+def test_half_floats_and_a_plain_folder(photographs, tmp_path):
+    for name in ("filenames.txt", "light_directions.txt"):
+        (photographs / name).unlink()
+    code, _, err = run_cli(
+        "develop", photographs, "-o", tmp_path / "out", "--half", "--quiet", *everything(photographs)
+    )
+    assert (code, err) == (0, "")
+    assert (tmp_path / "out" / "filenames.txt").read_text().split() == [f"{3 * k:02d}.exr" for k in range(5)]
+    channels = read_exr(tmp_path / "out" / "06.exr")[""]
+    assert set(channels) == set("RGB") and channels["R"].dtype == np.float16
+    np.testing.assert_allclose(channels["G"].astype(float), SCENE[2], atol=1e-3)
+
+
+def test_what_clips_in_every_exposure_is_left_out(photographs, tmp_path):
+    light = SCENE[0][..., None] * np.ones(3)
+    light[20:24, 20:24] = 9
+    for i, (_, below) in enumerate(TIMES):
+        write(photographs / f"{i:02d}.png", light * (240 / below) / BRIGHT, TIMES[i])
+    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--brackets", "exif", "--quiet")
+    assert (code, err) == (0, "")
+    weight = read_capture(tmp_path / "out").observations[0].read()[..., 3]
+    expected = np.ones((SIZE, SIZE))
+    expected[20:24, 20:24] = 0
+    np.testing.assert_array_equal(weight, expected)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["images"][0]["without_weight"] == pytest.approx(16 / SIZE**2, abs=1e-6)
+
+
+def test_frames_of_different_exposures_are_scaled_to_the_shortest(photographs, tmp_path):
+    for k in range(5):
+        for i in (0, 2) if k % 2 else (1, 2):
+            (photographs / f"{3 * k + i:02d}.png").unlink()
+    names = [p.name for p in sorted(photographs.glob("*.png"))]
+    (photographs / "filenames.txt").write_text("".join(f"{name}\n" for name in names))
+    dark = photographs / "dark"
+    code, _, err = run_cli(
+        "develop", photographs, "-o", tmp_path / "out", "--exposure", "exif", "--dark", dark, "--quiet"
+    )
+    assert (code, err) == (0, "")
+    for observation, truth in zip(read_capture(tmp_path / "out").observations, SCENE, strict=True):
+        expected = truth[..., None] * TINT * VIGNETTE[..., None] / BRIGHT
+        np.testing.assert_allclose(observation.read()[..., :3], expected, atol=2e-5)
+
+
+def test_a_response_curve_of_brackets_makes_8_bit_files_linear(photographs, tmp_path):
+    def curve(light):  # a picture profile that is not sRGB's
+        return light**0.6 * (1.3 - 0.3 * light)
+
+    (tmp_path / "wedge").mkdir()
+    wedge = np.exp(np.linspace(np.log(0.01), np.log(20), SIZE**2)).reshape(SIZE, SIZE, 1) * np.ones(3)
+    for i in range(6):
+        write(tmp_path / "wedge" / f"{i}.png", wedge * 2.0 ** (i - 5), (1, 2 ** (5 - i)), 8, curve)
+    code, out, _ = run_cli("response", tmp_path / "wedge", "-o", tmp_path / "camera.toml", "--json")
+    assert code == 0 and json.loads(out)["residual"] < 0.02
+    for k, frame in enumerate(SCENE):
+        write(photographs / f"{3 * k + 1:02d}.png", frame[..., None] * np.ones(3), TIMES[1], 8, curve)
+    run = "develop", photographs, "-o", tmp_path / "out", "--response", tmp_path / "camera.toml", "--quiet"
+    assert run_cli(*run)[0] == 0
+    found = np.stack([o.read()[..., 1] for o in read_capture(tmp_path / "out").observations])
+    lit = SCENE > 0.05
+    ratio = found[lit] / SCENE[lit]
+    assert np.abs(ratio / np.median(ratio) - 1).mean() < 0.01
+
+
+def test_grey_patches_give_develop_the_curve(photographs, tmp_path):
+    chart = np.zeros((SIZE, SIZE, 3))
+    reflectances = (0.04, 0.18, 0.5, 0.9)
+    for n, r in enumerate(reflectances):
+        chart[30:40, 10 * n : 10 * n + 9] = r
+    write(photographs / "chart.png", chart, TIMES[1], 8, lambda v: v ** (1 / 1.8))
+    for k, frame in enumerate(SCENE):
+        write(
+            photographs / f"{3 * k + 1:02d}.png", frame[..., None] * np.ones(3), TIMES[1], 8, lambda v: v ** (1 / 1.8)
+        )
+    patches = [f"{10 * n},{SIZE - 40},9,10={r}" for n, r in enumerate(reflectances)]
+    options = [word for patch in patches for word in ("--grey-card", patch)]
+    code, _, err = run_cli(
+        "develop", photographs, "-o", tmp_path / "out", "--chart", photographs / "chart.png", *options
+    )
+    assert code == 0, err
+    found = np.stack([o.read()[..., 1] for o in read_capture(tmp_path / "out").observations])
+    np.testing.assert_allclose(found, SCENE, atol=0.01)
+    code, _, err = run_cli("response", photographs / "chart.png", "-o", tmp_path / "camera.toml", *options)
+    assert code == 0 and (tmp_path / "camera.toml").exists()
+
+
+def test_shifted_frames_are_moved_onto_the_reference(tmp_path):
+    rng = np.random.default_rng(5)
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    texture = 0.3 + 0.5 * np.kron(rng.random((20, 20)), np.ones((8, 8)))
+    moves = [(0, 0), (2, -1), (0, 3), (-1, 0), (0, 0)]
+    for k, (right, up) in enumerate(moves):
+        part = texture[16 - up : 112 - up, 16 - right : 112 - right]
+        write(folder / f"{k}.png", part[..., None] * np.ones(3) * LIGHTS[k][2], TIMES[1])
+    (folder / "filenames.txt").write_text("".join(f"{k}.png\n" for k in range(5)))
+    np.savetxt(folder / "light_directions.txt", LIGHTS)
+    code, _, _ = run_cli("develop", folder, "-o", tmp_path / "out", "--register", "--reference", "3.png", "--quiet")
+    assert code == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    found = np.array([image["shift"] for image in report["images"]])
+    np.testing.assert_allclose(found, np.array(moves) - moves[3], atol=0.03)
+    frames = [o.read() for o in read_capture(tmp_path / "out").observations]
+    expected = texture[16:112, 17:113]
+    for k, frame in enumerate(frames):
+        inside = frame[4:-4, 4:-4]
+        assert (inside[..., 3] == 1).all()
+        assert np.abs(inside[..., 0] - LIGHTS[k][2] * expected[4:-4, 4:-4]).mean() < 0.01
+
+
+BROKEN = [
+    (["--dark", "no.png"], "--dark no.png: is not there"),
+    (["--dark", "capture/bright.png"], "is no brighter than the dark frame"),
+    (["--dark", "capture/small.png"], "is 5×4 pixels where 48×48 are wanted"),
+    (["--flat", "capture/white.png"], "100% of the flat field is clipped"),
+    (["--white", "1,2"], "write X,Y,W,H"),
+    (["--white", "-1,0,5,5"], "write X,Y,W,H"),
+    (["--white", "0,0,nan,5"], "write X,Y,W,H"),
+    (["--white", "0,0,500,5"], "not inside its 48×48 pixels"),
+    (["--white", "3,40,6,6=1.8"], "a reflectance is above 0 and at most 1"),
+    (["--white", "1,0,1"], "gains are above 0"),
+    (["--white", "40,0,4,4", "--dark", "capture/dark"], "the white patch is black in a channel"),
+    (["--grey-card", "3,40,6,6=0.18"], "one grey patch tells a scale and no curve"),
+    (["--grey-card", "3,40,6,6"], "tell each patch's reflectance"),
+    (["--response", "no.toml"], "no.toml: cannot be read"),
+    (["--response", "a.toml", "--grey-card", "3,40,6,6=0.18"], "give one of them"),
+    (["--brackets", "names"], "its name tells no exposure"),
+    (["--brackets", "exif", "--exposure", "exif"], "give one of them"),
+    (["--brackets", "exif", "--exposures", "1,2"], "add --brackets names"),
+    (["--brackets", "names", "--exposures", "1,0"], "give exposures above 0"),
+    (["--reference", "01.png"], "add --register"),
+    (["--register", "--reference", "nobody"], "there is no such image"),
+    (["--saturated", "2"], "above 0 and at most 1"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BROKEN, ids=[" ".join(options) for options, _ in BROKEN])
+def test_bad_input_is_one_line_and_leaves_nothing(photographs, tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    write(photographs / "bright.png", np.full((SIZE, SIZE, 3), 0.9), None)
+    write(photographs / "white.png", np.ones((SIZE, SIZE, 3)), None)
+    write(photographs / "small.png", np.zeros((4, 5, 3)), None)
+    before = listing(tmp_path)
+    code, out, err = run_cli("develop", "capture", "-o", "out", "--quiet", *_joined(options))
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+    assert listing(tmp_path) == before
+
+
+def _joined(options):
+    """Return options with a value that starts with a minus written as one word, as a person must."""
+    joined = []
+    for option in options:
+        if joined and option.startswith("-") and option[1:2].isdigit():
+            joined[-1] += f"={option}"
+        else:
+            joined.append(option)
+    return joined
+
+
+def test_an_output_that_is_there_is_left_alone(photographs, tmp_path):
+    before = listing(tmp_path)
+    code, _, err = run_cli("develop", photographs, "-o", photographs)
+    assert code == 2 and "not empty" in err and listing(tmp_path) == before
+
+
+def test_a_bracket_that_clips_everywhere_is_named(photographs, tmp_path):
+    for i in range(3):
+        write(photographs / f"{6 + i:02d}.png", np.ones((SIZE, SIZE, 3)), TIMES[i])
+    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--brackets", "exif", "--quiet")
+    assert code == 2 and "06.png: all its pixels are clipped" in err and not (tmp_path / "out").exists()
+
+
+def test_two_photographs_of_one_name_are_refused(photographs, tmp_path):
+    for name in ("filenames.txt", "light_directions.txt"):
+        (photographs / name).unlink()
+    (photographs / "00.tif").write_bytes((photographs / "00.png").read_bytes())
+    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--quiet")
+    assert code == 2 and "00.tif: another photograph has this name" in err
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ([(0.5, (1, 60)), (0.5, (1, 60))], "no two photographs make a bracket"),
+        ([(0.5, (1, 60)), (0.5, None)], "has no exposure time"),
+        ([(0.0, (1, 60)), (0.0, (1, 15))], "pixels are neither black nor clipped"),
+        ([(1.0, (1, 60)), (1.0, (1, 15))], "pixels are neither black nor clipped"),
+        ([], "no two photographs"),
+    ],
+)
+def test_brackets_without_a_curve_in_them_are_refused(tmp_path, files, words):
+    (tmp_path / "brackets").mkdir()
+    for n, (value, seconds) in enumerate(files):
+        write(tmp_path / "brackets" / f"{n}.png", np.full((20, 20, 3), value), seconds)
+    code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / "a.toml", "--quiet")
+    assert code == 2 and words in err and not (tmp_path / "a.toml").exists()
+
+
+def test_wide_steps_are_warned_of(tmp_path):
+    (tmp_path / "brackets").mkdir()
+    wedge = np.exp(np.linspace(np.log(0.01), np.log(20), 400)).reshape(20, 20, 1) * np.ones(3)
+    for i in range(3):
+        write(tmp_path / "brackets" / f"{i}.png", wedge * 8.0 ** (i - 2), (1, 8 ** (2 - i)))
+    code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / "a.toml", "--quiet")
+    assert code == 0 and "exposures are 3.0 stops apart" in err

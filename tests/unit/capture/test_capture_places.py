@@ -1,0 +1,215 @@
+"""Where a card lies under near lights, and lengths in units that do not go together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.calibration.balls.lights import Request
+from irpso_addon.calibration.job import ball_of_text, calibrate_steps, report_of, written_table
+from irpso_addon.calibration.photographs import calibrated_table, read_photographs, with_camera
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.capture.places import camera_problems, lens_problems
+from irpso_addon.capture.read import read_capture, read_draft
+from irpso_addon.capture.types import Light
+from irpso_addon.capture.write import write_capture
+from irpso_addon.cluster.agreement import _digest_of_capture
+from irpso_addon.core.errors import CheckpointError, InputError
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.build import domain_from_card
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state import checkpoint
+from irpso_addon.solver.state.prepare import lambert_seed
+from tests.builders.balls import matte_image
+from tests.builders.command_line import angle
+from tests.builders.near_card import DISTANCE, near_card, write_near_card
+
+WIDE = Camera.orthographic(24, 16, 225.0)
+
+
+def codes(folder, **settings):
+    return inspect_capture(folder, asked=(), **settings).codes
+
+
+@pytest.mark.parametrize("camera", [None, WIDE])
+def test_a_card_under_near_lights_without_its_distance_is_refused_with_the_remedy(camera):
+    with pytest.raises(InputError, match="card needs its distance .* card_distance in capture.toml, or --distance"):
+        domain_from_card(near_card(camera=camera, card_distance=None)[0])
+
+
+@pytest.mark.parametrize("camera", [None, WIDE])
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_normals_are_the_same_in_any_unit_of_length(unit, camera):
+    if camera is not None:
+        camera = Camera.orthographic(24, 16, 225.0 / unit)
+    capture, values = near_card(unit, camera)
+    assert angle(lambert_seed(domain_from_card(capture))[0], values["normal"]).max() < 0.01
+    at_one = replace(capture, card_distance=1.0)  # what was taken before, in silence
+    assert angle(lambert_seed(domain_from_card(at_one))[0], values["normal"]).mean() > 15
+
+
+def test_under_distant_lights_a_card_needs_no_distance_and_one_changes_nothing():
+    capture = near_card(card_distance=None)[0]
+    light = Light((0.6, 0.0, 0.8))
+    capture = replace(capture, observations=tuple(replace(o, light=light) for o in capture.observations))
+    plain, far = (domain_from_card(replace(capture, card_distance=d)) for d in (None, DISTANCE))
+    np.testing.assert_array_equal(plain.lights, far.lights)
+    one, other = (d.bake.position / np.linalg.norm(d.bake.position, axis=-1, keepdims=True) for d in (plain, far))
+    np.testing.assert_allclose(one, other, atol=2e-7)  # lines of sight from the camera, the origin
+
+
+@pytest.mark.parametrize("value", ["0", "-420.0", "nan", "inf", '"far"', "true", "[420]"])
+def test_a_distance_that_is_none_is_refused_in_one_line(tmp_path, value):
+    table = write_near_card(tmp_path / "card") / "capture.toml"
+    table.write_text(table.read_text().replace("card_distance = 420.0", f"card_distance = {value}"))
+    with pytest.raises(InputError, match=r"capture.toml: card_distance must be a number above 0, as in card_d[^\n]*$"):
+        read_draft(table)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_capture_made_in_python_has_a_distance_above_0_or_none(value):
+    with pytest.raises(InputError, match="give a length above 0"):
+        near_card(card_distance=value)
+
+
+def test_the_distance_comes_back_with_a_written_capture_and_stays_in_a_calibrated_table(tmp_path):
+    folder = write_near_card(tmp_path / "card")
+    assert read_capture(folder).card_distance == DISTANCE
+    draft = read_draft(folder)
+    (tmp_path / "new.toml").write_text(calibrated_table(draft, {}, {0: Light((0.0, 0.0, 1.0))}, tmp_path))
+    assert read_draft(tmp_path / "new.toml").card_distance == DISTANCE
+
+
+def test_inspect_says_how_large_the_card_is_and_that_its_distance_is_missing(tmp_path):
+    folder = write_near_card(tmp_path / "card")
+    report = inspect_capture(folder, asked=())
+    assert dict(report.facts)["card"] == "420 from its camera, 225.1 × 150.1" and not report.findings
+    unknown = write_near_card(tmp_path / "unknown", card_distance=None)
+    assert codes(unknown) == {"card_distance"} and codes(unknown, card_distance=DISTANCE) == set()
+
+
+def test_inspect_tells_of_a_distance_and_lamps_in_different_units(tmp_path):
+    folder = write_near_card(tmp_path / "card")
+    assert codes(folder, card_distance=0.42) == {"light_behind", "light_far"}
+    assert "lights_narrow" in inspect_capture(folder, card_distance=420_000.0).codes
+
+
+@pytest.mark.parametrize(("turn", "code"), [((1, 1, 1), set()), ((1, -1, 1), {"mirrored"})])
+def test_inspect_tells_of_lamps_whose_y_counts_downward(tmp_path, turn, code):
+    y, x = np.mgrid[:64, :96] / 8.0
+    q, p = np.gradient(3 * np.sin(0.7 * (x + y)) + 2 * np.sin(x - 0.4 * y))
+    normal = np.stack([-p, -q, np.ones_like(p)], axis=-1)
+    values = {"normal": normal / np.linalg.norm(normal, axis=-1, keepdims=True), "base_color": np.full(3, 0.5)}
+    capture, _ = near_card(values=values)
+    lights = [replace(o.light, vector=tuple(np.multiply(o.light.vector, turn))) for o in capture.observations]
+    shots = tuple(replace(o, light=light) for o, light in zip(capture.observations, lights, strict=True))
+    write_capture(replace(capture, observations=shots), tmp_path / "card")
+    assert codes(tmp_path / "card") == code
+
+
+def test_inspect_tells_of_strengths_that_are_not_those_at_distance_1(tmp_path):
+    capture, _ = near_card()
+    weak = tuple(replace(o, light=replace(o.light, intensity=(1.4,) * 3)) for o in capture.observations)
+    write_capture(replace(capture, observations=weak), tmp_path / "card")
+    (finding,) = inspect_capture(tmp_path / "card", asked=()).findings
+    assert finding.code == "light_strength" and "distance squared" in finding.message
+
+
+def test_inspect_tells_of_a_camera_that_says_no_width_though_lamps_have_places(tmp_path):
+    table = write_near_card(tmp_path / "card", camera=WIDE) / "capture.toml"
+    assert "lens" not in codes(tmp_path / "card")
+    kept = [line for line in table.read_text().splitlines() if not line.startswith(("orthographic", "world_width"))]
+    table.write_text("\n".join(kept))
+    assert "lens" in codes(tmp_path / "card")
+
+
+@pytest.mark.parametrize(("focal", "odd"), [(50.0, True), (2000.0, False), (6000 / 36 * 50, False), (8e5, True)])
+def test_a_focal_length_in_millimetres_looks_like_no_lens(focal, odd):
+    assert [code for code, _ in lens_problems(Camera(6000, 4000, (focal, focal), (3000, 2000)))] == ["lens"] * odd
+
+
+@pytest.mark.parametrize(("scale", "odd"), [(1.0, False), (1000.0, True), (0.001, True)])
+def test_lamps_and_cameras_in_different_units_are_told_of(scale, odd):
+    capture, _ = near_card()
+    aside = np.array([[0, 0, 1, DISTANCE], [0, 1, 0, 0], [-1, 0, 0, -DISTANCE], [0, 0, 0, 1.0]])
+    cameras = []
+    for matrix in (np.eye(4), aside):  # both look at (0, 0, −420)
+        matrix = matrix.copy()
+        matrix[:3, 3] *= scale
+        cameras.append(replace(capture.cameras[0], matrix=matrix))
+    moved = replace(capture, cameras=tuple(cameras))
+    assert [code for code, _ in camera_problems(moved)] == ["light_unit"] * odd
+
+
+def test_ranks_do_not_agree_on_captures_with_other_distances_or_lenses():
+    capture, _ = near_card()
+    longer = replace(capture.cameras[0], scale=(99.0, 99.0))
+    others = [capture, replace(capture, card_distance=421.0), replace(capture, cameras=(longer,))]
+    assert len({_digest_of_capture(one) for one in others}) == 3
+
+
+def test_a_checkpoint_of_another_distance_is_refused_in_words(tmp_path):
+    model, schedule = load_model("lambert"), load_schedule("standard")
+    near, far = (
+        checkpoint.identity(domain_from_card(near_card(card_distance=d)[0]), model, schedule, 0, "fragment")
+        for d in (DISTANCE, 421.0)
+    )
+    checkpoint.write(tmp_path / "run", near, checkpoint.Checkpoint(0, 0, 0, {}))
+    with pytest.raises(CheckpointError, match="geometry differs .*distance of the card.*; start without --resume"):
+        checkpoint.read(tmp_path / "run", far)
+
+
+# ---- lights from balls
+
+
+BALLS = [((-30.0, 0.0, -410.0), 10.0), ((30.0, 5.0, -410.0), 10.0)]  # millimetres: they lie on a card at 420
+LAMPS = [(100.0, 80.0, -260.0), (-90.0, 60.0, -250.0), (20.0, -110.0, -270.0), (0.0, 40.0, -200.0)]
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    """A folder of photographs of two matte balls under near lamps, and the numbers that say where the balls are."""
+    folder, camera = tmp_path_factory.mktemp("balls"), Camera.from_fov(240, 160, 20.0)
+    for k, lamp in enumerate(LAMPS):
+        image = matte_image(camera, BALLS, lamp, False, albedo=(2e4,) * 3)
+        write_exr(folder / f"{k}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
+    asked = []
+    for centre, radius in BALLS:
+        (x, y), _ = camera.project(np.array(centre))
+        asked.append(ball_of_text(f"{x},{160 - y},{radius * camera.scale[0] / 410}"))
+    return folder, asked
+
+
+def calibrated(balls, draft, radius=None, **asked):
+    return run_steps(calibrate_steps(draft, balls[1], Request("matte", "near", **asked), radius=radius))
+
+
+def test_calibration_tells_how_far_a_card_is_that_the_balls_lie_on(balls):
+    draft = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    found = calibrated(balls, draft, radius=10.0)
+    assert found.card_distance == pytest.approx(DISTANCE, rel=0.01)
+    assert report_of(found)["card_distance"] == pytest.approx(found.card_distance)
+
+
+def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
+    seen = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    with pytest.raises(InputError, match="--distance: is in the unit of --radius; give that too"):
+        calibrated(balls, seen, distance=160.0)
+    with pytest.raises(InputError, match="nothing says its unit; give --fov and --radius"):
+        calibrated(balls, read_photographs(balls[0]), distance=160.0)
+
+
+def test_places_in_radii_do_not_go_into_a_capture_with_lengths_of_its_own(balls):
+    draft = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    with pytest.raises(InputError, match="has card_distance, in a unit .*; give --radius in it, or --lights distant"):
+        calibrated(balls, replace(draft, card_distance=DISTANCE))
+    calibrated(balls, replace(draft, card_distance=DISTANCE), radius=10.0)
+
+
+def test_the_width_that_places_of_lamps_are_counted_in_is_written(balls, tmp_path):
+    table = tmp_path / "capture.toml"
+    table.write_text(written_table(calibrated(balls, read_photographs(balls[0])), tmp_path, {}))
+    assert "world_width = 2" in table.read_text() and read_draft(table).views[0].lens

@@ -1,0 +1,149 @@
+"""Exposure tags, and raw files of cameras: with rawpy itself, with a stand-in, and without it."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture import CaptureError, read_capture
+from irpso_addon.capture.images.exif import Exposure, exposure_of
+from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_size
+from tests.builders.captures import LIGHTS, chunk, write_png
+from tests.builders.exif import bayer, dng, exif, with_exif
+
+Y, X = np.mgrid[:40, :60]
+SCENE = np.stack([0.2 + 0.5 * X / 60, 0.3 + 0.3 * Y / 40, 0.4 + 0 * X], axis=-1)  # top row first
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_the_exposure_is_read_from_hand_made_bytes(order, tmp_path):
+    block = exif((1, 60), (56, 10), 200, order)
+    expected = Exposure(1 / 60, 5.6, 200.0)
+    assert exposure_of(with_exif(b"\xff\xd8\xff\xda", block)) == expected
+    assert exposure_of(block) == expected  # as a TIFF file has it
+    write_png(tmp_path / "a.png", np.zeros((2, 2, 3), int), extra=chunk(b"eXIf", block))
+    assert exposure_of((tmp_path / "a.png").read_bytes()) == expected
+    assert expected.amount == pytest.approx(1 / 60 * 2 / 5.6**2)
+
+
+def test_an_exposure_without_aperture_and_iso_counts_its_time_alone():
+    assert exposure_of(exif((2, 1))).amount == 2.0
+
+
+@pytest.mark.parametrize("block", [exif(), exif((1, 0)), exif((0, 1)), exif((1, 60))[:30], b"", b"\xff\xd8\xff\xe1\0"])
+def test_damaged_or_missing_exposures_are_none(block):
+    assert exposure_of(block) is None
+    assert exposure_of(with_exif(b"\xff\xd8\xff\xda", block)) is None
+
+
+def test_without_rawpy_a_raw_file_is_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    path = tmp_path / "a.NEF"
+    path.write_bytes(dng(np.zeros((4, 4), int)))
+    assert is_raw(path)
+    for read in (raw_size, decode_raw):
+        with pytest.raises(
+            CaptureError, match=r"a\.NEF: .*raw file, which needs rawpy: .*-m pip install rawpy"
+        ) as error:
+            read(path)
+        assert error.value.code == "no_decoder"
+
+
+class _File:
+    """What rawpy gives of a 3 × 2 photograph whose camera was turned: flip 6 is a quarter turn clockwise."""
+
+    sizes = types.SimpleNamespace(iwidth=12, iheight=8, flip=6)
+    camera_white_level_per_channel = None
+    white_level, black_level_per_channel = 1000, [100] * 4
+    raw_image_visible = np.full((8, 12), 300)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *what):
+        pass
+
+    def postprocess(self, **how):
+        self.how.update(how)
+        return np.full((12, 8, 3), 13107, np.uint16)
+
+
+@pytest.fixture
+def rawpy_stub(monkeypatch):
+    _File.how = {}
+    module = types.ModuleType("rawpy")
+    module.imread = lambda path: _File()
+    module.LibRawError = type("LibRawError", (Exception,), {})
+    module.ColorSpace = types.SimpleNamespace(sRGB="Rec. 709")
+    monkeypatch.setitem(sys.modules, "rawpy", module)
+    return module
+
+
+def test_a_raw_file_is_developed_without_curve_or_brightening(tmp_path, rawpy_stub):
+    (tmp_path / "a.dng").write_bytes(b"raw")
+    picture = decode_raw(tmp_path / "a.dng")
+    assert (picture.values.shape, picture.bits) == ((12, 8, 4), 16)
+    np.testing.assert_allclose(picture.values[..., :3], 0.2)
+    assert raw_size(tmp_path / "a.dng") == (8, 12)
+    how = _File.how
+    assert how["gamma"] == (1, 1) and how["no_auto_bright"] and how["adjust_maximum_thr"] == 0
+    assert (how["output_bps"], how["output_color"], how["use_camera_wb"]) == (16, "Rec. 709", True)
+    decode_raw(tmp_path / "a.dng", camera_white=False)
+    assert _File.how["user_wb"] == [1, 1, 1, 1]
+
+
+def test_a_full_photosite_has_weight_0_where_it_stands_upright(tmp_path, rawpy_stub, monkeypatch):
+    (tmp_path / "a.dng").write_bytes(b"raw")
+    sensor = np.full((8, 12), 300)
+    sensor[1, 2] = 1000
+    monkeypatch.setattr(_File, "raw_image_visible", sensor)
+    weight = decode_raw(tmp_path / "a.dng").values[::-1, :, 3]
+    # Turned clockwise, row 1 of 8 becomes column 6, column 2 becomes row 2; demosaicing spreads it by 2 pixels.
+    expected = np.ones((12, 8))
+    expected[0:5, 4:8] = 0
+    np.testing.assert_array_equal(weight, expected)
+
+
+def test_a_capture_of_raw_files_needs_no_other_decoder(tmp_path, rawpy_stub):
+    for k in range(len(LIGHTS)):
+        (tmp_path / f"{k}.dng").write_bytes(b"raw")
+    (tmp_path / "filenames.txt").write_text("".join(f"{k}.dng\n" for k in range(len(LIGHTS))))
+    np.savetxt(tmp_path / "light_directions.txt", LIGHTS)
+    capture = read_capture(tmp_path)
+    np.testing.assert_allclose(capture.observations[0].read(), [0.2, 0.2, 0.2, 1] * np.ones((12, 8, 4)))
+
+
+# What follows runs where rawpy is installed: LibRaw itself reads files that were written byte by byte.
+
+
+def test_libraw_gives_back_what_the_mosaic_was_made_of(tmp_path):
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    path, neutral = tmp_path / "a.dng", np.array([0.5, 1.0, 0.7])
+    for scale in (0.5, 0.85, 1.3):  # LibRaw's own guess of white would change from one to the next
+        codes = np.rint(1024 + bayer(scale * SCENE * neutral) * (15000 - 1024)).astype(int)
+        path.write_bytes(dng(codes, 1024, 15000, neutral, seconds=(1, 30)))
+        found = decode_raw(path)
+        np.testing.assert_allclose(found.values[::-1][4:-4, 4:-4, :3], scale * SCENE[4:-4, 4:-4], atol=2e-3)
+        assert (found.values[..., 3] == 1).all()
+    assert exposure_of(path.read_bytes()).seconds == pytest.approx(1 / 30)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_libraw_turns_pictures_and_clipped_places_alike(tmp_path, orientation):
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    scene = SCENE.copy()
+    scene[5:8, 40:44] = 2
+    path = tmp_path / "a.dng"
+    path.write_bytes(dng(np.rint(np.minimum(bayer(scene), 1) * 60000).astype(int), 0, 60000, orientation=orientation))
+    found = decode_raw(path).values
+    assert raw_size(path) == (found.shape[1], found.shape[0]) == ((60, 40) if orientation < 5 else (40, 60))
+    bright, bad = (found[..., :3] > 0.99).all(axis=-1), found[..., 3] == 0
+    assert bright.any() and not (bright & ~bad).any() and bad.sum() == (3 + 4) * (4 + 4)
+
+
+def test_libraw_refuses_a_cut_file_by_name(tmp_path):
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    (tmp_path / "a.dng").write_bytes(dng(np.zeros((40, 60), int))[:300])
+    with pytest.raises(CaptureError, match=r"a\.dng: LibRaw cannot read it"):
+        decode_raw(tmp_path / "a.dng")

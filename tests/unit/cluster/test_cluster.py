@@ -1,0 +1,226 @@
+"""The pieces of runs over ranks that need no other process: cuts, meetings, shared samples, devices, agreement."""
+
+import sys
+from argparse import Namespace
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from irpso_addon.cluster import agreement as job
+from irpso_addon.cluster.partition import check_fits, check_gathered, split
+from irpso_addon.cluster.samples import SharedStack
+from irpso_addon.cluster.transport import Agreed, Ranks, joined
+from irpso_addon.cluster.worker import around
+from irpso_addon.core.errors import GpuUnavailableError, InputError
+from irpso_addon.geometry.domain import subset
+from irpso_addon.geometry.tiles import tile
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.halo import meeting, place_of
+from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.memory import Memory
+from irpso_addon.solver.settings.schedule import load_schedule
+from tests.builders.domains import make_domain
+
+NEED = recovery_need(load_model("lambert"), load_schedule("swarm"), (), 12)
+
+
+class Told(Ranks):
+    """A rank that hears what a test has the others say."""
+
+    def __init__(self, others, rank=0, size=2):
+        super().__init__()
+        self._others, self.rank, self.size, self.locals = others, rank, size, size
+
+    def all(self, value):
+        return [value, *self._others]
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3, 7, 64])
+def test_boxes_hold_every_covered_texel_once_and_about_as_many_each(ranks):
+    rows, columns = np.mgrid[:97, :131]
+    coverage = (rows - 40) ** 2 + (columns - 70) ** 2 < 38**2
+    found = split(coverage, NEED, ranks)
+    count = np.zeros(coverage.shape, int)
+    for box in found.boxes:
+        x0, y0, width, height = box
+        count[y0 : y0 + height, x0 : x0 + width] += 1
+    assert (count[coverage] == 1).all() and count.max() == 1
+    texels = [tile.texels for tile in found.tiles]
+    assert len(texels) == ranks and sum(texels) == coverage.sum()
+    assert max(texels) <= 1.5 * coverage.sum() / ranks
+
+
+def test_ranks_that_a_small_domain_has_no_texels_for_have_no_box():
+    found = split(np.ones((5, 7), bool), NEED, 4)
+    assert found.boxes == ((0, 0, 7, 5), None, None, None)
+    with pytest.raises(InputError, match="no texel is covered"):
+        split(np.zeros((5, 7), bool), NEED, 4)
+
+
+def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
+    found = split(np.ones((256, 256), bool), NEED, 2)
+    size = found.tiles[0].device
+    check_fits(found, Told([]), Memory(2 * size, 1 << 30), sharing=2)
+    check_fits(found, Told([]), Memory(size, 1 << 30), sharing=1)
+    with pytest.raises(InputError, match="start more ranks on more machines"):
+        check_fits(found, Told([]), Memory(2 * size - 2, 1 << 30), sharing=2)
+
+
+def test_a_checkpoint_that_rank_0_has_no_room_for_is_refused_before_it_is_gathered():
+    found = split(np.ones((256, 256), bool), NEED, 2)
+    state = 256 * 256 * NEED.kept
+    check_gathered(found, Memory(1, state))
+    with pytest.raises(InputError, match="--checkpoint-every: a checkpoint takes"):
+        check_gathered(found, Memory(1, state - 1))
+
+
+@pytest.mark.parametrize("reach", [1, 3, 4])
+def test_as_much_of_a_halo_is_told_as_is_read(reach):
+    domain = make_domain(13, 17, holes=False)
+    boxes = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 8)]
+    places = [place_of(box, tile(domain, *box, halo=4)) for box in boxes]
+    numbers = np.arange(13 * 17).reshape(13, 17)
+    for reader, (x0, y0, width, height) in enumerate(boxes):
+        wanted = np.zeros((13, 17), bool)
+        wanted[max(0, y0 - reach) : y0 + height + reach, max(0, x0 - reach) : x0 + width + reach] = True
+        wanted[y0 : y0 + height, x0 : x0 + width] = False
+        heard = set()
+        for other, box in enumerate(boxes):
+            found = None if other == reader else meeting(places[other], places[reader], reader, reach)
+            if found is None:
+                continue
+            theirs = numbers[window(domain, box)][found.here]
+            np.testing.assert_array_equal(theirs, numbers[window(domain, boxes[reader])][found.there])
+            assert not heard & set(theirs.ravel().tolist())
+            heard |= set(theirs.ravel().tolist())
+        assert heard == set(numbers[wanted].tolist())
+
+
+def window(domain, box):
+    x0, y0, width, height = around(domain.shape, box, 4)
+    return slice(y0, y0 + height), slice(x0, x0 + width)
+
+
+def test_samples_that_lie_with_others_read_like_an_array():
+    domain = make_domain(6, 5, observations=7, holes=False)
+    stack, asked = domain.stack, []
+
+    def ask(name, *arguments):
+        asked.append(name)
+        if name == "layer":
+            return stack[arguments[0]]
+        if name == "lit":
+            return replace(domain, stack=stack[arguments[0]]).solvable
+        observations, rows, columns = arguments
+        return stack[observations][:, rows, columns]
+
+    shared = SharedStack(ask, range(7), (6, 5))
+    rows, columns = np.array([0, 5, 2]), np.array([4, 0, 2])
+    assert shared.shape == stack.shape and len(shared) == 7
+    np.testing.assert_array_equal(shared[3, ..., :3], stack[3, ..., :3])
+    np.testing.assert_array_equal(shared[3, ..., 3], stack[3, ..., 3])
+    assert asked == ["layer"]  # once for both
+    np.testing.assert_array_equal(shared[:, rows, columns], stack[:, rows, columns])
+    np.testing.assert_array_equal(np.stack(list(shared[[6, 1]])), stack[[6, 1]])
+    np.testing.assert_array_equal(shared[:2][1], stack[1])
+    whole = replace(domain, stack=shared)
+    part = tile(subset(whole, [2, 5]), 1, 2, 3, 4)
+    np.testing.assert_array_equal(part.stack[1], stack[5, 2:6, 1:4])
+    wanted = tile(subset(domain, [2, 5]), 1, 2, 3, 4).solvable
+    np.testing.assert_array_equal(part.solvable, wanted)
+    some = np.array([1, 0]), np.array([2, 1])
+    np.testing.assert_array_equal(part.stack[:, *some], stack[[2, 5]][:, some[0] + 2, some[1] + 1])
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "threads"),
+    [({0, 1}, [{0, 1}], 1), ({0}, [{1}], 1), (set(range(8)), [set(range(8, 16))], 8), (set(range(16)), [], 16)],
+    ids=["unbound", "bound to a core", "bound to eight", "alone on its machine"],
+)
+def test_llvmpipe_has_as_many_threads_as_a_rank_has_cores(own, others, threads, monkeypatch):
+    monkeypatch.setattr(job, "_cores", lambda: own)
+    monkeypatch.setenv("LP_NUM_THREADS", "")  # so that it is as before afterwards
+    monkeypatch.delenv("LP_NUM_THREADS")
+    ranks = Told([])
+    ranks._others = [(ranks.host, sorted(cores)) for cores in others] + [("elsewhere", [0, 1, 2, 3])]
+    job.choose_device(ranks)
+    assert job.os.environ["LP_NUM_THREADS"] == str(threads)
+    monkeypatch.setenv("LP_NUM_THREADS", "5")
+    job.choose_device(ranks)
+    assert job.os.environ["LP_NUM_THREADS"] == "5"
+
+
+def test_ranks_on_one_machine_take_its_gpus_in_turn(monkeypatch, tmp_path):
+    for name in ("pci-0000:41:00.0-render", "pci-0000:01:00.0-render", "pci-0000:01:00.0-card"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(job, "_NODES", tmp_path)
+    monkeypatch.setenv("LP_NUM_THREADS", "1")
+    chosen = []
+    for local in range(3):
+        monkeypatch.setenv("DRI_PRIME", "")
+        monkeypatch.delenv("DRI_PRIME")
+        ranks = Told([], size=3)
+        ranks.local = local
+        ranks._others = [(ranks.host, "pci-0000_01_00_0"), ("elsewhere", "pci-0000_41_00_0")]
+        sharing = job.choose_device(ranks)
+        chosen.append((job.os.environ["DRI_PRIME"], sharing))
+    assert chosen == [("pci-0000_01_00_0", 2), ("pci-0000_41_00_0", 1), ("pci-0000_01_00_0", 2)]
+
+
+def test_what_fails_on_another_rank_fails_here_with_its_name_and_kind():
+    with pytest.raises(Agreed) as raised:
+        Told([(GpuUnavailableError, "no GPU context", "rank 1 on node7")]).agreed(lambda: 3)
+    assert isinstance(raised.value.error, GpuUnavailableError) and raised.value.error.exit_code == 3
+    assert str(raised.value.error) == "rank 1 on node7: no GPU context"
+    assert Told([None]).agreed(lambda: 3) == 3
+
+
+def test_what_fails_everywhere_alike_is_said_as_one_process_would():
+    def fail():
+        raise InputError("capture.toml: no such file")
+
+    with pytest.raises(Agreed) as raised:
+        Told([(InputError, "capture.toml: no such file", "rank 1 on node7")]).agreed(fail)
+    assert str(raised.value.error) == "capture.toml: no such file"
+
+
+@pytest.mark.parametrize("name", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])
+def test_processes_that_mpi4py_is_missing_for_are_refused_rather_than_each_doing_all(name, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    monkeypatch.setenv(name, "1")
+    assert joined() is None
+    monkeypatch.setenv(name, "4")
+    with pytest.raises(InputError, match="4 processes were started together, but Python's mpi4py does not load"):
+        joined()
+
+
+def test_ranks_that_would_read_another_capture_or_hear_other_options_are_named(monkeypatch):
+    told = {"program": ("version 1", "a"), "options": ("9 of them", "x")}
+    monkeypatch.setattr(job, "_about", lambda options, capture: told)
+    for other, words in (({**told, "options": ("9 of them", "y")}, "options of rank 1"), (told, "")):
+        ranks = Told([("rank 1 on b", other)])
+        monkeypatch.setattr(ranks, "agreed", lambda work: work())
+        if words:
+            with pytest.raises(InputError, match=words):
+                job.check_alike(ranks, Namespace(), None)
+        else:
+            job.check_alike(ranks, Namespace(), None)
+
+
+def test_what_is_sent_is_counted_message_by_message(monkeypatch):
+    monkeypatch.setattr("irpso_addon.cluster.transport._LARGEST", 40)
+    here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
+    sent = []
+    world = SimpleNamespace(
+        **vars(here), Split_type=lambda kind: here, Irecv=lambda part, source, tag: None,
+        Isend=lambda part, dest, tag: sent.append((dest, bytes(part))),
+    )  # fmt: skip
+    mpi = SimpleNamespace(COMM_TYPE_SHARED=0, Request=SimpleNamespace(Waitall=lambda requests: None))
+    ranks = Ranks(mpi, world)
+    told = {1: np.arange(25, dtype=np.float32), 2: np.zeros((2, 3), np.float32)}
+    assert ranks.exchanged(told, {1: (4, 2)})[1].shape == (4, 2)
+    ranks.exchanged({1: np.zeros(1, np.float32)}, {})
+    assert [(rank, len(part)) for rank, part in sent] == [(1, 40), (1, 40), (1, 20), (2, 24), (1, 4)]
+    assert b"".join(part for rank, part in sent[:3]) == told[1].tobytes() and ranks.sent == (5, 128)

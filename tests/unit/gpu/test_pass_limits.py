@@ -1,0 +1,109 @@
+"""What every pass binds, against what GPUs have: 16 textures to read, 8 images to write, 6 colour attachments."""
+
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from irpso_addon.core.errors import InputError
+from irpso_addon.gpu import context
+from irpso_addon.gpu.library import read_source
+from irpso_addon.gpu.passes import Pass
+from irpso_addon.reflectance.model import load_model, shipped_models
+from irpso_addon.solver.engine.alternatives import Alternatives
+from irpso_addon.solver.engine.confidence import Confidence
+from irpso_addon.solver.kernels import kernels
+from irpso_addon.solver.kernels import refinement as polish_kernels
+from irpso_addon.solver.kernels import spatial_prior as prior_kernels
+from irpso_addon.solver.kernels import synchronous_swarm as generation_kernels
+from irpso_addon.solver.kernels.encoding import build_codec
+from irpso_addon.solver.kernels.linear_weights import linear_weights
+from irpso_addon.solver.phases import prefit as survey
+from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.settings.resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve, survey_model
+from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.views import display
+
+SAMPLERS, IMAGES = 16, 8
+OWN = Path(__file__).resolve().parents[2] / "gpu" / "models"
+MODELS = [*shipped_models(), *sorted(str(path) for path in OWN.glob("*.toml"))]
+VARIANTS = {
+    "as shipped": {},
+    "all at once, searched": {"update": "all", "linear": "search", "particles": 16, "particles_per_dimension": 0.0},
+    "all at once, solved": {"update": "all", "linear": "solve", "particles": 16, "particles_per_dimension": 0.0},
+}
+TOO_MANY_TO_SEARCH = ("anisotropic", "clear_coat")  # where base colour and normal are searched with all the rest
+ONE_STAGE = ("constriction", "swarm")  # presets that do so: no survey finds normals before
+DOMAIN = {"SEAMS": 16}  # a mesh under near lights: nothing is left out
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """The kernels of all passes that are made meanwhile; nothing is compiled, so that no GPU is needed."""
+    kernels_made = []
+
+    def note(self, kernel, entry="fragment"):
+        kernels_made.append(kernel)
+
+    monkeypatch.setattr(Pass, "__init__", note)
+    monkeypatch.setattr(context, "ensure", lambda: None)
+    return kernels_made
+
+
+def make_passes(resolved, model, schedule):
+    """Make the passes of one phase."""
+    if isinstance(resolved, ResolvedPolish):
+        polish_kernels.build_polish_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedPrior):
+        prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedSurvey):
+        for part in (resolved.stage, resolved.polish):
+            make_passes(part, survey_model(), schedule)
+        survey._adopt_pass(model, DOMAIN)
+        survey._measure_pass(survey_model(), schedule, DOMAIN)
+        survey._judge_pass(model, schedule, DOMAIN)
+    else:
+        codec = build_codec(model, resolved, schedule.swarm.normal)
+        particles = particle_count(schedule, codec.dimensions)
+        if schedule.swarm.update == "all":
+            linear = linear_weights(model, resolved.solved)
+            generation_kernels.build_generation_passes(
+                model, codec, linear, schedule, particles, 4, DOMAIN, "fragment"
+            )  # fmt: skip
+        else:
+            kernels.build_stage_passes(model, codec, schedule, particles, 4, DOMAIN, "fragment")
+
+
+@cache
+def named_in(source, given):
+    return set(re.findall(r"\bu_\w+", read_source(source, dict(given))))
+
+
+def samplers_of(kernel):
+    """Return the samplers that a kernel declares: those of its table that its source names."""
+    return sorted(named_in(kernel.source, frozenset(kernel.given.items())) & set(kernel.samplers))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", MODELS, ids=lambda name: Path(name).stem)
+def test_no_pass_of_any_model_and_preset_asks_for_more_than_every_gpu_has(made, name, variant):
+    model = load_model(name)
+    for preset in shipped_presets():
+        schedule = load_schedule(preset).replaced(**VARIANTS[variant])
+        if schedule.swarm.linear == "search" and preset in ONE_STAGE and model.name in TOO_MANY_TO_SEARCH:
+            with pytest.raises(InputError, match='9 dimensions together.*linear = "solve"'):
+                resolve(schedule, model, set(), observations=24)
+            continue
+        for resolved in resolve(schedule, model, set(), observations=24):
+            make_passes(resolved, model, schedule)
+        Confidence(model, (), schedule.fitness, DOMAIN)
+        Alternatives(model, (), schedule.fitness, DOMAIN)
+    for make in (kernels.residual_pass, kernels.sampled_residual_pass, kernels.render_pass):
+        make(model, DOMAIN)
+    for kind in ("parameter", "error", "render", "reference", "confidence"):
+        display._picture_pass(model, kind, DOMAIN)
+    assert len(made) > 30
+    for kernel in made:
+        assert len(samplers_of(kernel)) <= SAMPLERS, (kernel.source, samplers_of(kernel))
+        assert len(kernel.outputs) <= min(IMAGES, 6), kernel.source

@@ -1,0 +1,155 @@
+"""The zip that Blender installs: what is in it, what is not, and that Blender's own tool accepts it."""
+
+import importlib
+import importlib.util
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("bpy") is None, reason="Blender's extension tool comes with the bpy wheel, which is absent"
+)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("package")
+    command = [sys.executable, ROOT / "scripts" / "extension.py", folder, "--without-wheels"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return Path(result.stdout.strip())
+
+
+@pytest.fixture(scope="module")
+def names(package) -> set[str]:
+    with zipfile.ZipFile(package) as archive:
+        return {name for name in archive.namelist() if not name.endswith("/")}
+
+
+def files_below(*folders: str) -> set[str]:
+    """Return the source files below some folders of the repository, as names in a zip."""
+    paths = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
+    return {path.relative_to(ROOT).as_posix() for path in paths if "__pycache__" not in path.parts}
+
+
+def test_the_zip_is_named_after_the_manifest(package):
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
+    assert package.name == f"{manifest['id']}-{manifest['version']}.zip"
+
+
+def test_the_zip_holds_the_whole_program(names):
+    wanted = files_below("irpso_addon", "shaders", "presets") | {"__init__.py", "blender_manifest.toml", "LICENSE"}
+    assert wanted - names == set()
+
+
+def test_the_zip_holds_nothing_else(names):
+    allowed = files_below("irpso_addon", "shaders", "presets")
+    assert names - allowed <= {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md"}
+
+
+def test_a_file_that_lies_about_stays_out(names):
+    lying = {path.name for path in ROOT.iterdir()} - {"irpso_addon", "presets", "shaders"}
+    assert {name.split("/")[0] for name in names} & lying <= {
+        "__init__.py",
+        "blender_manifest.toml",
+        "LICENSE",
+        "README.md",
+    }
+
+
+def test_the_same_sources_give_the_same_bytes(package, tmp_path):
+    # Copies made in another order, at another time: neither may show.
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("LICENSE", "README.md", "__init__.py", "blender_manifest.toml"):
+        shutil.copyfile(ROOT / name, source / name)
+    for name in ("shaders", "presets", "irpso_addon", "scripts"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, source / name, copy_function=shutil.copyfile, ignore=ignored)
+    command = [sys.executable, source / "scripts" / "extension.py", tmp_path / "dist", "--without-wheels"]
+    again = Path(subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip())
+    assert again.read_bytes() == package.read_bytes()
+
+
+def test_every_permission_has_a_reason_that_fits(package):
+    with zipfile.ZipFile(package) as archive:
+        permissions = tomllib.loads(archive.read("blender_manifest.toml").decode())["permissions"]
+    assert set(permissions) == {"files", "clipboard"}
+    assert all(0 < len(reason) <= 64 and not reason.endswith(".") for reason in permissions.values())
+
+
+@pytest.fixture
+def wheels(tmp_path, monkeypatch):
+    """Wheels with a library of a few bytes for every system and Python but one, and pip out of reach."""
+    extension = importlib.import_module("extension")
+    cache = tmp_path / "cache"
+    monkeypatch.setattr(extension, "CACHE", cache)
+    for system, tags in extension.wheels.PLATFORMS.items():
+        for python in extension.wheels.PYTHONS:
+            folder = cache / extension.wheels.requirement() / f"{system}-{python}"
+            folder.mkdir(parents=True)
+            tag = f"cp{python.replace('.', '')}"
+            if (system, python) != ("macos-x64", "3.14"):
+                (folder / f"openexr-1-{tag}-{tag}-{tags[-1]}.whl").write_bytes(b"a wheel")
+    monkeypatch.setattr(extension.wheels, "make_symbolic", lambda wheel: wheel.write_bytes(b"made symbolic"))
+    none = subprocess.CompletedProcess([], 1, "", "ERROR: No matching distribution found for OpenEXR")
+    run = subprocess.run
+    pip = lambda command, **options: none if "download" in command else run(command, **options)  # noqa: E731
+    monkeypatch.setattr(extension.wheels.subprocess, "run", pip)
+    return extension
+
+
+def test_every_system_has_a_zip_with_its_own_wheels_alone(wheels, tmp_path):
+    built = wheels.build_all(tmp_path / "dist")
+    version = wheels.manifest()["version"]
+    assert {system: package.name for system, (package, _) in built.items()} == {
+        "linux-x64": f"irpso-{version}-linux_x64.zip",
+        "windows-x64": f"irpso-{version}-windows_x64.zip",
+        "macos-arm64": f"irpso-{version}-macos_arm64.zip",
+        "macos-x64": f"irpso-{version}-macos_x64.zip",
+    }
+    words = {"linux-x64": "manylinux", "windows-x64": "win_amd64", "macos-arm64": "_arm64", "macos-x64": "macosx"}
+    for system, (package, pythons) in built.items():
+        with zipfile.ZipFile(package) as archive:
+            held = [name for name in archive.namelist() if name.startswith("wheels/")]
+            told = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
+            contents = {archive.read(name) for name in held}
+        assert [name.split("-")[2] for name in held] == [f"cp{python.replace('.', '')}" for python in pythons]
+        assert all(words[system] in name for name in held)
+        assert told == {"platforms": [system], "wheels": [f"./{name}" for name in held]}
+        assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel"}
+
+
+def test_a_wheel_that_does_not_exist_is_said_not_missed(wheels, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["extension.py", str(tmp_path / "dist")])
+    wheels.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == f"no wheel of {wheels.wheels.requirement()} exists for macos-x64 with Python 3.14"
+    assert len(lines) == 5
+
+
+def test_a_network_that_is_down_is_not_taken_for_a_missing_wheel(wheels, tmp_path, monkeypatch):
+    said = "WARNING: Retrying (Retry(total=4)) after connection broken\nERROR: No matching distribution found"
+    failed = subprocess.CompletedProcess([], 1, "", said)
+    monkeypatch.setattr(wheels.wheels.subprocess, "run", lambda *_, **__: failed)
+    with pytest.raises(SystemExit, match="connection broken"):
+        wheels.wheels.download("linux-x64", "3.11", tmp_path / "empty")
+
+
+def test_an_unreadable_manifest_is_refused(tmp_path):
+    text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
+    (tmp_path / "blender_manifest.toml").write_text(text.replace('id = "irpso"', 'id = "ir pso"'), encoding="utf-8")
+    (tmp_path / "__init__.py").touch()
+    probe = "import sys, extension; extension.blender_extension('validate', sys.argv[1])"
+    command = [sys.executable, "-c", probe, tmp_path]
+    result = subprocess.run(command, cwd=ROOT / "scripts", capture_output=True, text=True)
+    assert result.returncode == 1
+    assert 'key "id" invalid' in result.stderr
