@@ -82,7 +82,7 @@ def exr_round_trip(package: str) -> dict:
     sent = np.arange(12, dtype=np.float32).reshape(3, 4) / 7
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "a.exr")
-        importlib.import_module(f"{package}.capture.exr").write_exr(path, {"image": {"Y": sent}})
+        importlib.import_module(f"{package}.capture.images.exr").write_exr(path, {"image": {"Y": sent}})
         with OpenEXR.File(path, separate_channels=True) as file:
             came = file.channels()["Y"].pixels[::-1]  # files have the top row first
     return {"exr": OpenEXR.__file__, "exr version": OpenEXR.__version__, "exr same": bool((came == sent).all())}
@@ -96,7 +96,7 @@ def try_zip(path: str) -> dict:
     if not enabled:
         raise RuntimeError("Blender did not enable the extension; see its output")
     name = f"{enabled[0]}.irpso_addon"
-    package, paths = importlib.import_module(name), importlib.import_module(f"{name}.paths")
+    package, paths = importlib.import_module(name), importlib.import_module(f"{name}.core.paths")
     brought = files(paths.ROOT)
     told = {
         "blender": bpy.app.version_string,
