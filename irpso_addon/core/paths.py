@@ -10,4 +10,5 @@ DEFAULT_MODEL = "metallic_roughness"  # in MODELS
 
 # Installed as an extension this module is bl_ext.REPOSITORY.irpso.irpso_addon.core.paths; Blender's own functions
 # (preferences, extension_path_user) want the part before irpso_addon.
-BASE_PACKAGE = __package__.rpartition(".")[0] or __package__
+_PACKAGE = __package__.removesuffix(".core")
+BASE_PACKAGE = _PACKAGE.rpartition(".")[0] or _PACKAGE
