@@ -11,7 +11,7 @@ _exit_status = pytest.StashKey[int]()
 
 
 def pytest_collection_modifyitems(config, items):
-    here = [item for item in items if item.path.parent == config.rootpath / "tests" / "gpu"]
+    here = [item for item in items if config.rootpath / "tests" / "gpu" in item.path.parents]
     modules = {item.path.name for item in here}
     if len(modules) > 1 and not config.option.collectonly:
         # A shared process was seen to invent failures: GPU objects and scenes of one module reach into the next.
