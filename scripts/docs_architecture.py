@@ -30,11 +30,15 @@ _WIDTH, _BOX, _GAP = 860, 46, 34  # pixels
 
 @dataclass(frozen=True)
 class Import:
-    """An imported module: absolute ("numpy.linalg") or of the program (".capture.read"). top: at module level."""
+    """An imported module: absolute ("numpy.linalg") or of the program (".capture.read"). top: at module level.
+
+    names: what is imported from it, which may be modules too.
+    """
 
     module: str
     top: bool
     line: int
+    names: tuple[str, ...] = ()
 
 
 def imports_of(source: str, package: tuple[str, ...]) -> list[Import]:
@@ -50,8 +54,11 @@ def imports_of(source: str, package: tuple[str, ...]) -> list[Import]:
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) + 1 - node.level] if node.level else ()
             prefix = "." if node.level else ""
-            names = [node.module] if node.module else [alias.name for alias in node.names]
-            found.extend(Import(prefix + ".".join((*base, name)), top, node.lineno) for name in names)
+            names = tuple(alias.name for alias in node.names)
+            if node.module:
+                found.append(Import(prefix + ".".join((*base, node.module)), top, node.lineno, names))
+            else:
+                found.extend(Import(prefix + ".".join((*base, name)), top, node.lineno) for name in names)
         inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
         typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for child in ast.iter_child_nodes(node):

@@ -102,9 +102,7 @@ def _chosen(capture: Capture) -> tuple[int, list[Observation]]:
 def _corners(mask: np.ndarray) -> np.ndarray:
     """Return (B, 2) rows and columns of the first pixels of blocks that lie inside a mask (H, W)."""
     height, width = mask.shape
-    if min(height, width) < _SIDE or not mask.any():
-        return np.zeros((0, 2), int)
-    inside = np.flatnonzero(mask[: height - _SIDE + 1, : width - _SIDE + 1])
+    inside = np.flatnonzero(mask[: max(height - _SIDE + 1, 0), : max(width - _SIDE + 1, 0)])
     if not len(inside):
         return np.zeros((0, 2), int)
     drawn = inside[np.random.default_rng(0).integers(len(inside), size=4 * _BLOCKS)]

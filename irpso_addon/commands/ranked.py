@@ -6,7 +6,6 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from dataclasses import fields
 
 from ..capture.inspect.damage import naming_remedy
 from ..cluster.agreement import check_alike, choose_device, going_down_together
@@ -146,8 +145,7 @@ def _share(
 
 def _without_texels(domain: Domain) -> Domain:
     """Return what all ranks have in common of a domain, to be sent to them: 0 × 0 texels."""
-    bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[:0, :0] for item in fields(GeometryBake)})
-    return laid_on(domain, bake, domain.stack[:, :0, :0])
+    return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), domain.stack[:, :0, :0])
 
 
 def _check_lit(member: Member, job: Job) -> None:

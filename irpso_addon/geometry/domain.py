@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -35,6 +35,10 @@ class GeometryBake:
         normal, tangent = self.normal[texels].astype(np.float64), self.tangent[texels].astype(np.float64)
         bitangent = tangent[..., 3:] * np.cross(normal, tangent[..., :3])
         return np.stack([tangent[..., :3], bitangent, normal], axis=-2)
+
+    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> GeometryBake:
+        """Return the geometry of other texels: what ``change`` makes of each array."""
+        return GeometryBake(**{item.name: change(getattr(self, item.name)) for item in fields(GeometryBake)})
 
 
 @dataclass(frozen=True)

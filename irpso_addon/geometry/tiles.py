@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
-from .domain import Domain, GeometryBake
+from .domain import Domain
 from .seams.seams import LOOKED_FOR, SeamMap
 
 
@@ -23,7 +23,7 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
     left, right = min(halo, x0), min(halo, columns - x0 - width)
     bottom, top = min(halo, y0), min(halo, rows - y0 - height)
     part = (slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right))
-    bake = GeometryBake(**{item.name: getattr(domain.bake, item.name)[part] for item in fields(GeometryBake)})
+    bake = domain.bake.each(lambda values: values[part])
     result = replace(
         domain,
         bake=bake,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...capture.bounds import without_bounds
-from ...geometry.domain import Domain, GeometryBake, laid_on
+from ...geometry.domain import Domain, laid_on
 from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
@@ -105,9 +105,7 @@ def _spread(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _gathered(domain: Domain, stack: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Domain:
     width = min(_WIDTH, max(len(rows), 1))
     shape = -(-max(len(rows), 1) // width), width
-    bake = GeometryBake(
-        **{item.name: _grid(getattr(domain.bake, item.name)[rows, columns], shape) for item in fields(GeometryBake)}
-    )
+    bake = domain.bake.each(lambda values: _grid(values[rows, columns], shape))
     layers = np.stack([_grid(layer, shape) for layer in stack])
     return laid_on(domain, bake, layers)
 

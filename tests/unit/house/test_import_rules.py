@@ -123,14 +123,11 @@ def module_imports() -> dict[str, set[str]]:
     names = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in modules()}
     found = {}
     for name, path in names.items():
-        source = path.read_text(encoding="utf-8")
         found[name] = set()
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.ImportFrom) and node.level:
-                base = path.relative_to(PACKAGE).parent.parts
-                base = (*base[: len(base) + 1 - node.level], *(node.module.split(".") if node.module else ()))
-                whole = {".".join((*base, alias.name)) for alias in node.names} | {".".join(base)}
-                found[name] |= whole & set(names)
+        for item in imports_of(path.read_text(encoding="utf-8"), path.relative_to(PACKAGE).parent.parts):
+            if item.module.startswith("."):
+                module = item.module[1:]
+                found[name] |= {module, *(f"{module}.{part}" for part in item.names)} & set(names)
     return found
 
 
