@@ -107,7 +107,7 @@ def chosen_entry(found: Mapping[str, Any]) -> Entry:
 def _run(entry: Entry) -> tuple[np.ndarray, float]:
     kernel = Kernel("common/probe.glsl", (Output("o_value"),), {}, {"u_rounds": "INT"}, {})
     work = Pass(kernel, entry)
-    copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
+    copy = Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
     target, result = textures.empty(_SIZE, _SIZE), textures.empty(_SIZE, _SIZE)
     times = []
     for _ in range(4):

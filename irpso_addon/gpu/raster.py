@@ -35,7 +35,7 @@ def rasterize(
         "u_tangent": corners["tangents"],
     }
     outputs = [f"out_{name}" for name in SURFACE]
-    shader = _shader("view/bake_surface.glsl", [(name, "VEC4") for name in outputs], list(samplers))
+    shader = _shader("bake/surface.glsl", [(name, "VEC4") for name in outputs], list(samplers))
     batch = _batch(_clip(places, width, height), np.arange(3 * len(places), dtype=np.int32))
     bound = {name: textures.upload(_rows(array)) for name, array in samplers.items()}
     targets = [textures.empty(width, height) for _ in outputs]
@@ -60,7 +60,7 @@ def _numbers(places: np.ndarray, width: int, height: int, first: bool, nearest: 
     if first:
         order, clip = order[::-1].copy(), clip.reshape(-1, 4)[::-1]
     target = textures.empty(width, height, "R32F")
-    shader = _shader("view/bake_triangle.glsl", [("out_triangle", "FLOAT")], [])
+    shader = _shader("bake/triangle.glsl", [("out_triangle", "FLOAT")], [])
     _draw(shader, _batch(clip, order), [target], nearest, {})
     return textures.download(target)[..., 0].astype(np.int32)
 
@@ -112,7 +112,7 @@ def _shader(source: str, outputs: list[tuple[str, str]], samplers: list[str]) ->
             made.fragment_out(slot, kind, name)
         return made
 
-    sources = {"vertex": read_source("view/bake_vertex.glsl"), "fragment": read_source(source)}
+    sources = {"vertex": read_source("bake/vertex.glsl"), "fragment": read_source(source)}
     return compile_shader(source, info, sources)
 
 

@@ -253,7 +253,7 @@ def _shader(
     smooth: bool = False,
     place: bool = False,
 ) -> Any:
-    """Compile view/NAME_vertex.glsl and view/NAME.glsl. between: from one to the other, flat unless smooth.
+    """Compile window/NAME_vertex.glsl and window/NAME.glsl. between: from one to the other, flat unless smooth.
 
     place: whether v_place, which is interpolated, comes on top.
     """
@@ -263,7 +263,7 @@ def _shader(
         made = gpu.types.GPUShaderCreateInfo()
         for slot, (attribute, kind) in enumerate(vertex.items()):
             made.vertex_in(slot, kind, attribute)
-        passed = gpu.types.GPUStageInterfaceInfo(f"view_{name}")
+        passed = gpu.types.GPUStageInterfaceInfo(f"window_{name}")
         for varying, kind in between.items():
             (passed.smooth if smooth else passed.flat)(kind, varying)
         if place:
@@ -277,8 +277,8 @@ def _shader(
         made.fragment_out(0, "VEC4", "o_color")
         return made
 
-    stages = {"vertex": read_source(f"view/{name}_vertex.glsl"), "fragment": read_source(f"view/{name}.glsl")}
-    return compile_shader(f"view/{name}.glsl", info, stages)
+    stages = {"vertex": read_source(f"window/{name}_vertex.glsl"), "fragment": read_source(f"window/{name}.glsl")}
+    return compile_shader(f"window/{name}.glsl", info, stages)
 
 
 def _draw(

@@ -4,7 +4,7 @@
 
 #include "common/estimate.glsl"
 #include "common/packing.glsl"
-#include "swarm/mean_error.glsl"
+#include "diagnostics/mean_error.glsl"
 
 bool texel_kernel(ivec2 place)
 {

@@ -25,7 +25,7 @@ def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", ent
     target = textures.empty(count, 1, "RGBA32F")
     one.run([target], {n: textures.upload(np.ascontiguousarray(a, np.float32)) for n, a in inputs.items()})
     if entry == "compute":
-        copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
+        copy = Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": "FLOAT_2D"}, {}, {}))
         copied = textures.empty(count, 1, "RGBA32F")
         copy.run([copied], {"u_source": target})
         target = copied

@@ -7,8 +7,8 @@ import numpy as np
 from tests.oracles import reflectance as oracles
 
 _STEP = 1e-6  # of a range
-_FARTHEST = 0.2  # as in shaders/swarm/polish.glsl
-_FLOOR = 0.01  # as in shaders/swarm/with_priors.glsl
+_FARTHEST = 0.2  # as in shaders/refine/step.glsl
+_FLOOR = 0.01  # as in shaders/fitness/with_priors.glsl
 
 
 class Texel:

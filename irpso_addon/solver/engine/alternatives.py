@@ -22,7 +22,7 @@ class Alternatives:
 
     Far in one number: by 0.3 of its range or more. The other searched numbers and the normal are held, the linear
     weights found anew. The measure is n log((F + ε) / (F₀ + ε)), F the fitness of the alternative, F₀ of the estimate,
-    ε the NOISE_FLOOR of shaders/swarm/with_priors.glsl, n the samples that are independent: profile likelihood (Venzon
+    ε the NOISE_FLOOR of fitness/with_priors.glsl, n the samples that are independent: profile likelihood (Venzon
     and Moolgavkar 1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values, between
     −9 and 9. Only searched numbers without a normal prior, which would choose between optima by itself, are looked at,
     and only with a robust loss: ε is in its units. Of one texel it tells little: a highlight that falls between the

@@ -110,7 +110,7 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
             [*slopes, "vec3 weighted = vec3(0.0);", *_products(channels)],
         ),
     ]
-    lines = ['#include "swarm/differences.glsl"', '#include "model.glsl"']
+    lines = ['#include "fitness/differences.glsl"', '#include "model.glsl"']
     for head, body in parts:
         lines += [head, "{", *(f"    {line}" for line in body), "};" if head.startswith("struct") else "}"]
     return "\n".join([*lines, ""])

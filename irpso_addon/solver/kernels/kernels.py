@@ -25,7 +25,7 @@ MOVE = {
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
     "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
-LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/swarm/loss.glsl
+LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/fitness/loss.glsl
 _WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/update.glsl
 
 
@@ -77,7 +77,7 @@ def build_stage_passes(
     verdict = {"u_verdict": FLOAT_2D}
 
     def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
-        kernel = Kernel(f"swarm/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
+        kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
     read = {**particle, "u_best_fitness": FLOAT_2D, **bests, **estimates, **OBSERVATIONS, **PACKING}
@@ -124,7 +124,7 @@ def fitness_defines(fitness: Fitness, loss: str = "") -> dict[str, str | int]:
 
 def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
     """Compile the pass that compares the render of the estimates with the references."""
-    return _model_pass(model, "swarm/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
+    return _model_pass(model, "diagnostics/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
 
 
 def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
@@ -133,7 +133,9 @@ def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int
     defines = {**domain_defines, **estimate_defines(model)}
     outputs = (Output("o_residual"),)
     includes = model_includes(model)
-    return Pass(Kernel("swarm/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes))
+    return Pass(
+        Kernel("diagnostics/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes)
+    )
 
 
 def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
@@ -147,7 +149,7 @@ def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, de
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
     given = {**model_includes(model), "unknowns.glsl": unknowns}
     defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
-    return Pass(Kernel("swarm/confidence.glsl", outputs, samplers, FITNESS, defines, given))
+    return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def alternatives_pass(
@@ -160,12 +162,12 @@ def alternatives_pass(
     defines = {
         **defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
     }  # fmt: skip
-    return Pass(Kernel("swarm/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
+    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def copy_pass() -> Pass:
     """Compile the pass that copies a texture, so that what a compute dispatch wrote can be read back."""
-    return Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
+    return Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
 
 
 def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:

@@ -13,7 +13,7 @@ MAX_WEIGHTS = 8  # two RGBA texels hold the linear weights of a swarm's best
 
 @dataclass(frozen=True)
 class LinearWeights:
-    """The parameters solved in closed form, and what shaders/swarm/linear.glsl needs of them.
+    """The parameters solved in closed form, and what shaders/fitness/linear.glsl needs of them.
 
     colors: of three components, each of which multiplies its own channel. numbers: of one. source: basis.glsl.
     """
@@ -86,7 +86,7 @@ def _source(model: ReflectanceModel, colors: Sequence[Parameter], numbers: Seque
                 pack.append(f"    x[{at + c}] = w.{kind}s[{i}]{part};")
                 unpack.append(f"    s.{p.name}{part} = x[{at + c}];")
     lines = [
-        '#include "material.glsl"', '#include "model.glsl"', '#include "swarm/linear_types.glsl"',
+        '#include "material.glsl"', '#include "model.glsl"', '#include "fitness/linear_types.glsl"',
         "void basis_at(Material s, vec3 l, vec3 v, out vec3 colors[COLOR_ROOM], out vec3 numbers[NUMBER_ROOM],",
         "              out vec3 rest) {", *bases, f"    rest = {' + '.join(rest) or 'vec3(0.0)'};", "}",
         "void linear_range(out vec2 color_range[COLOR_ROOM], out vec2 number_range[NUMBER_ROOM]) {", *ranges, "}",

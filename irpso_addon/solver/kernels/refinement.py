@@ -24,11 +24,11 @@ from .kernels import (
     model_includes,
 )
 
-NO_PENALTY = SHADERS / "swarm" / "no_penalty.glsl"
+NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings that are tried together
-SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/swarm/polish_spread.glsl, votes.glsl)
-_OFFERS = {True: 8, False: 4}  # OFFERS of shaders/swarm/polish_spread.glsl: twice four where something is searched
+SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/refine/spread.glsl, votes.glsl)
+_OFFERS = {True: 8, False: 4}  # OFFERS of shaders/refine/spread.glsl: twice four where something is searched
 
 
 @dataclass(frozen=True)
@@ -90,15 +90,15 @@ def build_polish_passes(
         **domain_defines, **unknowns.defines, **estimate_defines(model),
         **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
-    spread, materials = "polish_spread", {}
+    spread, materials = "refine/spread", {}
     if isinstance(resolved, ResolvedMaterials):
-        spread, materials = "materials_offer", {"u_materials": FLOAT_2D}
+        spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
     given = {
         **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
-        "materials.glsl": SHADERS / "swarm" / f"{'shared' if materials else 'no'}_materials.glsl",
+        "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
     }  # fmt: skip
     outputs = (*estimate_outputs(model), Output("o_status"))
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}
@@ -107,14 +107,14 @@ def build_polish_passes(
     voted = settings.votes > 0 and unknowns.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
-        return Pass(Kernel(f"swarm/{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
+        return Pass(Kernel(f"{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
 
     return PolishPasses(
-        begin=make("polish_begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
-        step=make("polish", OBSERVATIONS, STEP),
+        begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
+        step=make("refine/step", OBSERVATIONS, STEP),
         spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
-        keep=make("polish_keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
-        vote=make("polish_vote", {**work, "u_work_status": FLOAT_2D, **materials, **OBSERVATIONS, **PACKING}, FITNESS)
+        keep=make("refine/keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
+        vote=make("refine/vote", {**work, "u_work_status": FLOAT_2D, **materials, **OBSERVATIONS, **PACKING}, FITNESS)
         if voted
         else None,
         evaluations=evaluations,

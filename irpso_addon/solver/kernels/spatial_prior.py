@@ -27,7 +27,7 @@ from .refinement import STEP, renders, resolved_slopes, step_defines
 
 NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # what the iterations of a prior are; the steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}
-# Of shaders/swarm/prior_pool.glsl.
+# Of shaders/prior/pool.glsl.
 _KINDS = {"other": 0, "color": 1, "scalar": 2}
 
 
@@ -55,12 +55,12 @@ class PriorPasses:
 
 
 def reach_of(prior: Prior) -> int:
-    """Return how many texels away a prior looks at once (TAPS of shaders/swarm/prior_window.glsl)."""
+    """Return how many texels away a prior looks at once (TAPS of shaders/common/taps.glsl)."""
     return 2**prior.scales
 
 
 def taps_of(prior: Prior) -> int:
-    """Return how many texels around a prior looks at (TAPS of shaders/swarm/prior_window.glsl)."""
+    """Return how many texels around a prior looks at (TAPS of shaders/common/taps.glsl)."""
     return 24 + 16 * (prior.scales - 1)
 
 
@@ -83,25 +83,28 @@ def build_prior_passes(
     }  # fmt: skip
 
     def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:
-        name = f"swarm/{source}.glsl"
+        name = f"{source}.glsl"
         return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
 
     return PriorPasses(
-        noise=make("prior_noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
-        variance=make("prior_variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
+        noise=make("prior/noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
+        variance=make("prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
         deviation=make(
-            "confidence", _outputs(model, "deviation"), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1
+            "diagnostics/confidence",
+            _outputs(model, "deviation"),
+            {**estimates, **OBSERVATIONS, **_NOISE},
+            NOISE_GIVEN=1,
         ),
-        pool=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}),
-        pool_last=make("prior_pool", beliefs, {**estimates, **belief, **own, **PACKING}, LAST=1),
+        pool=make("prior/pool", beliefs, {**estimates, **belief, **own, **PACKING}),
+        pool_last=make("prior/pool", beliefs, {**estimates, **belief, **own, **PACKING}, LAST=1),
         begin=make(
-            "prior_begin",
+            "prior/begin",
             (*estimate_outputs(model), Output("o_status"), Output("o_penalty", "R32F")),
             {**estimates, **belief, **own, **_NOISE, **GEOMETRY},
         ),
         step=_step_pass(model, resolved, common, {**estimates, **belief, **_NOISE}, includes, entry),
         keep=make(
-            "prior_keep",
+            "prior/keep",
             estimate_outputs(model),
             {**estimates, **work, **_NOISE, "u_penalty": FLOAT_2D, **OBSERVATIONS},
             "fragment",
@@ -141,10 +144,10 @@ def _step_pass(
     # Lobes are put in order at the end: what a prior says is said of the one or of the other.
     slopes = {name: value for name, value in unknowns.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
-    penalty = SHADERS / "swarm" / "prior_penalty.glsl"
+    penalty = SHADERS / "prior" / "penalty.glsl"
     return Pass(
         Kernel(
-            "swarm/polish.glsl", (*estimate_outputs(model), Output("o_status")),
+            "refine/step.glsl", (*estimate_outputs(model), Output("o_status")),
             {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
             {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
             {**includes, "unknowns.glsl": unknowns.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},

@@ -65,7 +65,7 @@ def build_generation_passes(
     given = {**kernels.model_includes(model), "codec.glsl": codec.source, "basis.glsl": linear.source}
 
     def make(source: str, outputs: list[Output], samplers: dict, how: Entry = entry, **more: int) -> Pass:
-        name = f"swarm/{source}.glsl"
+        name = f"swarm/synchronous/{source}.glsl"
         return Pass(Kernel(name, tuple(outputs), samplers, kernels.MOVE, {**defines, **more}, given), how)
 
     finds = [Output(f"o_{name}") for name in fitnesses] + [Output(f"o_linear_{b}") for b in linears]
@@ -73,13 +73,13 @@ def build_generation_passes(
     best = [Output(f"o_best_{b}") for b in blocks] + [Output(f"o_best_linear_{b}") for b in linears]
     best.append(Output("o_best_fitness", "R32F"))
     return GenerationPasses(
-        place=make("generation", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
-        place_commit=make("generation_commit", commits, {**placed, **state, **found}, START=1),
-        place_best=make("generation_best", best, {**placed, **found}, START=1),
-        mean=make("generation_mean", [Output(f"o_mean_{b}") for b in blocks], best_so_far),
-        move=make("generation", finds, {**moved, **estimates, **kernels.OBSERVATIONS}),
-        commit=make("generation_commit", commits, {**moved, **found}, ESTIMATES=0),
-        best=make("generation_best", best, {**moved, **found}, ESTIMATES=0),
-        resolve=make("generation_resolve", list(kernels.estimate_outputs(model)), {**placed, **state}, how="fragment"),
+        place=make("evaluate", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
+        place_commit=make("commit", commits, {**placed, **state, **found}, START=1),
+        place_best=make("best", best, {**placed, **found}, START=1),
+        mean=make("mean", [Output(f"o_mean_{b}") for b in blocks], best_so_far),
+        move=make("evaluate", finds, {**moved, **estimates, **kernels.OBSERVATIONS}),
+        commit=make("commit", commits, {**moved, **found}, ESTIMATES=0),
+        best=make("best", best, {**moved, **found}, ESTIMATES=0),
+        resolve=make("resolve", list(kernels.estimate_outputs(model)), {**placed, **state}, how="fragment"),
         take_halo=kernels.take_halo_pass(codec, defines),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from ...reflectance.model import Parameter, ReflectanceModel
 
 SAMPLE = 8192  # texels, of the whole domain
-ALIKE_SEARCHED, ALIKE_LINEAR = 0.1, 0.15  # as in shaders/swarm/shared_materials.glsl
+ALIKE_SEARCHED, ALIKE_LINEAR = 0.1, 0.15  # as in shaders/materials/shared.glsl
 _ROWS = 7  # of the table: means of 12 numbers, inverse variances of 12, and how much there is of a material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
@@ -56,7 +56,7 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
 
 
 def material_table(features: np.ndarray, count: int) -> np.ndarray:
-    """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/swarm/shared_materials.glsl.
+    """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/materials/shared.glsl.
 
     features: (n, d) numbers, d ≤ 12, that are alike where they differ by less than 1; rows that are not finite are left
     out. Expectation maximisation

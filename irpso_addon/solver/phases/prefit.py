@@ -29,7 +29,7 @@ from .synchronous_swarm import RunningGenerations
 # lights reach go from 0.82 to 0.69° of mean error.
 _SAMPLES_AN_UNKNOWN = 3
 _TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
-_PENALTY = SHADERS / "survey" / "falloff_penalty.glsl"
+_PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 # Of the prior on the exponent, whose mean is 1, under narrow lights. On balls under 12 lights within 22° it takes the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2); wide lights tell the exponent,
 # and the prior would cost 0.08° on bunny_lambert.
@@ -253,7 +253,7 @@ def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
     defines = {**defines, **kernels.estimate_defines(model), "NORMAL_COMPONENT": model.offset(normal)}
     return Pass(
         Kernel(
-            "survey/adopt.glsl", kernels.estimate_outputs(model), samplers, {}, defines, kernels.model_includes(model)
+            "prefit/adopt.glsl", kernels.estimate_outputs(model), samplers, {}, defines, kernels.model_includes(model)
         )
     )
 
@@ -269,7 +269,9 @@ def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, 
         "TRUST": f"{schedule.survey.trust:.9f}", "TRUST_FLOOR": f"{_TRUST_FLOOR:.9f}",
     }  # fmt: skip
     given = kernels.model_includes(model)
-    return Pass(Kernel("survey/judge.glsl", kernels.estimate_outputs(model), samplers, kernels.FITNESS, defines, given))
+    return Pass(
+        Kernel("prefit/acceptance.glsl", kernels.estimate_outputs(model), samplers, kernels.FITNESS, defines, given)
+    )
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
@@ -280,7 +282,7 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str
         "LEAST_SAMPLES": max(schedule.survey.observations, _SAMPLES_AN_UNKNOWN * unknowns),
     }  # fmt: skip
     outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
-    return Pass(Kernel("survey/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
+    return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
 
 
 def _judge_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:

@@ -78,7 +78,7 @@ class RunningPolish(Phase):
     """The polish of a recovery, a Phase.
 
     Every texel has a best material so far, and one that is worked on; both with its fitness, its damping, and for how
-    long it has been done (shaders/swarm/polish_state.glsl).
+    long it has been done (shaders/refine/status.glsl).
     """
 
     def __init__(

@@ -23,7 +23,7 @@ from .refinement import Judge
 class PriorTextures(MadeInSteps):
     """What a prior remembers of every texel.
 
-    noise: of the samples (shaders/swarm/prior_variance.glsl). belief: means, then deviations, of the numbers: what
+    noise: of the samples (shaders/prior/variance.glsl). belief: means, then deviations, of the numbers: what
     neighbours look at, and after the last round the prior itself. own: how well the texel's own samples tell them.
     work: the estimates that are fitted to both, and their status. penalty: of the estimates as they were.
     """

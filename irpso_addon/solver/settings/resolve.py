@@ -104,7 +104,7 @@ Resolved = ResolvedSurvey | ResolvedStage | ResolvedPolish | ResolvedPrior
 
 def survey_model() -> ReflectanceModel:
     """Return the survey's own model."""
-    return load_model(SHADERS / "survey" / "falloff_lobe.toml")
+    return load_model(SHADERS / "prefit" / "falloff_lobe.toml")
 
 
 def _resolve_survey(survey: Survey) -> ResolvedSurvey:

@@ -96,7 +96,7 @@ class Polish:
     starts too; start_iterations: steps from each of them, and from the stages' estimate beside them. rounds: how often
     every texel then tries what its neighbours have found; round_iterations: steps after each. daring: a neighbour's
     material is polished where its fitness is under so many times the texel's own. votes: what the searched numbers of
-    the texels around count (shaders/swarm/votes.glsl): a material that many have is polished too, and kept where noise
+    the texels around count (shaders/refine/votes.glsl): a material that many have is polished too, and kept where noise
     explains what it fits worse; 0 where the samples alone decide. damping: the first λ, of the diagonal of JᵀJ. A
     texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing by more than the
     fraction smallest_step of its range. central: differences to both sides instead of one. widening: from the model's
@@ -120,7 +120,7 @@ class Polish:
 
 @dataclass(frozen=True)
 class Survey:
-    """Normals first, on grey samples, by a model of few assumptions (shaders/survey/falloff_lobe.toml).
+    """Normals first, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml).
 
     iterations: of its swarms, which move as a whole; 0 for no survey. polish_iterations: Levenberg–Marquardt steps
     after them. shadow: samples under this fraction of a texel's scale weigh nothing. observations: with fewer it is

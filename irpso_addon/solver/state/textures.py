@@ -15,7 +15,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import Codec
 from .packing import Packing
 
-UNFIT = 1e30  # as in shaders/swarm/unfit.glsl: the fitness of what was never evaluated
+UNFIT = 1e30  # as in shaders/fitness/unfit.glsl: the fitness of what was never evaluated
 OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
 
 

@@ -214,12 +214,12 @@ def test_samplers_that_a_kernel_does_not_speak_of_take_no_room(entry, monkeypatc
     monkeypatch.setattr(context, "max_samplers", lambda: 1)
     source, copied = textures.upload(np.full((3, 5, 4), 2.5, np.float32)), textures.empty(5, 3)
     others = {f"u_other_{i}": "FLOAT_2D" for i in range(40)}
-    copy = Pass(Kernel("view/copy.glsl", (Output("o_copy"),), {**others, "u_source": "FLOAT_2D"}, {}, {}), entry)
+    copy = Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {**others, "u_source": "FLOAT_2D"}, {}, {}), entry)
     copy.run([copied], {"u_source": source})
     assert (read(copied) == 2.5).all()
     copy.close()
     monkeypatch.setattr(context, "max_samplers", lambda: 0)
-    with pytest.raises(GpuUnavailableError, match=r"reads 0 textures in a shader, view/copy\.glsl needs 1; choose"):
+    with pytest.raises(GpuUnavailableError, match=r"reads 0 textures in a shader, common/copy\.glsl needs 1; choose"):
         Pass(copy.kernel, entry).compile()
 
 

@@ -18,7 +18,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles import synchronous_swarm as oracle
 from tests.oracles.swarm import delta_of
 
-SURVEY = str(SHADERS / "survey" / "falloff_lobe.toml")
+SURVEY = str(SHADERS / "prefit" / "falloff_lobe.toml")
 TWO_LOBES = "cook_torrance_two_lobe"
 ONE = {"particles": 1, "particles_per_dimension": 0.0, "c3": 0.0, "seed": "random"}
 SHAPE = (6, 9)

@@ -1,0 +1,117 @@
+// Over W×H texels: how much worse the photographs are met by the best of the materials far from the estimate, for every
+// searched number without a normal prior. The number takes TRIALS values of its range; the linear weights are found anew
+// for each (fitness/linear.glsl), everything else is held.
+// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative_0 …, four of the
+// ALTERNATIVES such numbers each: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
+// fits better.
+
+#include "common/estimate.glsl"
+#include "fitness/fitness.glsl"
+#include "fitness/linear.glsl"
+#include "diagnostics/freedom.glsl"
+#include "unknowns.glsl"
+
+#define TRIALS 7
+// Of a number's range: what is nearer is the same optimum.
+#define FAR 0.3
+// Three standard deviations of one texel: a single one that errs must not outvote its material (solver/engine/modes.py).
+#define MOST 9.0
+
+// Values to try, as fractions of the range: denser where lobes are narrow and differ more.
+float trial_at(int i)
+{
+    return i < 4 ? (i < 2 ? (i == 0 ? 0.01 : 0.04) : (i == 2 ? 0.1 : 0.25)) : (i == 4 ? 0.5 : (i == 5 ? 0.75 : 1.0));
+}
+
+// How many independent samples are left when all unknowns are determined.
+float samples_left(ivec2 texel, Frame f, Material best)
+{
+    ErrorSums told;
+    clear_errors(told);
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 error = error_of(o, reflectance(best, o.l, view_at(f, k)));
+        float relative = relative_error(texel, o);
+        vec3 counted = o.weight * draws(o, error);
+        add_error(told, error, relative * relative * counted, counted);
+    }
+    return max(freedom_of(told), 0.0) / alike_of(told);
+}
+
+// Gives s the linear weights that meet the samples best, weighted as the errors of ``best`` ask for.
+void refit(ivec2 texel, Frame f, Material best, inout Material s)
+{
+#if LINEAR_BLOCKS > 0
+    Equations e;
+    Linear w;
+    clear_equations(e);
+    clear_linear(w);
+    float scale = loss_scale(texel);
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 v = view_at(f, k);
+        vec3 error = error_of(o, reflectance(best, o.l, v));
+        float relative = relative_error(texel, o);
+        vec3 weight = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
+        add_observation(e, s, o.l, v, o.intensity, o.radiance, weight);
+    }
+    solve_linear(e, w);
+    linear_to(w, s);
+#endif
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    float worse[12];  // with room for all that a model can have
+    for (int i = 0; i < 12; i++) {
+        worse[i] = 0.0;
+    }
+    if (state_at(texel) == TEXEL_SOLVED) {
+        Frame f = frame_at(texel);
+        Material best = estimate_at(texel);
+        float c[12];
+        material_to(best, c);
+        float left = samples_left(texel, f, best);
+        float weights;
+        float fitness = fitness_of(texel, f, best, weights);
+        int place = 0;
+        for (int u = 0; u < UNKNOWNS; u++) {
+            int at;
+            float low;
+            float width;
+            unknown_at(u, at, low, width);
+            if (!searched(u) || prior_precision(c, at) > 0.0) {
+                continue;
+            }
+            float own = c[at];
+            float lowest = UNFIT;
+            for (int i = 0; i < TRIALS; i++) {
+                float value = low + trial_at(i) * width;
+                if (abs(value - own) < FAR * width) {
+                    continue;
+                }
+                c[at] = value;
+                Material s = material_from(c);
+                refit(texel, f, best, s);
+                lowest = min(lowest, fitness_of(texel, f, s, weights));
+            }
+            c[at] = own;
+            worse[place] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
+            place++;
+        }
+    }
+    o_alternative_0 = vec4(worse[0], worse[1], worse[2], worse[3]);
+#if ALTERNATIVES > 4
+    o_alternative_1 = vec4(worse[4], worse[5], worse[6], worse[7]);
+#endif
+#if ALTERNATIVES > 8
+    o_alternative_2 = vec4(worse[8], worse[9], worse[10], worse[11]);
+#endif
+    return true;
+}

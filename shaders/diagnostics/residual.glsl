@@ -1,0 +1,11 @@
+// Over W×H texels: mean absolute difference between the render of the estimates and the references, whatever the
+// fitness that was searched. Writes (residual, samples that counted, largest difference, 0).
+
+#include "common/estimate.glsl"
+#include "diagnostics/mean_error.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    o_residual = state_at(texel) == TEXEL_SOLVED ? mean_error(texel, estimate_at(texel)) : vec4(0.0);
+    return true;
+}

@@ -1,0 +1,38 @@
+// Eq. 1 of the paper: how far the render of a material lies from the reference, over all observations of a texel.
+// Reads u_stack (one layer an observation: RGB radiance, weight) and the observation table.
+
+#include "material.glsl"
+#include "model.glsl"
+#include "fitness/relative_error.glsl"
+#include "fitness/unfit.glsl"
+#include "fitness/with_priors.glsl"
+
+// The fitness, and the weights of the samples together.
+float fitness_of(ivec2 texel, Frame f, Material s, out float weights)
+{
+    float sum = 0.0;
+    weights = 0.0;
+    float scale = loss_scale(texel);
+#ifdef ONE_VIEW
+    vec3 v = view_at(f, 0);
+#endif
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+#ifndef ONE_VIEW
+        vec3 v = view_at(f, k);
+#endif
+        vec3 error = error_of(o, reflectance(s, o.l, v));
+#ifdef GREY
+        // Of a model in colour it is the grey that is compared.
+        error = vec3((error.r + error.g + error.b) / 3.0);
+#endif
+        sum += o.weight * loss_of(scale * relative_error(texel, o) * error);
+        weights += o.weight;
+    }
+    float mean = sum / (3.0 * weights);
+    // Written so that NaN is unfit too: it must never become a best.
+    return weights > 0.0 && mean < UNFIT ? mean : UNFIT;
+}

@@ -1,0 +1,6 @@
+// In place of shared.glsl: neighbours alone have votes.
+
+float votes_of_materials(inout float c[12])
+{
+    return 0.0;
+}

@@ -1,0 +1,44 @@
+// Over W×H texels: where the fit with a prior begins, with every colour and scalar at the mean of what a texel's own samples
+// and the prior say, each weighed by its precision. A texel of which the prior would have less than LEAST_SHARE in every
+// number is left as it is. Reads the estimates, their own deviations, the prior (belief.glsl) and u_noise.
+// Writes o_estimate_0 …, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
+
+#include "common/frame.glsl"
+#include "refine/status.glsl"
+#include "components.glsl"
+#include "prior/own.glsl"
+#include "prior/penalty.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    float c[12];
+    material_to(estimate_at(texel), c);
+    o_status = fresh_status(0.0);
+    o_penalty = 0.0;
+    float most = 0.0;
+    if (state_at(texel) == TEXEL_SOLVED) {
+        o_penalty = penalty_of(texel, c);
+        float own[12];
+        float mean[12];
+        float deviation[12];
+        own_at(texel, own);
+        means_at(texel, mean);
+        deviations_at(texel, deviation);
+        for (int i = 0; i < COMPONENTS; i++) {
+            float width;
+            int kind;
+            component_at(i, width, kind);
+            if (kind != COMPONENT_OTHER && deviation[i] > 0.0) {
+                float share = own[i] * own[i] / (own[i] * own[i] + deviation[i] * deviation[i]);
+                c[i] += share * (mean[i] - c[i]);
+                most = max(most, share);
+            }
+        }
+    }
+    if (!(most >= LEAST_SHARE)) {
+        material_to(estimate_at(texel), c);
+        o_status.z = CALM;
+    }
+    write_estimate(material_from(c));
+    return true;
+}

@@ -1,0 +1,34 @@
+// Over W×H texels: the fit with the prior (u_work_0 …, u_work_status), where with its penalty it is better than what the
+// texel had and without it is not worse by more than TOLERANCE² in deviance; elsewhere the estimates as they were.
+// Reads u_noise (whose x are the losses of the estimates), u_penalty (theirs), the geometry and the sample stack.
+
+#include "common/estimate.glsl"
+#include "fitness/fitness.glsl"
+#include "fitness/lobes.glsl"
+#include "refine/status.glsl"
+#include "prior/loss_unit.glsl"
+#include "refine/work.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    Material result = estimate_at(texel);
+    float objective = texelFetch(u_work_status, texel, 0).x;
+    if (state_at(texel) == TEXEL_SOLVED && objective < UNFIT) {
+        vec4 noise = texelFetch(u_noise, texel, 0);
+        float unit = loss_unit(texel);
+        float c[12];
+        work_at(texel, c);
+        order_lobes(c);
+        Material work = material_from(c);
+        float weights;
+        float fitness = fitness_of(texel, frame_at(texel), work, weights);
+        float loss = 3.0 * weights * fitness;
+        float before = (noise.x * unit + texelFetch(u_penalty, texel, 0).x) / (3.0 * weights);
+        bool better = objective < with_priors(before, weights, result);
+        if (better && loss <= (noise.x + TOLERANCE * TOLERANCE * deviance_unit(noise.w)) * unit) {
+            result = work;
+        }
+    }
+    write_estimate(result);
+    return true;
+}

@@ -1,0 +1,149 @@
+// Over W×H texels: what the neighbours that are like a texel say of its colours and scalars. A neighbour weighs
+// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), over all of them: what is not told makes no
+// difference. Then the mean and the spread over neighbours, each of its own precision, by random effects (DerSimonian &
+// Laird 1986, Meta-analysis in Clinical Trials), with s for how often a neighbour counts:
+//   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
+//   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  of the deviation √(t² + 1 / Σ s w).
+// Reads the estimates, their own deviations, what is believed of the neighbours (belief.glsl) and the packing.
+// Writes o_mean_0 … and o_deviation_0 …: m and its deviation where LAST, else what is believed next: a texel whose own
+// samples say nothing of a number passes on what its neighbours say.
+
+#include "common/estimate.glsl"
+#include "common/frame.glsl"
+#include "common/packing.glsl"
+#include "components.glsl"
+#include "prior/belief.glsl"
+#include "prior/own.glsl"
+#include "common/taps.glsl"
+
+// A number that is uncertain by more than this fraction of its range is not told: noise is not linear that far.
+#define TOLD 0.25
+// A deviation counts as no less than this fraction of the range: the step of the differences it was found by.
+#define FINEST (1.0 / 1024.0)
+
+struct Pooled {
+    float weight[12];
+    float sum[12];
+    float squares[12];
+    float weights_squared[12];
+    float count[12];
+};
+
+// exp(−½ …) of the head of this file.
+float likeness(inout float x[12], inout float own[12], inout float y[12], inout float theirs[12])
+{
+    float apart = 0.0;
+    for (int i = 0; i < COMPONENTS; i++) {
+        float width;
+        int kind;
+        component_at(i, width, kind);
+        if (kind == COMPONENT_OTHER) {
+            continue;
+        }
+        float h = kind == COMPONENT_COLOR ? LIKENESS_COLOR * max(abs(x[i]), abs(y[i])) + FINEST * width
+                                          : LIKENESS * width;
+        float d = x[i] - y[i];
+        apart += d * d / (h * h + own[i] * own[i] + theirs[i] * theirs[i]);
+    }
+    return exp(-0.5 * apart);
+}
+
+// Adds up over the neighbours; t2: t² of each number.
+void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12], out Pooled p)
+{
+    for (int i = 0; i < 12; i++) {
+        p.weight[i] = 0.0;
+        p.sum[i] = 0.0;
+        p.squares[i] = 0.0;
+        p.weights_squared[i] = 0.0;
+        p.count[i] = 0.0;
+    }
+    ivec4 place = surface_place_of(texel);
+    for (int t = 0; t < TAPS; t++) {
+        ivec2 other = neighbour_at(place, tap_at(t));
+        if (other.x < 0) {
+            continue;
+        }
+        float y[12];
+        float theirs[12];
+        means_at(other, y);
+        deviations_at(other, theirs);
+        float s = likeness(x, own, y, theirs);
+        for (int i = 0; i < COMPONENTS; i++) {
+            float width;
+            int kind;
+            component_at(i, width, kind);
+            if (kind == COMPONENT_OTHER || !(theirs[i] < TOLD * width)) {
+                continue;
+            }
+            float sigma = max(theirs[i], FINEST * width);
+            float w = 1.0 / (sigma * sigma + t2[i]);
+            // From the texel's own number, so that little is lost in the difference of squares.
+            float d = y[i] - x[i];
+            p.weight[i] += s * w;
+            p.sum[i] += s * w * d;
+            p.squares[i] += s * w * d * d;
+            p.weights_squared[i] += s * w * w;
+            p.count[i] += s;
+        }
+    }
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    float x[12];
+    float own[12];
+    float mean[12];
+    float deviation[12];
+    material_to(estimate_at(texel), x);
+    own_at(texel, own);
+    means_at(texel, mean);
+    deviations_at(texel, deviation);
+    if (state_at(texel) == TEXEL_SOLVED) {
+        float t2[12];
+        for (int i = 0; i < 12; i++) {
+            t2[i] = 0.0;
+        }
+        Pooled p;
+        pool(texel, x, own, t2, p);
+        for (int i = 0; i < COMPONENTS; i++) {
+            float width;
+            int kind;
+            component_at(i, width, kind);
+            float least = SPREAD * width * SPREAD * width;
+            float left = p.weight[i] > 0.0 ? p.weight[i] - p.weights_squared[i] / p.weight[i] : 0.0;
+            float q = p.weight[i] > 0.0 ? p.squares[i] - p.sum[i] * p.sum[i] / p.weight[i] : 0.0;
+            t2[i] = max(least, left > 0.0 ? (q - (p.count[i] - 1.0)) / left : 0.0);
+        }
+        pool(texel, x, own, t2, p);
+        for (int i = 0; i < COMPONENTS; i++) {
+            float width;
+            int kind;
+            component_at(i, width, kind);
+#ifdef LAST
+            deviation[i] = 0.0;
+#endif
+            // 1e-6 of a neighbour: far below it weights are the tails of exp().
+            if (kind != COMPONENT_OTHER && p.count[i] > 1e-6) {
+#ifndef LAST
+                if (own[i] < TOLD * width) {
+                    continue;
+                }
+#endif
+                mean[i] = x[i] + p.sum[i] / p.weight[i];
+                deviation[i] = sqrt(t2[i] + 1.0 / p.weight[i]);
+            }
+        }
+    }
+    o_mean_0 = vec4(mean[0], mean[1], mean[2], mean[3]);
+    o_deviation_0 = vec4(deviation[0], deviation[1], deviation[2], deviation[3]);
+#if ESTIMATES > 1
+    o_mean_1 = vec4(mean[4], mean[5], mean[6], mean[7]);
+    o_deviation_1 = vec4(deviation[4], deviation[5], deviation[6], deviation[7]);
+#endif
+#if ESTIMATES > 2
+    o_mean_2 = vec4(mean[8], mean[9], mean[10], mean[11]);
+    o_deviation_2 = vec4(deviation[8], deviation[9], deviation[10], deviation[11]);
+#endif
+    return true;
+}

@@ -1,0 +1,45 @@
+// Over W×H texels: the noise of the samples, with that of the neighbours, since what a few samples leave tells little:
+// (S + ν N̄) / (n + ν), with S over n degrees of freedom and ν of the neighbours' mean N̄ (Smyth 2004, Linear Models and
+// Empirical Bayes Methods for Assessing Differential Expression in Microarray Experiments, its s̃²).
+// Reads u_noise (noise.glsl) and the packing. Writes o_noise: the same, variance in z, in losses in w.
+
+#include "common/frame.glsl"
+#include "common/packing.glsl"
+#include "prior/loss_unit.glsl"
+#include "common/taps.glsl"
+
+float freedom_of(vec4 noise)
+{
+    return max(noise.y - float(UNKNOWNS), 0.0);
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    vec4 own = texelFetch(u_noise, texel, 0);
+    if (state_at(texel) == TEXEL_SOLVED) {
+        ivec4 place = surface_place_of(texel);
+        float sum = 0.0;
+        float freedom = 0.0;
+        for (int t = 0; t < TAPS; t++) {
+            ivec2 other = neighbour_at(place, tap_at(t));
+            if (other.x >= 0) {
+                vec4 noise = texelFetch(u_noise, other, 0);
+                float n = freedom_of(noise);
+                sum += n > 0.0 ? noise.x : 0.0;
+                freedom += n;
+            }
+        }
+        float shared_noise = freedom > 0.0 ? sum / freedom : 0.0;
+        float weight = freedom > 0.0 ? NOISE_FREEDOM : 0.0;
+        float n = freedom_of(own);
+        float noise = n + weight > 0.0 ? ((n > 0.0 ? own.x : 0.0) + weight * shared_noise) / (n + weight) : 0.0;
+#if FITNESS == FITNESS_L1
+        own.z = 2.0 * noise * noise;
+#else
+        own.z = noise;
+#endif
+        own.w = noise;
+    }
+    o_noise = own;
+    return true;
+}

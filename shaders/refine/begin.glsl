@@ -1,0 +1,23 @@
+// Over W×H texels: the estimates with the values of start u_start put in (−1: as they are), to be polished; a start may
+// turn the normal (mirror.glsl). Reads the estimates, u_status and the samples. What this tile does not solve stays as it is.
+
+#include "refine/mirror.glsl"
+#include "refine/status.glsl"
+#include "starts.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    float c[12];
+    material_to(estimate_at(texel), c);
+    if (state_at(texel) == TEXEL_SOLVED) {
+        take_start(u_start, c);
+#ifdef NORMAL_COMPONENT
+        if (mirrors(u_start)) {
+            turn_to_mirror(texel, c);
+        }
+#endif
+    }
+    write_estimate(material_from(c));
+    o_status = fresh_status(texelFetch(u_status, texel, 0).w);
+    return true;
+}

@@ -1,0 +1,127 @@
+// Over W×H texels: tries what the neighbours have found. The four texels beside this one offer their whole material, the
+// normal turned into this texel's frame; the four two away offer their searched numbers alone, with this texel's own
+// normal and linear weights. An offer is taken, to be polished, where its fitness is under DARING times this texel's own,
+// or where it has more votes (votes.glsl) by the factor CROWD: before it is polished, its weights are another's, so that
+// its fitness tells little. Of several the most probable is taken; where there is none, nothing is left to be done.
+// Reads the best estimates so far, u_status and the packing.
+
+#include "common/packing.glsl"
+#include "fitness/fitness.glsl"
+#include "refine/status.glsl"
+#include "refine/votes.glsl"
+
+// The four texels beside this one, and the four two away.
+#if SEARCHED > 0
+#define OFFERS 8
+#else
+#define OFFERS 4
+#endif
+
+Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
+{
+    float c[12];
+    float theirs[12];
+    material_to(estimate_at(other), theirs);
+    for (int i = 0; i < 12; i++) {
+        c[i] = own[i];
+    }
+    bool whole = kind == 0;
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+            continue;
+        }
+#endif
+        c[at] = whole || searched(u) ? theirs[at] : own[at];
+    }
+#if NORMAL_UNKNOWN >= 0
+    if (whole) {
+        int at = NORMAL_COMPONENT;
+        vec3 n = to_local(f, to_world(frame_at(other), vec3(theirs[at], theirs[at + 1], theirs[at + 2])));
+        // 1e-12: a neighbour's normal that points straight away from this texel's hemisphere.
+        n.z = max(n.z, 0.0);
+        n = dot(n, n) > 1e-12 ? normalize(n) : vec3(0.0, 0.0, 1.0);
+        c[at] = n.x;
+        c[at + 1] = n.y;
+        c[at + 2] = n.z;
+    }
+#endif
+    return material_from(c);
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    Material own = estimate_at(texel);
+    vec4 status = texelFetch(u_status, texel, 0);
+    o_status = vec4(status.xy, CALM, status.w);
+    write_estimate(own);
+    if (state_at(texel) != TEXEL_SOLVED) {
+        return true;
+    }
+    float c[12];
+    material_to(own, c);
+    Frame f = frame_at(texel);
+    ivec4 place = surface_place_of(texel);
+    Material tried[OFFERS];
+    float sum[OFFERS];
+    bool there[OFFERS];
+    for (int p = 0; p < OFFERS; p++) {
+        int side = p % 4;
+        ivec2 by = side < 2 ? ivec2(2 * side - 1, 0) : ivec2(0, 2 * side - 5);
+        ivec2 other = neighbour_at(place, (1 + p / 4) * by);
+        there[p] = other.x >= 0;
+        tried[p] = own;
+        sum[p] = 0.0;
+        if (there[p]) {
+            tried[p] = offer_of(other, f, p / 4, c);
+        }
+    }
+    float weights = 0.0;
+    float scale = loss_scale(texel);
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 v = view_at(f, k);
+        float relative = scale * relative_error(texel, o);
+        for (int p = 0; p < OFFERS; p++) {
+            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            sum[p] += o.weight * loss_of(relative * error);
+        }
+        weights += o.weight;
+    }
+    o_status.w += float(OFFERS);
+    float freedom = freedom_of(weights);
+    bool voted = SEARCHED > 0 && VOTES > 0.0 && freedom > 0.0;
+    float own_votes = voted ? votes_for(place, c) : 0.0;
+    float least = 0.0;
+    int chosen = -1;
+    for (int p = 0; p < OFFERS; p++) {
+        float fitness = with_priors(sum[p] / (3.0 * weights), weights, tried[p]);
+        // Written so that NaN is no offer.
+        if (!(there[p] && fitness < UNFIT)) {
+            continue;
+        }
+        float offered[12];
+        material_to(tried[p], offered);
+        float votes = voted ? votes_for(place, offered) : 0.0;
+        float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
+        bool wanted = fitness < DARING * status.x || votes > CROWD * (1.0 + own_votes);
+        if (wanted && (chosen < 0 || deviance < least)) {
+            least = deviance;
+            chosen = p;
+        }
+    }
+    for (int p = 0; p < OFFERS; p++) {
+        if (p == chosen) {
+            write_estimate(tried[p]);
+            o_status = fresh_status(o_status.w);
+        }
+    }
+    return true;
+}

@@ -1,0 +1,224 @@
+// Over W×H texels: one iteration of Levenberg and Marquardt, by iteratively reweighted least squares for the losses that
+// are not squares. Reads the working estimates, u_status, the geometry and the sample stack; writes both anew.
+//
+// The first loop over the observations adds up JᵀWJ and JᵀWe, the second renders the steps of CANDIDATES dampings, so
+// that an observation is read twice an iteration. Linear parameters have their basis for a derivative, the others a
+// difference: slopes.glsl is generated for both (solver/kernels/free_parameters.py).
+// penalty.glsl is what the loss is added to: no_penalty.glsl, or a prior's.
+
+#include "fitness/fitness.glsl"
+#include "refine/status.glsl"
+#include "fitness/differences.glsl"
+#include "refine/normal_equations.glsl"
+#include "fitness/lobes.glsl"
+#include "penalty.glsl"
+#include "slopes.glsl"
+
+// The ratio of the dampings that are tried together, and their bounds: below 2⁻²⁰ damping is lost in rounding.
+#define RATIO 8.0
+#define LEAST_DAMPING (1.0 / 1048576.0)
+#define MOST_DAMPING 1e6
+
+// How far one step may take a searched number, of its range: a longer one ends in a corner of the box, where a lobe
+// without strength has no width to be found. Of random principled materials in shadow 1 in 15 then misses its optimum
+// from one start, without a bound 1 in 10; two lobes do not mind.
+#define FARTHEST 0.2
+
+// Adds up JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material as it is, and the weights.
+vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float slope[UNKNOWNS])
+{
+    Material s = material_from(c);
+    Steps steps;
+    steps.none = 0.0;
+    take_steps(c, steps);
+    NormalSums sums;
+    clear_sums(sums);
+    float scale = loss_scale(texel);
+    float loss = 0.0;
+    float weights = 0.0;
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 v = view_at(f, k);
+        vec3 render = reflectance(s, o.l, v);
+        vec3 error = error_of(o, render);
+        float relative = relative_error(texel, o);
+        loss += o.weight * loss_of(scale * relative * error);
+        weights += o.weight;
+        vec3 weight = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
+        weight *= o.intensity;
+        add_slopes(s, steps, render, o.l, v, weight * error, weight * o.intensity, sums);
+    }
+    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
+        a[i] = 0.0;
+    }
+    sums_to(sums, a, slope);
+    return vec2(loss, weights);
+}
+
+// Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D is that of
+// n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
+void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[UNKNOWNS * UNKNOWNS],
+                inout float slope[UNKNOWNS])
+{
+#if PRIORS > 0
+    float scale = loss_scale(texel);
+#if FITNESS == FITNESS_L1
+    float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
+#else
+    float unit = (fitness + NOISE_FLOOR) / (scale * scale);
+#endif
+    float by[12];
+    float curvature[12];
+    prior_slopes(c, by, curvature);
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+        a[u * UNKNOWNS + u] += unit * width * width * curvature[at];
+        slope[u] += unit * width * by[at];
+    }
+#endif
+}
+
+// The components after a step of all unknowns; the normal stays on its hemisphere.
+void stepped(inout float given[12], inout float by[UNKNOWNS], out float c[12])
+{
+    for (int i = 0; i < 12; i++) {
+        c[i] = given[i];
+    }
+    for (int u = 0; u < UNKNOWNS; u++) {
+        int at;
+        float low;
+        float width;
+        unknown_at(u, at, low, width);
+#if NORMAL_UNKNOWN >= 0
+        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+            continue;
+        }
+#endif
+        c[at] = clamp(c[at] + by[u] * width, low, low + width);
+    }
+#if NORMAL_UNKNOWN >= 0
+    int at;
+    float low;
+    float width;
+    unknown_at(NORMAL_UNKNOWN, at, low, width);
+    vec3 n = vec3(c[at], c[at + 1], c[at + 2]);
+    n = turned_normal(n, width * vec2(by[NORMAL_UNKNOWN], by[NORMAL_UNKNOWN + 1]));
+    n = normalize(vec3(n.xy, max(n.z, 0.0)));
+    c[at] = n.x;
+    c[at + 1] = n.y;
+    c[at + 2] = n.z;
+#endif
+}
+
+void improve(ivec2 texel, inout float c[12], inout vec4 status)
+{
+    Frame f = frame_at(texel);
+    float a[UNKNOWNS * UNKNOWNS];
+    float slope[UNKNOWNS];
+    vec2 sums = linearise(texel, f, c, a, slope);
+    add_penalty(texel, c, a, slope);
+    float fitness = (sums.x + penalty_of(texel, c)) / (3.0 * sums.y);
+    float before = with_priors(fitness, sums.y, material_from(c));
+    add_priors(texel, c, fitness, a, slope);
+    status.w += float(EVALUATIONS);
+    // Written so that NaN ends here too: nothing can be made better than what has no fitness.
+    if (!(sums.y > 0.0 && before < UNFIT)) {
+        status.x = UNFIT;
+        status.z = CALM;
+        return;
+    }
+    float norm[UNKNOWNS];
+    float least[UNKNOWNS];
+    float most[UNKNOWNS];
+    for (int i = 0; i < UNKNOWNS; i++) {
+        norm[i] = sqrt(a[i * UNKNOWNS + i]);
+        vec2 room = room_of(c, i);
+        least[i] = searched(i) ? max(room.x, -FARTHEST) : room.x;
+        most[i] = searched(i) ? min(room.y, FARTHEST) : room.y;
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        slope[i] = norm[i] > 0.0 ? slope[i] / norm[i] : 0.0;
+        for (int k = i; k < UNKNOWNS; k++) {
+            float both = norm[i] * norm[k];
+            a[i * UNKNOWNS + k] = both > 0.0 ? a[i * UNKNOWNS + k] / both : 0.0;
+        }
+    }
+    Material tried[CANDIDATES];
+    float lambda[CANDIDATES];
+    float size[CANDIDATES];
+    float sum[CANDIDATES];
+    float damping = status.y / RATIO;
+    for (int p = 0; p < CANDIDATES; p++) {
+        lambda[p] = clamp(damping, LEAST_DAMPING, MOST_DAMPING);
+        damping *= RATIO;
+        float by[UNKNOWNS];
+        boxed_step(a, slope, norm, lambda[p], least, most, by);
+        size[p] = 0.0;
+        for (int u = 0; u < UNKNOWNS; u++) {
+            size[p] = max(size[p], abs(by[u]));
+        }
+        float candidate[12];
+        stepped(c, by, candidate);
+        tried[p] = material_from(candidate);
+        sum[p] = penalty_of(texel, candidate);
+    }
+    float scale = loss_scale(texel);
+    for (int k = 0; k < u_observations; k++) {
+        Observation o;
+        if (!observe(texel, f, k, o)) {
+            continue;
+        }
+        vec3 v = view_at(f, k);
+        float relative = scale * relative_error(texel, o);
+        for (int p = 0; p < CANDIDATES; p++) {
+            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            sum[p] += o.weight * loss_of(relative * error);
+        }
+    }
+    int chosen = -1;
+    float best = before;
+    for (int p = 0; p < CANDIDATES; p++) {
+        float fitness = with_priors(sum[p] / (3.0 * sums.y), sums.y, tried[p]);
+        if (fitness < best) {
+            best = fitness;
+            chosen = p;
+        }
+    }
+    float gain = (before - best) / before;
+    status.x = best;
+    if (chosen < 0) {
+        // None was better: the damping jumps past all that were tried.
+        status.y = min(lambda[CANDIDATES - 1] * RATIO * RATIO, MOST_DAMPING);
+        status.z += 1.0;
+        return;
+    }
+    for (int p = 0; p < CANDIDATES; p++) {
+        if (p == chosen) {
+            material_to(tried[p], c);
+            order_lobes(c);
+            status.y = lambda[p];
+            status.z = gain < GAIN || size[p] < SMALLEST_STEP ? status.z + 1.0 : 0.0;
+        }
+    }
+}
+
+bool texel_kernel(ivec2 texel)
+{
+    float c[12];
+    material_to(estimate_at(texel), c);
+    vec4 status = texelFetch(u_status, texel, 0);
+    if (state_at(texel) == TEXEL_SOLVED && status.z < CALM) {
+        improve(texel, c, status);
+        // What is done under another δ is not done.
+        status.z = u_settles != 0 ? status.z : 0.0;
+    }
+    write_estimate(material_from(c));
+    o_status = status;
+    return true;
+}

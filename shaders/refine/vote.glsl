@@ -1,0 +1,40 @@
+// Over W×H texels: the more probable of two materials by the samples and the votes of the texels around (votes.glsl).
+// Reads the best so far (u_estimate_…, u_status), what has been worked on (u_work_…, u_work_status), the samples' weights
+// and the packing.
+
+#include "common/frame.glsl"
+#include "refine/status.glsl"
+#include "refine/votes.glsl"
+#include "refine/work.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    float own[12];
+    float work[12];
+    material_to(estimate_at(texel), own);
+    work_at(texel, work);
+    vec4 before = texelFetch(u_status, texel, 0);
+    vec4 after = texelFetch(u_work_status, texel, 0);
+    bool better = false;
+    if (state_at(texel) == TEXEL_SOLVED) {
+        float weights = 0.0;
+        for (int k = 0; k < u_observations; k++) {
+            weights += max(texelFetch(u_stack, ivec3(texel, k), 0).a, 0.0);
+        }
+        float freedom = freedom_of(weights);
+        better = after.x <= before.x;
+        if (freedom > 0.0 && max(before.x, after.x) < UNFIT) {
+            ivec4 place = surface_place_of(texel);
+            better = deviance_of(freedom, after.x, votes_for(place, work)) <=
+                     deviance_of(freedom, before.x, votes_for(place, own));
+        }
+    }
+    if (better) {
+        write_estimate(material_from(work));
+    } else {
+        write_estimate(material_from(own));
+    }
+    o_status = better ? after : before;
+    o_status.w = max(before.w, after.w);
+    return true;
+}

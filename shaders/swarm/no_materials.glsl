@@ -1,6 +1,0 @@
-// In place of shared_materials.glsl: neighbours alone have votes.
-
-float votes_of_materials(inout float c[12])
-{
-    return 0.0;
-}

@@ -1,0 +1,40 @@
+// Pass B of a swarm that moves all its particles at once, over the swarm atlas: every particle takes its new place and,
+// where that is its best so far, remembers it. Reads the old atlas, writes the new one.
+
+#include "swarm/synchronous/moved.glsl"
+#include "swarm/synchronous/fitnesses.glsl"
+
+bool texel_kernel(ivec2 place)
+{
+    ivec2 texel;
+    int block;
+    int particle;
+    if (!atlas_owner(place, texel, block, particle)) {
+        return false;
+    }
+    o_position = texelFetch(u_particle_position, place, 0);
+    o_velocity = texelFetch(u_particle_velocity, place, 0);
+    o_best = texelFetch(u_particle_best, place, 0);
+    o_fitness = texelFetch(u_particle_fitness, place, 0).x;
+    // The same condition as in pass A: what was not evaluated has not moved.
+    if (state_at(texel) != TEXEL_SOLVED || texelFetch(u_best_fitness, texel, 0).x <= u_threshold) {
+        return true;
+    }
+    float x[8];
+    float v[8];
+    moved(texel, frame_at(texel), particle, x, v);
+    o_position = vec4(x[4 * block], x[4 * block + 1], x[4 * block + 2], x[4 * block + 3]);
+    o_velocity = vec4(v[4 * block], v[4 * block + 1], v[4 * block + 2], v[4 * block + 3]);
+    float fitness = fitness_at(texel, particle);
+    // A first personal best is taken whatever it is worth: the particle must have been somewhere.
+#ifdef START
+    bool improved = true;
+#else
+    bool improved = fitness < o_fitness;
+#endif
+    if (improved) {
+        o_best = o_position;
+        o_fitness = fitness;
+    }
+    return true;
+}

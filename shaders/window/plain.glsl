@@ -1,0 +1,8 @@
+// Coloured triangles, display values.
+
+#include "window/screen.glsl"
+
+void main()
+{
+    o_color = on_screen(v_color);
+}
