@@ -166,7 +166,7 @@ VERDICT = (
     " good one already, they are at equal work 3 to 59 % better too, but at equal iterations from 10 % better to"
     " 40 % worse.",
     "",
-    "**It hardly pays for `standard`**, whose survey begins near the normals and whose polish ends where it would"
+    "**It hardly pays for `standard`**, whose prefit begins near the normals and whose refinement ends where it would"
     " end anyway: a fifth to two thirds more seconds, the less so the larger the domain is, for"
     " normals that differ by a tenth at most. What it finds better is one metal paint's narrow highlight (relit 3 dB"
     " better); elsewhere it relights by 0 to 0.4 dB better. Hence it is off by default.",

@@ -37,13 +37,13 @@ def measure(quick: bool) -> dict[str, Any]:
     data = {"lights": lights, "sizes": _sizes(sizes, lights, quick), "software": product.software_renderer()}
     shape = (40, 60) if quick else SIZES[1]
     data["counts"] = [
-        {"lights": n, **_told(start(Job(*shape, n, changes=ROUGHNESS, known=KNOWN, iterations=5, chunks=3)), 5)}
+        {"lights": n, **_told(start(Job(*shape, n, changes=ROUGHNESS, fixed=KNOWN, iterations=5, chunks=3)), 5)}
         for n in counts
     ]
     report.say("fig7: numbers of lights done")
     data["rates"] = _rates((40, 60) if quick else (120, 180), 20 if quick else 100, 1 if quick else REPEATS)
     report.say("fig7: rates done")
-    data["polish"] = _polish((20, 30) if quick else (75, 112), 20 if quick else 100)
+    data["refinement"] = _refinement((20, 30) if quick else (75, 112), 20 if quick else 100)
     return data
 
 
@@ -58,7 +58,7 @@ def _sizes(sizes: list[tuple[int, int]], lights: int, quick: bool) -> list[dict[
         full = number == 0
         iterations, chunks = (20 if quick else ITERATIONS, 1) if full else (5, 2 if number < 3 else 1)
         job = Job(
-            height, width, lights, changes=ROUGHNESS, known=KNOWN, iterations=iterations, chunks=chunks,
+            height, width, lights, changes=ROUGHNESS, fixed=KNOWN, iterations=iterations, chunks=chunks,
             budget=BUDGET if number > 1 else 0, part=2 if number > 2 else 0, warm=0 if full else 1,
         )  # fmt: skip
         found = _told(start(job), iterations)
@@ -80,13 +80,13 @@ def _sizes(sizes: list[tuple[int, int]], lights: int, quick: bool) -> list[dict[
 
 def _rates(shape: tuple[int, int], lights: int, repeats: int) -> list[dict[str, Any]]:
     """Return texel·lights a second of ways to do the same, interleaved."""
-    bare = {"search": ["all"], "cycles": 1, "iterations": 60, "survey_iterations": 0, "polish_iterations": 0,
-            "polish_rounds": 0}  # fmt: skip
+    bare = {"search": ["all"], "cycles": 1, "iterations": 60, "prefit_iterations": 0, "refinement_iterations": 0,
+            "refinement_rounds": 0}  # fmt: skip
     alike = {**bare, "linear": "search", "particles": PARTICLES, "particles_per_dimension": 0.0}
     one, whole = ({**alike, "update": update} for update in ("one", "all"))
     cases = {
-        f"{title}, {entry}": Job(*shape, lights, preset, changes, known, count, 2, entry, covered)
-        for title, preset, changes, known, count, covered in (
+        f"{title}, {entry}": Job(*shape, lights, preset, changes, fixed, count, 2, entry, covered)
+        for title, preset, changes, fixed, count, covered in (
             ("`paper`, roughness stage: one particle an iteration", "paper", ROUGHNESS, KNOWN, 10, 1.0),
             (
                 "`standard`'s swarm of 16, nothing in closed form: one particle an iteration",
@@ -116,17 +116,17 @@ def _rates(shape: tuple[int, int], lights: int, repeats: int) -> list[dict[str, 
     return rows
 
 
-def _polish(shape: tuple[int, int], lights: int) -> dict[str, Any]:
-    """Return seconds of each step of a polish: texels that are done cost less and less."""
+def _refinement(shape: tuple[int, int], lights: int) -> dict[str, Any]:
+    """Return seconds of each step of a refinement: texels that are done cost less and less."""
     schedule = product.schedule_of(product.LM_ALONE)
     steps = 30
-    changes = {"polish_starts": False, "polish_rounds": 0, "polish_iterations": steps}
+    changes = {"refinement_starts": False, "refinement_rounds": 0, "refinement_iterations": steps}
     runs = [
         start(Job(*shape, lights, product.LM_ALONE, changes, (), 1, steps - 1))
         for _ in range(REPEATS)
     ]  # fmt: skip
     seconds = [statistics.median(values) for values in zip(*(run["work"] for run in runs), strict=True)]
-    return {"seconds": seconds, "gain": schedule.polish.gain, "texels": runs[0]["texels"], "lights": lights}
+    return {"seconds": seconds, "gain": schedule.refinement.gain, "texels": runs[0]["texels"], "lights": lights}
 
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
@@ -191,7 +191,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         ),
         "## Texels that are done",
         "",
-        *_polish_lines(data["polish"], folder),
+        *_refinement_lines(data["refinement"], folder),
     ]  # fmt: skip
     return lines
 
@@ -227,9 +227,9 @@ def _rate_row(row: dict[str, Any], rows: list[dict[str, Any]]) -> list[str]:
     return [row["name"], short(row["evaluations"]), f"{rate} ({low}–{high})", cost, gain]
 
 
-def _polish_lines(polish: dict[str, Any], folder: Path) -> list[str]:
-    seconds = polish["seconds"]
-    with report.plot(folder, "fig7_polish", "A polish: what a step costs as texels are done") as axes:
+def _refinement_lines(refinement: dict[str, Any], folder: Path) -> list[str]:
+    seconds = refinement["seconds"]
+    with report.plot(folder, "fig7_refinement", "A refinement: what a step costs as texels are done") as axes:
         axis = axes[0][0]
         axis.plot(
             range(2, len(seconds) + 2), [1e3 * s for s in seconds], color=report.COLORS[0], marker="o", markersize=3
@@ -237,11 +237,11 @@ def _polish_lines(polish: dict[str, Any], folder: Path) -> list[str]:
         axis.set(xlabel="step", ylabel="ms", ylim=(0, None))
     last = statistics.median(seconds[-5:])
     return [
-        f"{polish['texels']} texels under {polish['lights']} lights with noise, Levenberg–Marquardt from the"
+        f"{refinement['texels']} texels under {refinement['lights']} lights with noise, Levenberg–Marquardt from the"
         f" Lambertian seed. The first timed step takes {1e3 * seconds[0]:.0f} ms, the last ones {1e3 * last:.0f} ms"
-        f" ({last / seconds[0]:.0%}): a texel is done once two steps gain less than {polish['gain']:g} of its fitness.",
+        f" ({last / seconds[0]:.0%}): a texel is done once two steps gain less than {refinement['gain']:g} of its fitness.",
         "",
-        *report.image("fig7_polish", "Milliseconds a step against the step's number"),
+        *report.image("fig7_refinement", "Milliseconds a step against the step's number"),
     ]
 
 

@@ -77,9 +77,9 @@ def _floors(size: int, lights: int, quick: bool) -> dict[str, list[float]]:
         whole = problem_of(card.domain, card.model, card.truth)
         chosen = subjects.sample(whole.count, 4 if quick else 150)
         lit = ~card.shadowed.reshape(lights, -1)
-        known = replace(whole, weights=whole.weights * lit).subset(chosen)
-        found = scipy_least_squares(known, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
-        error = subjects.errors_of(card.model, found.values, known.truth)["normal"]
+        fixed = replace(whole, weights=whole.weights * lit).subset(chosen)
+        found = scipy_least_squares(fixed, Loss(kind="linear", shadow=0.0), restarts=False, max_nfev=60)
+        error = subjects.errors_of(card.model, found.values, fixed.truth)["normal"]
         floors[dirt] = list(report.mean_interval(error))
     return floors
 

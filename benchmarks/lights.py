@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import product, report, subjects
 from benchmarks.report import short
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.inspect import sufficiency as enough
+from irpso_addon.capture.inspect import sufficiency
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
@@ -97,7 +97,7 @@ def spoken(lights: np.ndarray) -> tuple[str, list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "capture"
         write_capture(Capture("lights", observations, (camera,), (np.ones((4, 4), bool),)), target, single_file=True)
-        found = inspect_capture(target, asked=enough.ASKS)
+        found = inspect_capture(target, asked=sufficiency.ASKS)
     (told,) = [value for name, value in found.facts if name == "enough for"]
     return told, [f.message.split(": ", 1)[1] for f in found.findings if f.code.startswith("lights")]
 
@@ -135,8 +135,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 def _outdated(rows: list[dict]) -> list[str]:
     """Return what tells that the figures inspect speaks from are not these any more."""
     off = []
-    for kind, dirt, figures in (("number", "dirty", enough.NUMBER), ("cone", "noisy", enough.CONE),
-                                ("fan", "noisy", enough.ACROSS)):  # fmt: skip
+    for kind, dirt, figures in (("number", "dirty", sufficiency.NUMBER), ("cone", "noisy", sufficiency.CONE),
+                                ("fan", "noisy", sufficiency.ACROSS)):  # fmt: skip
         for figure in figures:
             same = [r for r in rows if (r["kind"], r["dirt"], r["value"]) == (kind, dirt, figure.value)]
             for model, ask, at in (("principled", "normal", 0), ("principled", "roughness", 1),

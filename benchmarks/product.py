@@ -38,12 +38,12 @@ class Run:
 
 
 def schedule_of(name: str) -> Schedule:
-    """Return a preset by name, or ``LM_ALONE``: the polish of ``standard`` from all its starts, and nothing before."""
+    """Return a preset by name, or ``LM_ALONE``: the refinement of ``standard`` from all its starts, and nothing before."""
     if name != LM_ALONE:
         return load_schedule(name)
     schedule = load_schedule("standard")
-    return schedule.replaced(name=LM_ALONE, iterations=0, survey=replace(schedule.survey, iterations=0),
-                             polish=replace(schedule.polish, starts=True))  # fmt: skip
+    return schedule.replaced(name=LM_ALONE, iterations=0, prefit=replace(schedule.prefit, iterations=0),
+                             refinement=replace(schedule.refinement, starts=True))  # fmt: skip
 
 
 def jointly(schedule: Schedule, iterations: int | None = None) -> Schedule:
@@ -65,7 +65,7 @@ def recover(
     model: str,
     schedule: Schedule,
     seed: int = 0,
-    known: Mapping[str, np.ndarray] | None = None,
+    fixed: Mapping[str, np.ndarray] | None = None,
     points: Sequence[int] = (),
     entry: str = "auto",
 ) -> Run:
@@ -77,7 +77,7 @@ def recover(
     trace, way = [], []
     looked, start = np.zeros(2), now()
     texels = max(int(domain.solvable.sum()), 1)
-    with Recovery(domain, load_model(model), schedule, seed, known, entry) as recovery:
+    with Recovery(domain, load_model(model), schedule, seed, fixed, entry) as recovery:
         total = recovery.progress.iterations_in_all
         for point in [*sorted({p for p in points if p < total}), total]:
             # To the very end by asking for no number: a threshold may have ended stages early.

@@ -96,18 +96,18 @@ def traffic(shape: tuple[int, int], ranks: int, preset: str, iterations: int) ->
     """
     from irpso_addon.cluster.partition import split
     from irpso_addon.reflectance.model import load_model
-    from irpso_addon.solver.planning.cost import phase_need, recovery_need
+    from irpso_addon.solver.planning.cost import phase_cost, recovery_cost
     from irpso_addon.solver.settings.resolve import resolve
     from irpso_addon.solver.settings.schedule import load_schedule
 
     schedule, model = load_schedule(preset).replaced(iterations=iterations), load_model(_MODEL)
-    found = split(np.ones(shape, bool), recovery_need(model, schedule, (), _LIGHTS), ranks)
+    found = split(np.ones(shape, bool), recovery_cost(model, schedule, (), _LIGHTS), ranks)
     messages, size = np.zeros(len(found.tiles), int), np.zeros(len(found.tiles), int)
     for stage in resolve(schedule, model, set(), _LIGHTS):
-        need, numbers = phase_need(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
-        told, cells = _rims(np.array(found.boxes[: len(found.tiles)]), need.reach)
-        messages += need.exchanges * told
-        size += need.exchanges * cells * numbers * 4
+        cost, numbers = phase_cost(stage, model, schedule), stage.dimensions(schedule.swarm.normal)
+        told, cells = _rims(np.array(found.boxes[: len(found.tiles)]), cost.reach)
+        messages += cost.exchanges * told
+        size += cost.exchanges * cells * numbers * 4
     return Traffic(max(tile.texels for tile in found.tiles), int(messages.max()), int(size.max()))
 
 

@@ -22,7 +22,7 @@ from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.planning.cost import Need, recovery_need
+from irpso_addon.solver.planning.cost import Cost, recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Box, Plan, plan_recovery
 from irpso_addon.solver.settings.schedule import Schedule
@@ -42,7 +42,7 @@ class Job:
     lights: int
     preset: str = "paper"
     changes: dict[str, Any] = field(default_factory=dict)
-    known: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
     iterations: int = 5
     chunks: int = 1
     entry: str = "fragment"
@@ -75,8 +75,8 @@ def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
         coverage=coverage, uv=place[..., :2],
     )  # fmt: skip
     domain = replace(row.domain, bake=bake, stack=np.broadcast_to(row.domain.stack, (job.lights, *shape, 4)))
-    known = {n: np.broadcast_to(np.float32(row.truth[n]), (*shape, row.truth[n].shape[-1])) for n in job.known}
-    return domain, known
+    fixed = {n: np.broadcast_to(np.float32(row.truth[n]), (*shape, row.truth[n].shape[-1])) for n in job.fixed}
+    return domain, fixed
 
 
 def measure(job: Job) -> dict[str, Any]:
@@ -86,20 +86,20 @@ def measure(job: Job) -> dict[str, Any]:
     tiles: dict[str, Any] = {}
     make: Callable[..., Any] = Recovery
     if job.budget:
-        plan, need = plan_of(job, schedule)
+        plan, cost = plan_of(job, schedule)
         tiles = {"tiles": len(plan.tiles), "on_device": plan.on_device, "resident": plan.resident}
         job, boxes = _part(job, plan)
         tiles["solved"] = len(boxes)
         device = None if plan.resident else min(plan.on_device, len(boxes) - 1)
 
         def make(*arguments, **settings):
-            return TiledRecovery(*arguments, **settings, boxes=boxes, halo=need.reach, on_device=device)
+            return TiledRecovery(*arguments, **settings, boxes=boxes, halo=cost.reach, on_device=device)
 
     _warm_up(job, schedule)
     before = peak_memory_mb()
-    domain, known = repeated(job)
+    domain, fixed = repeated(job)
     began = now()
-    recovery = make(domain, load_model(subjects.TWO_LOBES), schedule, 0, known, entry=job.entry)
+    recovery = make(domain, load_model(subjects.TWO_LOBES), schedule, 0, fixed, entry=job.entry)
     setup, began = now() - began, now()
     recovery.step(iterations=0)
     placing = now() - began
@@ -125,8 +125,8 @@ def measure(job: Job) -> dict[str, Any]:
 def _warm_up(job: Job, schedule: Schedule) -> None:
     """Solve a few texels, so that what compilers take is no part of the memory that is measured."""
     small = replace(job, rows=4, columns=4, covered=1.0)
-    domain, known = repeated(small)
-    with Recovery(domain, load_model(subjects.TWO_LOBES), schedule, 0, known, entry=job.entry) as recovery:
+    domain, fixed = repeated(small)
+    with Recovery(domain, load_model(subjects.TWO_LOBES), schedule, 0, fixed, entry=job.entry) as recovery:
         recovery.step(iterations=2)
         recovery.maps(confidence=False)
 
@@ -146,12 +146,12 @@ def _synchronise(recovery: Any) -> np.ndarray:
     return np.maximum((middle - began) - (now() - middle), 0.0)
 
 
-def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Need]:
+def plan_of(job: Job, schedule: Schedule) -> tuple[Plan, Cost]:
     """Return how the whole of a job's domain would be solved within its budget."""
-    need = recovery_need(load_model(subjects.TWO_LOBES), schedule, job.known, job.lights)
+    cost = recovery_cost(load_model(subjects.TWO_LOBES), schedule, job.fixed, job.lights)
     # Of the host the plan wants room for the stack or its file; here the rows are one row's memory.
     memory = Memory(job.budget, 1 << 44)
-    return plan_recovery(np.ones((job.rows, job.columns), bool), need, memory), need
+    return plan_recovery(np.ones((job.rows, job.columns), bool), cost, memory), cost
 
 
 def _part(job: Job, plan: Plan) -> tuple[Job, list[Box]]:
@@ -167,6 +167,6 @@ def _part(job: Job, plan: Plan) -> tuple[Job, list[Box]]:
 
 
 if __name__ == "__main__":
-    found = measure(Job(**{k: tuple(v) if k == "known" else v for k, v in json.loads(sys.argv[1]).items()}))
+    found = measure(Job(**{k: tuple(v) if k == "fixed" else v for k, v in json.loads(sys.argv[1]).items()}))
     print(json.dumps(found))
     context.exit_process(0)

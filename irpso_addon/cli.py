@@ -108,7 +108,7 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile, N or WxH (default 512)")
     add.add_argument("--no-shadows", dest="shadows", action="store_false",
                      help="count samples that the mesh hides from their light like all others")  # fmt: skip
-    add.add_argument("--known", action="append", default=[], metavar="NAME=VALUE",
+    add.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter that is given: an EXR file, or numbers: base_color=0.5,0.5,0.5")  # fmt: skip
     add.add_argument(
         "--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr"

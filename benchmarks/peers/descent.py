@@ -176,11 +176,11 @@ def lbfgs_per_texel(
         done = torch.zeros_like(losses, dtype=torch.bool)
         scale = torch.zeros_like(losses)  # of the first guess at the Hessian's inverse; 0 where nothing is known of it
         for _ in range(iterations):
-            known = scale > 0
-            direction = _two_loops(slope, pairs, torch.where(known, scale, torch.ones_like(scale)))
+            fixed = scale > 0
+            direction = _two_loops(slope, pairs, torch.where(fixed, scale, torch.ones_like(scale)))
             uphill = (direction * slope).sum(1) >= 0
             direction = torch.where(uphill[:, None], -slope, direction)
-            reach = torch.where(known & ~uphill, 1.0, FIRST_REACH / direction.norm(dim=1).clamp_min(1e-12))
+            reach = torch.where(fixed & ~uphill, 1.0, FIRST_REACH / direction.norm(dim=1).clamp_min(1e-12))
             step, losses, new_slope, failed = _search(fit, z, losses, slope, direction, reach, ~done)
             change = new_slope - slope
             curvature, steep = (step * change).sum(1), (change * change).sum(1)
@@ -188,7 +188,7 @@ def lbfgs_per_texel(
             inverse = torch.where(usable, 1 / torch.where(usable, curvature, 1.0), 0.0)
             # Where no step along it was lower, the model is wrong: that texel begins anew, along its gradient.
             stuck = (step == 0).all(dim=1)
-            done = done | (failed & ~known)
+            done = done | (failed & ~fixed)
             scale = torch.where(usable, curvature / torch.where(usable, steep, 1.0), scale * ~stuck)
             pairs = [(s, y, i * ~stuck) for s, y, i in [*pairs, (step, change, inverse)][-history:]]
             z, slope = z + step, new_slope

@@ -108,9 +108,9 @@ SETTINGS: dict[str, tuple[dict[str, float], ...]] = {
 }
 
 
-def _low_rank_part(y: np.ndarray, known: np.ndarray, strength: float, tolerance: float, iterations: int) -> np.ndarray:
+def _low_rank_part(y: np.ndarray, fixed: np.ndarray, strength: float, tolerance: float, iterations: int) -> np.ndarray:
     """(K, T) A of robust principal component analysis with missing entries; Lin, Chen & Ma 2010, Algorithm 5."""
-    data = np.where(known, y, 0)
+    data = np.where(fixed, y, 0)
     weight = strength / np.sqrt(max(y.shape))
     size = np.linalg.norm(data)
     largest = np.sqrt(np.linalg.eigvalsh(data @ data.T)[-1])
@@ -120,7 +120,7 @@ def _low_rank_part(y: np.ndarray, known: np.ndarray, strength: float, tolerance:
     for _ in range(iterations):
         low = _shrink_spectrum(data - sparse + multiplier / penalty, 1 / penalty)
         rest = data - low + multiplier / penalty
-        sparse = np.where(known, np.sign(rest) * np.maximum(np.abs(rest) - weight / penalty, 0), rest)
+        sparse = np.where(fixed, np.sign(rest) * np.maximum(np.abs(rest) - weight / penalty, 0), rest)
         gap = data - low - sparse
         multiplier = multiplier + penalty * gap
         penalty *= 1.1

@@ -10,7 +10,7 @@ from . import lambertian
 from .models import Box, Geometry, geometry_of, radiance
 from .problem import Problem, Values
 
-# Roughnesses to begin from, besides the model's defaults: those of the program's multi-start polish.
+# Roughnesses to begin from, besides the model's defaults: those of the program's multi-start refinement.
 STARTS: dict[str, tuple[dict[str, float], ...]] = {
     "lambert": (),
     "principled": ({"roughness": 0.2}, {"roughness": 0.35}, {"roughness": 0.75}),

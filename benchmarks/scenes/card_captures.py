@@ -58,7 +58,7 @@ class Subject(Protocol):
     @property
     def fine(self) -> bool: ...
     def build(self, found: TrueMaps | None = None) -> None: ...
-    def truth(self, looks: TrueMaps) -> TrueMaps: ...
+    def truth(self, neighbour_reads: TrueMaps) -> TrueMaps: ...
     def points(self, camera: Camera) -> np.ndarray: ...
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]: ...
     def domain(self, capture: Capture, shadows: bool) -> Domain: ...
@@ -102,7 +102,7 @@ class Photographed:
     capture: Path
     arguments: tuple[object, ...]
     truth: TrueMaps
-    looks: TrueMaps
+    neighbour_reads: TrueMaps
     points: np.ndarray
     shown: np.ndarray
     unseen: np.ndarray
@@ -121,7 +121,7 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     if shooting.rim and subject.flat:
         cards.build_rim(shooting.rim)
     seen = render.truth(folder / "seen")
-    looks, shown = _maps(seen), seen["coverage"] > 0.999
+    neighbour_reads, shown = _maps(seen), seen["coverage"] > 0.999
     if not (folder / CAPTURE).exists():
         _write(name, subject, shooting, shown, folder)
     _empty(subject, shooting.near, _UNSEEN_SAMPLES, 0)
@@ -129,7 +129,9 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     unseen = np.stack(list(render.photographs_near(folder / "unseen", UNSEEN, shadows=False)))
     points = subject.points(_camera(subject))
     arguments = subject.arguments(folder, shooting.shadows)
-    return Photographed(folder / CAPTURE, arguments, subject.truth(looks), looks, points, shown, unseen)
+    return Photographed(
+        folder / CAPTURE, arguments, subject.truth(neighbour_reads), neighbour_reads, points, shown, unseen
+    )
 
 
 def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
@@ -139,8 +141,8 @@ def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tupl
     """
     _empty(subject, near, _RELIT_SAMPLES, 0)
     subject.build(found)
-    looks = _maps(render.truth(folder))
-    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), looks
+    neighbour_reads = _maps(render.truth(folder))
+    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), neighbour_reads
 
 
 def diffuse_part(shot: Photographed) -> np.ndarray:
@@ -150,8 +152,8 @@ def diffuse_part(shot: Photographed) -> np.ndarray:
     """
     toward = UNSEEN[:, None, None] - shot.points
     squared = (toward**2).sum(axis=-1)
-    cosine = (toward * shot.looks.normal).sum(axis=-1) / np.sqrt(squared)
-    albedo = (1 - shot.looks.metallic) * shot.looks.base_color.mean(axis=-1)
+    cosine = (toward * shot.neighbour_reads.normal).sum(axis=-1) / np.sqrt(squared)
+    albedo = (1 - shot.neighbour_reads.metallic) * shot.neighbour_reads.base_color.mean(axis=-1)
     strength = (UNSEEN**2).sum(axis=-1)[:, None, None] / squared
     return albedo * np.maximum(cosine, 0) * strength
 

@@ -62,9 +62,9 @@ class Card:
         """Put the card into the open scene; with recovered maps flat, as the picture shows them pixel for pixel."""
         build_true(self) if found is None else build_flat(found)
 
-    def truth(self, looks: TrueMaps) -> TrueMaps:
+    def truth(self, neighbour_reads: TrueMaps) -> TrueMaps:
         """Return the true maps of the texels that are recovered: of the pixels."""
-        return looks
+        return neighbour_reads
 
     def points(self, camera: Camera) -> np.ndarray:
         """Return (SIDE, SIDE, 3) the places on the flat card that the pixels show."""

@@ -14,7 +14,7 @@ from ..capture.camera import Camera
 from ..capture.errors import CaptureError
 from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.linearise import Decoder
-from ..capture.spec import Draft, ViewDraft, build_capture
+from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
 from .balls.lights import Calibration, Request, calibration_steps
@@ -75,9 +75,9 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What was found. shots: the numbers, in the draft, of the photographs. names: of them. camera: its number."""
+    """What was found. shots: the numbers, in the spec, of the photographs. names: of them. camera: its number."""
 
-    draft: Draft
+    spec: CaptureSpec
     camera: int
     shots: tuple[int, ...]
     names: tuple[str, ...]
@@ -91,29 +91,29 @@ class Calibrated:
 
 
 def calibrate_steps(
-    draft: Draft,
+    spec: CaptureSpec,
     requests: Sequence[BallRequest],
     request: Request,
     decoder: Decoder | None = None,
     radius: float | None = None,
     view: str | None = None,
 ) -> Generator[int, None, Calibrated]:
-    """Yield the number of each photograph before it is read, and return what the balls tell of a draft's lights.
+    """Yield the number of each photograph before it is read, and return what the balls tell of a spec's lights.
 
     radius: of the balls, in world units. view: the camera whose photographs are used, needed where there are several.
     Raises InputError, also where half of the photographs or more tell no light.
     """
-    number = _camera_number(draft, view)
-    capture = build_capture(draft, decoder)
-    shots = tuple(n for n, shot in enumerate(draft.shots) if shot.camera == number)
+    number = _camera_number(spec, view)
+    capture = build_capture(spec, decoder)
+    shots = tuple(n for n, shot in enumerate(spec.observations) if shot.camera == number)
     camera = capture.cameras[number]
-    _check_distance(request, draft.views[number], camera, radius)
+    _check_distance(request, spec.views[number], camera, radius)
     store = ImageStore(decoder)
     balls = [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
     result = yield from calibration_steps([capture.observations[n].read for n in shots], balls, request)
     if result.near and camera.perspective and radius is None:
-        _refuse_radii(draft, number)
-    names = tuple(draft.shots[n].name for n in shots)
+        _refuse_radii(spec, number)
+    names = tuple(spec.observations[n].name for n in shots)
     found = sum(light.light is not None for light in result.lights)
     if found < max(1, _FEWEST * len(shots)):
         lost = next(i for i, light in enumerate(result.lights) if light.light is None)
@@ -125,10 +125,10 @@ def calibrate_steps(
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    return Calibrated(draft, number, shots, names, result, tuple(warnings))
+    return Calibrated(spec, number, shots, names, result, tuple(warnings))
 
 
-def _check_distance(request: Request, view: ViewDraft, camera: Camera, radius: float | None) -> None:
+def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
     """Raise InputError where a distance is given and nothing says in which unit."""
     if request.distance is None:
         return
@@ -140,35 +140,35 @@ def _check_distance(request: Request, view: ViewDraft, camera: Camera, radius: f
         )
 
 
-def _refuse_radii(draft: Draft, number: int) -> None:
+def _refuse_radii(spec: CaptureSpec, number: int) -> None:
     """Raise InputError where a capture has lengths of its own, and places of lights would come in radii of the ball."""
-    placed = draft.views[number].placed
-    if placed or draft.card_distance is not None:
+    placed = spec.views[number].placed
+    if placed or spec.card_distance is not None:
         raise InputError(
-            f"{draft.source}: has {'a camera with a place' if placed else 'card_distance'}, in a unit in which near"
+            f"{spec.source}: has {'a camera with a place' if placed else 'card_distance'}, in a unit in which near"
             " lights are wanted too; give --radius in it, or --lights distant"
         )
 
 
-def _camera_number(draft: Draft, view: str | None) -> int:
-    names = [v.name for v in draft.views]
+def _camera_number(spec: CaptureSpec, view: str | None) -> int:
+    names = [v.name for v in spec.views]
     if view is not None:
         if view not in names:
             raise InputError(f"--view {view}: there is no such camera; choose one of {', '.join(names)}")
         return names.index(view)
     if len(names) > 1:
-        raise InputError(f"{draft.source}: has {len(names)} cameras; say with --view which one saw the ball")
+        raise InputError(f"{spec.source}: has {len(names)} cameras; say with --view which one saw the ball")
     return 0
 
 
 def written_table(found: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
     """Return the text of a capture.toml in ``folder`` with the lights that were found."""
     lights = {n: light.light for n, light in zip(found.shots, found.result.lights, strict=True)}
-    view, camera = found.draft.views[found.camera], found.result.views[0].ball.camera
+    view, camera = found.spec.views[found.camera], found.result.views[0].ball.camera
     if found.result.near and not (camera_keys or view.lens):  # places are counted in what was taken for its width
         camera_keys = {"world_width": camera.width / camera.scale[0]}
     cameras = {found.camera: camera_keys} if camera_keys else {}
-    return calibrated_table(found.draft, cameras, lights, folder)
+    return calibrated_table(found.spec, cameras, lights, folder)
 
 
 def report_of(found: Calibrated) -> dict[str, Any]:

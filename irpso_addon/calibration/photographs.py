@@ -14,7 +14,7 @@ from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
 from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 from ..capture.images.image import ImageRef, find_image
-from ..capture.spec import Draft, Shot, ViewDraft
+from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
 from ..capture.types import Light
 from ..core.toml_text import toml_value
 
@@ -27,8 +27,8 @@ _LIGHT_KEYS = (
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
-def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> Draft:
-    """Return the draft of a capture, or of a folder of images; the lights of the latter are not to be used.
+def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> CaptureSpec:
+    """Return the spec of a capture, or of a folder of images; the lights of the latter are not to be used.
 
     Of a folder without a capture the images are those of its filenames.txt, or all, sorted by name, but for masks and
     those in ``leave_out``; camera.toml is its camera. Raises InputError where there are none.
@@ -36,9 +36,9 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
     path = Path(path)
     names = path / diligent.FILENAMES
     if not path.is_dir() or (path / table.TABLE).exists() or (path / diligent.DIRECTIONS).exists():
-        return read.read_draft(path, colour_space)
+        return read.read_spec(path, colour_space)
     if not names.exists() and len([p for p in path.iterdir() if p.suffix.lower() == ".lp"]) == 1:
-        return read.read_draft(path, colour_space)
+        return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in leave_out}
     if names.exists():
         images = [find_image(path, name) for _, name in read_lines(names, "write the images' names into it")]
@@ -49,12 +49,12 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
         )  # fmt: skip
     if not images:
         raise CaptureError(f"{path}: holds no images; give the folder of the photographs", "kind")
-    shots = tuple(Shot(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
+    shots = tuple(ObservationSpec(p.name, ImageRef(p, colour_space=colour_space), _UNKNOWN, str(p)) for p in images)
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
     mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
-    view = ViewDraft("camera", make, str(path), None, mask and ImageRef(mask), lens=lens)
-    return Draft(path.resolve().name, "images", path, shots, (view,))
+    view = ViewSpec("camera", make, str(path), None, mask and ImageRef(mask), lens=lens)
+    return CaptureSpec(path.resolve().name, "images", path, shots, (view,))
 
 
 def camera_keys(path: Path) -> dict[str, Any]:
@@ -64,28 +64,28 @@ def camera_keys(path: Path) -> dict[str, Any]:
     return keys
 
 
-def with_camera(draft: Draft, keys: Mapping[str, Any], where: str) -> Draft:
-    """Return a draft whose cameras have the intrinsics of ``keys``, in their own places."""
+def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
+    """Return a spec whose cameras have the intrinsics of ``keys``, in their own places."""
     views = []
-    for view in draft.views:
+    for view in spec.views:
         matrix = view.make(*(view.size or (1, 1))).matrix
         views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
-    return replace(draft, views=tuple(views))
+    return replace(spec, views=tuple(views))
 
 
 def calibrated_table(
-    draft: Draft, cameras: Mapping[int, Mapping[str, Any]], lights: Mapping[int, Light | None], folder: Path
+    spec: CaptureSpec, cameras: Mapping[int, Mapping[str, Any]], lights: Mapping[int, Light | None], folder: Path
 ) -> str:
-    """Return the text of a capture.toml in ``folder``: the draft's, with the lights of its shots replaced.
+    """Return the text of a capture.toml in ``folder``: the spec's, with the lights of its shots replaced.
 
     cameras: keys to be put into the table of each camera. lights: by the number of the shot; None leaves it out. Of a
     capture.toml everything else stays as it is, but for comments; images are named relative to ``folder``.
     """
-    if draft.kind == "capture table":
-        source = load_toml(draft.source)
-        home = draft.source.parent
+    if spec.kind == "capture table":
+        source = load_toml(spec.source)
+        home = spec.source.parent
     else:
-        source, home = _as_table(draft), Path(".")
+        source, home = _as_table(spec), Path(".")
     source = {**source, "camera": [dict(row) for row in source.get("camera", [])]}
     for number, keys in cameras.items():
         if number < len(source["camera"]):
@@ -109,23 +109,23 @@ def _light_keys(light: Light, former: Any) -> dict[str, Any]:
     return keys if former is None else {**keys, "light_intensity": former}
 
 
-def _as_table(draft: Draft) -> dict[str, Any]:
-    """Return what a capture.toml of a draft of another kind holds, its paths as they are."""
-    camera: dict[str, Any] = {"name": draft.views[0].name}
-    file = (draft.source if draft.source.is_dir() else draft.source.parent) / CAMERA
-    if file.exists() and draft.source.suffix.lower() != ".lp":
+def _as_table(spec: CaptureSpec) -> dict[str, Any]:
+    """Return what a capture.toml of a spec of another kind holds, its paths as they are."""
+    camera: dict[str, Any] = {"name": spec.views[0].name}
+    file = (spec.source if spec.source.is_dir() else spec.source.parent) / CAMERA
+    if file.exists() and spec.source.suffix.lower() != ".lp":
         camera |= camera_keys(file)
-    if draft.views[0].mask is not None:
-        camera["mask"] = str(draft.views[0].mask.path)
+    if spec.views[0].mask is not None:
+        camera["mask"] = str(spec.views[0].mask.path)
     rows = []
-    for shot in draft.shots:
+    for shot in spec.observations:
         row: dict[str, Any] = {"name": shot.name, "image": str(shot.image.path)}
         if shot.image.colour_space != "auto":
             row["colour_space"] = shot.image.colour_space
-        if draft.kind != "images" and tuple(shot.intensity) != (1.0, 1.0, 1.0):
+        if spec.kind != "images" and tuple(shot.intensity) != (1.0, 1.0, 1.0):
             row["light_intensity"] = list(shot.intensity)
         rows.append(row)
-    return {"format": table.FORMAT, "name": draft.name, "camera": [camera], "observation": rows}
+    return {"format": table.FORMAT, "name": spec.name, "camera": [camera], "observation": rows}
 
 
 def _moved(value: Any, home: Path, folder: Path) -> Any:

@@ -9,7 +9,7 @@ from .formats import diligent, rti, table
 from .images.image import ImageStore
 from .images.linearise import COLOUR_SPACES, Decoder
 from .inspect.damage import without_damaged
-from .spec import Draft, build_capture
+from .spec import CaptureSpec, build_capture
 from .types import Capture
 
 _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light_directions.txt, or with one .lp file"
@@ -28,13 +28,13 @@ def read_capture(
     skip_damaged: whether images that cannot be decoded are left out, and named in the capture; each is then decoded
     once now. Raises InputError naming the file and the remedy.
     """
-    draft = read_draft(path, colour_space)
+    spec = read_spec(path, colour_space)
     if skip_damaged:
-        draft = without_damaged(draft, ImageStore(decoder))
-    return build_capture(draft, decoder)
+        spec = without_damaged(spec, ImageStore(decoder))
+    return build_capture(spec, decoder)
 
 
-def read_draft(path: Path | str, colour_space: str = "auto") -> Draft:
+def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
     """Return what a capture's lists say, before any image is opened. Raises InputError as read_capture does."""
     path = Path(path)
     if colour_space not in COLOUR_SPACES:
@@ -43,32 +43,32 @@ def read_draft(path: Path | str, colour_space: str = "auto") -> Draft:
         )
     try:
         if path.is_dir():
-            return _draft_of_folder(path, colour_space)
+            return _spec_of_folder(path, colour_space)
         if not path.exists():
             raise CaptureError(f"{path}: is not there; give the path of a capture ({_REMEDY})", "missing")
     except PermissionError as error:
         raise CaptureError(f"{path}: cannot be opened; check its permissions", "missing") from error
     if path.suffix.lower() == ".toml":
-        return table.draft_of_table(path, colour_space)
+        return table.spec_of_table(path, colour_space)
     if path.suffix.lower() == ".lp":
-        return rti.draft_of_lp(path, colour_space)
+        return rti.spec_of_lp(path, colour_space)
     if path.suffix.lower() == ".blend":
         raise CaptureError(
             f"{path}: a scene is looked over in Blender, with Capture From: This Scene; recover takes it", "kind"
         )
     if path.name in (diligent.FILENAMES, diligent.DIRECTIONS):
-        return diligent.draft_of_folder(path.parent, colour_space)
+        return diligent.spec_of_folder(path.parent, colour_space)
     raise CaptureError(f"{path}: is no capture; {_REMEDY}", "kind")
 
 
-def _draft_of_folder(folder: Path, colour_space: str) -> Draft:
+def _spec_of_folder(folder: Path, colour_space: str) -> CaptureSpec:
     if (folder / table.TABLE).exists():
-        return table.draft_of_table(folder / table.TABLE, colour_space)
+        return table.spec_of_table(folder / table.TABLE, colour_space)
     if diligent.is_diligent(folder):
-        return diligent.draft_of_folder(folder, colour_space)
+        return diligent.spec_of_folder(folder, colour_space)
     lists = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".lp" and p.is_file())
     if len(lists) == 1:
-        return rti.draft_of_lp(lists[0], colour_space)
+        return rti.spec_of_lp(lists[0], colour_space)
     if lists:
         raise CaptureError(f"{folder}: holds {len(lists)} .lp files; give the path of the one to read", "kind")
     raise CaptureError(f"{folder}: holds no capture; {_REMEDY}", "kind")

@@ -18,7 +18,7 @@ from .types import Capture, LeftOut, Light, Observation
 
 
 @dataclass(frozen=True)
-class Shot:
+class ObservationSpec:
     """One observation as written. vector, axis: as in the file, of any length. where: the file and place that says so.
 
     axis, cone, cosine: as Light's.
@@ -37,7 +37,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class ViewDraft:
+class ViewSpec:
     """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
 
     placed: whether it stands anywhere but at the world's origin, looking down. where: the file and place that says so.
@@ -54,7 +54,7 @@ class ViewDraft:
 
 
 @dataclass(frozen=True)
-class Draft:
+class CaptureSpec:
     """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
 
     card_distance, left_out: as Capture's.
@@ -63,41 +63,41 @@ class Draft:
     name: str
     kind: str
     source: Path
-    shots: tuple[Shot, ...]
-    views: tuple[ViewDraft, ...]
+    observations: tuple[ObservationSpec, ...]
+    views: tuple[ViewSpec, ...]
     card_distance: float | None = None
     left_out: tuple[LeftOut, ...] = ()
 
 
-def build_capture(draft: Draft, decoder: Decoder | None = None) -> Capture:
-    """Return the Capture that a draft describes; masks are read now, images when they are asked for.
+def build_capture(spec: CaptureSpec, decoder: Decoder | None = None) -> Capture:
+    """Return the Capture that a spec describes; masks are read now, images when they are asked for.
 
     Every image's header is looked at. Raises CaptureError naming the first fault and carrying the others.
     """
-    return run_steps(build_steps(draft, decoder))
+    return run_steps(build_steps(spec, decoder))
 
 
-def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
+def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
     """Yield before each image's header is looked at and each mask is read, and return what ``build_capture`` does."""
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
-    lights = [_light(shot, faults) for shot in draft.shots]
+    lights = [_light(shot, faults) for shot in spec.observations]
     sizes = []
-    for shot in draft.shots:
+    for shot in spec.observations:
         yield
         sizes.append(_size(shot.image, store, faults))
     raise_all(faults)
     cameras, masks = [], []
-    for index, view in enumerate(draft.views):
+    for index, view in enumerate(spec.views):
         yield
-        seen = [(s, size) for s, size in zip(draft.shots, sizes, strict=True) if s.camera == index]
+        seen = [(s, size) for s, size in zip(spec.observations, sizes, strict=True) if s.camera == index]
         width, height = _camera_size(view, seen, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
     raise_all(faults)
     tested = [
         LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
-        for shot, light in zip(draft.shots, lights, strict=True)
+        for shot, light in zip(spec.observations, lights, strict=True)
         if light.distant and shot.image.colour_space == "auto"
     ]
     encoding = encoding_of(tested, masks, store)
@@ -109,10 +109,10 @@ def build_steps(draft: Draft, decoder: Decoder | None = None) -> Generator[None,
             shot.camera,
             store.coarse(shot.image),
         )  # fmt: skip
-        for shot, light in zip(draft.shots, lights, strict=True)
+        for shot, light in zip(spec.observations, lights, strict=True)
     )
     return Capture(
-        draft.name, observations, tuple(cameras), tuple(masks), draft.source, draft.card_distance, draft.left_out,
+        spec.name, observations, tuple(cameras), tuple(masks), spec.source, spec.card_distance, spec.left_out,
         encoding,
     )  # fmt: skip
 
@@ -145,14 +145,14 @@ class _Reader:
         return replace(self.image, colour_space=self.encoding.colour_space)
 
 
-def written_lights(draft: Draft) -> list[Light]:
-    """Return the lights of a draft's observations; none where one of them is not sound."""
+def written_lights(spec: CaptureSpec) -> list[Light]:
+    """Return the lights of a spec's observations; none where one of them is not sound."""
     faults: list[CaptureError] = []
-    lights = [_light(shot, faults) for shot in draft.shots]
+    lights = [_light(shot, faults) for shot in spec.observations]
     return [] if faults else lights
 
 
-def _light(shot: Shot, faults: list[CaptureError]) -> Light | None:
+def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
     vector, intensity = np.asarray(shot.vector, float), np.asarray(shot.intensity, float)
     length = np.linalg.norm(vector)
     axis = np.asarray(shot.axis or (), float)
@@ -186,7 +186,7 @@ def _size(image: ImageRef, store: ImageStore, faults: list[CaptureError]) -> tup
 
 
 def _camera_size(
-    view: ViewDraft, seen: list[tuple[Shot, tuple[int, int]]], faults: list[CaptureError]
+    view: ViewSpec, seen: list[tuple[ObservationSpec, tuple[int, int]]], faults: list[CaptureError]
 ) -> tuple[int, int]:
     if not seen and view.size is None:
         faults.append(CaptureError(f"{view.where}: no observation uses this camera; set width and height", "camera"))
@@ -196,7 +196,7 @@ def _camera_size(
     return expected
 
 
-def common_size(view: ViewDraft, sizes: list[tuple[int, int]]) -> tuple[int, int]:
+def common_size(view: ViewSpec, sizes: list[tuple[int, int]]) -> tuple[int, int]:
     """Return the size that a camera's images must have: as written, or that of most: then the odd ones are at fault."""
     return view.size or max(sizes, key=sizes.count)
 
@@ -210,7 +210,7 @@ def size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]
     )
 
 
-def _mask(view: ViewDraft, size: tuple[int, int], store: ImageStore, faults: list[CaptureError]) -> np.ndarray:
+def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list[CaptureError]) -> np.ndarray:
     everything = np.ones(size[::-1], bool)
     if view.mask is None:
         return everything

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.errors import InputError
-from ..solver.planning.cost import Need
+from ..solver.planning.cost import Cost
 from ..solver.planning.memory import Memory, amount
 from ..solver.planning.plan import Borders, Tile, divided, tile_of
 from .transport import Ranks
@@ -56,15 +56,15 @@ class Split:
         ]
 
 
-def split(coverage: np.ndarray, need: Need, ranks: int, borders: Borders | None = None) -> Split:
+def split(coverage: np.ndarray, cost: Cost, ranks: int, borders: Borders | None = None) -> Split:
     """Return boxes for so many ranks, about even in covered texels, (H, W) bool, of whole domains all alike."""
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     height, width = coverage.shape
     boxes = divided(coverage, (0, 0, width, height), ranks)
-    tiles = tuple(tile_of(coverage, box, need, borders) for box in boxes)
-    state = need.kept * sum(tile.texels for tile in tiles)
-    return Split(coverage.shape, tiles, need.reach, ranks, need.observations, state)
+    tiles = tuple(tile_of(coverage, box, cost, borders) for box in boxes)
+    state = cost.kept * sum(tile.texels for tile in tiles)
+    return Split(coverage.shape, tiles, cost.reach, ranks, cost.observations, state)
 
 
 def check_gathered(found: Split, memory: Memory) -> None:

@@ -143,5 +143,5 @@ class RankedRecovery:
     def _identity(self) -> dict[str, Any]:
         """Who this is to a checkpoint; found once: it reads all samples."""
         member = self._crew.member
-        settings = (self.model, self.schedule, self.seed, self.entry, member.known)
+        settings = (self.model, self.schedule, self.seed, self.entry, member.fixed)
         return checkpoint.identity(member.domain, *settings, samples=self._crew.ask("digest"))

@@ -61,11 +61,11 @@ class Member:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
-        known: Mapping[str, np.ndarray],
+        fixed: Mapping[str, np.ndarray],
     ):
         self.ranks, self.share = ranks, share
         self.model, self.schedule, self.seed = model, schedule, seed
-        self.known = {name: full_map(model, name, value, share.whole.shape) for name, value in known.items()}
+        self.fixed = {name: full_map(model, name, value, share.whole.shape) for name, value in fixed.items()}
         self._box = share.boxes[ranks.rank]
         self.domain: Domain | None = None  # the whole, of the observations that are fitted
         self._own: np.ndarray | None = None  # (K, h, w, 4) the samples of those, without the halo
@@ -238,8 +238,8 @@ class Member:
     def _begun(self, part: Domain, brightness: float, entry: str) -> TileRecovery:
         prepared = replace(prepare.prepare(part, self.model, self.schedule, pack=False), brightness=brightness)
         texels = rectangle(self._box, part.halo)
-        known = {name: value[texels] for name, value in self.known.items()}
-        return TileRecovery(part, self.model, self.schedule, self.seed, known, entry, prepared)
+        fixed = {name: value[texels] for name, value in self.fixed.items()}
+        return TileRecovery(part, self.model, self.schedule, self.seed, fixed, entry, prepared)
 
     def _tile(self, fitted: Sequence[int], solvable: np.ndarray) -> Domain:
         """This rank's own texels with their halo, as a tile of the whole would be."""
@@ -292,7 +292,7 @@ class Member:
         return numbers
 
     def _texels(self, place: Any) -> np.ndarray:
-        """Return which of the solved texels a rank holds, as its textures do: its own, the halo's, then the annex's."""
+        """Return which of the solved texels a rank holds, as its textures do: its own, the halo's, then the ghosts's."""
         numbers, texels = self._numbers(), rectangle(place.box, place.halo)
-        x, y = place.annex.T
+        x, y = place.ghosts.T
         return np.concatenate([numbers[texels][self.domain.solvable[texels]], numbers[y, x]])

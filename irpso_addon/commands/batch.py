@@ -142,7 +142,7 @@ def _beside(path: Path | None, key: str, value: str) -> str:
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
         return str(path.parent / value)
     name, equals, file = value.partition("=")
-    if key == "known" and (path.parent / file).is_file():
+    if key == "fixed" and (path.parent / file).is_file():
         return f"{name}{equals}{path.parent / file}"
     return value
 

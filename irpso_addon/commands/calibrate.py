@@ -28,13 +28,13 @@ def run(options: Namespace) -> dict:
     requests = [ball_of_text(text) for text in options.ball]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
-    draft = read_photographs(Path(options.capture), options.colour_space, masks)
+    spec = read_photographs(Path(options.capture), options.colour_space, masks)
     if keys:
-        draft = with_camera(draft, keys, "--camera" if options.camera else "--fov")
+        spec = with_camera(spec, keys, "--camera" if options.camera else "--fov")
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
-    steps = calibrate_steps(draft, requests, request, decode, positive("--radius", options.radius), options.view)
-    found = run_steps(steps, lambda read: bar.show(read / len(draft.shots), "reading"))
+    steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
+    found = run_steps(steps, lambda read: bar.show(read / len(spec.observations), "reading"))
     bar.show(1.0, "done")
     bar.close()
     write_calibration(found, out, keys)
@@ -89,7 +89,7 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
         lines.append("camera: orthographic; of a lens that is not very long give --fov or --camera")
     elif result.near and radius is None:
         lines.append("places are counted in radii of the ball; --radius makes them world units")
-    if result.near and found.draft.card_distance is None and len(found.draft.views) == 1:
+    if result.near and found.spec.card_distance is None and len(found.spec.views) == 1:
         lines.append(
             "a flat card under these lights needs its distance from the camera in capture.toml; one that the balls lie"
             f" on: card_distance = {found.card_distance:.6g}"

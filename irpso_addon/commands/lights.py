@@ -24,11 +24,11 @@ def check_lights(options: Namespace) -> None:
 
 
 def found_lights(
-    domain: Domain, kept: list[int], model: ReflectanceModel, known: Mapping[str, np.ndarray], options: Namespace
+    domain: Domain, kept: list[int], model: ReflectanceModel, fixed: Mapping[str, np.ndarray], options: Namespace
 ) -> lights.Lights | None:
     """Return the lights by the observations ``kept``, None where they are taken as given."""
     steps = lights.chosen_steps(
-        domain, model, options.seed, known, intensities=options.intensities,
+        domain, model, options.seed, fixed, intensities=options.intensities,
         refine_degrees=options.refine_directions, fitted=kept, entry=options.entry,
     )  # fmt: skip
     bar = ProgressBar("lights", silent(options))
@@ -44,7 +44,7 @@ def light_warnings(
     domain: Domain,
     kept: list[int],
     maps: Maps,
-    known: Collection[str],
+    fixed: Collection[str],
     options: Namespace,
 ) -> list[str]:
     """Return what makes the lights doubtful: those that were found, or intensities that the capture does not tell."""
@@ -52,5 +52,5 @@ def light_warnings(
         return found.warnings(options.intensities == "estimate")
     if any(tuple(observation.light.intensity) != _GIVEN_AS_ONE for observation in capture.observations):
         return []
-    text = lights.contradiction(subset(domain, kept), maps.model, maps.values, frozenset(known), options.seed)
+    text = lights.contradiction(subset(domain, kept), maps.model, maps.values, frozenset(fixed), options.seed)
     return [text] if text else []

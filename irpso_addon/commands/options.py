@@ -51,28 +51,28 @@ def schedule_from_options(options: Namespace) -> Schedule:
     return schedule.replaced(**changes)
 
 
-def known_from_options(
+def fixed_from_options(
     texts: Sequence[str], model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE
 ) -> dict[str, np.ndarray]:
-    """Return the maps of --known NAME=VALUE: (H, W, components) from a file, or (components,) from numbers.
+    """Return the maps of --fixed NAME=VALUE: (H, W, components) from a file, or (components,) from numbers.
 
     tiles: the UDIM tiles of the domain, which each have a file, as in normal=normal.<UDIM>.exr.
     """
-    known = {}
+    fixed = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
             raise InputError(
-                f"--known {text}: write NAME=VALUE, as in --known roughness=0.5 or --known normal=file.exr"
+                f"--fixed {text}: write NAME=VALUE, as in --fixed roughness=0.5 or --fixed normal=file.exr"
             )
         parameter = model.parameter(name.strip())
         numbers = numbers_of_text(value)
-        known[parameter.name] = (
+        fixed[parameter.name] = (
             read_parameter(Path(value.strip()), parameter, tiles)
             if numbers is None
-            else _known_numbers(f"--known {text}", numbers, parameter)
+            else _fixed_numbers(f"--fixed {text}", numbers, parameter)
         )
-    return known
+    return fixed
 
 
 def check_size(option: str, maps: Mapping[str, np.ndarray], shape: tuple[int, int]) -> None:
@@ -85,7 +85,7 @@ def check_size(option: str, maps: Mapping[str, np.ndarray], shape: tuple[int, in
             )
 
 
-def _known_numbers(option: str, numbers: list[float], parameter: Parameter) -> np.ndarray:
+def _fixed_numbers(option: str, numbers: list[float], parameter: Parameter) -> np.ndarray:
     """Return (components,) float32 of numbers that are the same everywhere."""
     count, (low, high) = parameter.components, parameter.range
     if len(numbers) not in ((count,) if parameter.is_normal else (1, count)):

@@ -18,7 +18,7 @@ from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh
 from ..geometry.domain import Domain, GeometryBake, laid_on
 from ..geometry.seams.seams import SeamMap
 from ..gpu import context, probe
-from ..solver.planning.cost import recovery_need
+from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.planning import covered_texels, uv_borders
 from .each_slot import EACH
@@ -82,7 +82,7 @@ def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Spl
         return None, job, found
     share = _share(ranks, options, job, found, surface)
     ranks.agreed(lambda: settle(options, job, share.whole))
-    member = Member(ranks, share, job.model, job.schedule, options.seed, job.known)
+    member = Member(ranks, share, job.model, job.schedule, options.seed, job.fixed)
     ranks.agreed(lambda: _check_lit(member, job))
     job.seconds["read"] = time.perf_counter() - started
     return member, job, found
@@ -107,10 +107,10 @@ def _surface(job: Job) -> tuple[GeometryBake, SeamMap | None]:
 
 def _split(ranks: Ranks, options: Namespace, job: Job, surface: tuple[GeometryBake, SeamMap | None] | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
-    need = recovery_need(job.model, job.schedule, job.known, *counts, options.entry != "fragment")
+    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, options.entry != "fragment")
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.resolution)
     borders = None if job.mesh is None else uv_borders(job.mesh, coverage.shape)
-    return split(coverage, need, ranks.size, borders)
+    return split(coverage, cost, ranks.size, borders)
 
 
 def _check_fits(ranks: Ranks, options: Namespace, found: Split, sharing: int) -> None:
@@ -162,7 +162,7 @@ def _led(crew: Crew, job: Job, options: Namespace) -> dict:
     ranks = crew.ranks
     kept = [k for k in range(crew.domain.observations) if k not in job.held_out]
     started = time.perf_counter()
-    lights = found_lights(crew.domain, kept, job.model, job.known, options)
+    lights = found_lights(crew.domain, kept, job.model, job.fixed, options)
     if lights is not None:
         found = lights.applied(crew.domain)
         crew.take_lights(found.lights, found.intensities)

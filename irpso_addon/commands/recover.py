@@ -32,7 +32,7 @@ from ..geometry.mesh import MeshData
 from ..geometry.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
-from ..results.derived_maps import Extras, extra_maps, normals_of_text
+from ..results.derived_maps import DerivedMaps, derived_maps, normals_of_text
 from ..results.maps import Maps
 from ..results.read import read_maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
@@ -52,7 +52,7 @@ from ..solver.views.pictures import confidence_preview, error_preview
 from .each_slot import EACH, recover_each
 from .lights import check_lights, found_lights, light_warnings
 from .live import LIVE, LivePicture
-from .options import check_size, held_out_list, known_from_options, positive, schedule_from_options, size_option
+from .options import check_size, fixed_from_options, held_out_list, positive, schedule_from_options, size_option
 from .progress import ProgressBar, counted, silent, unseen_reports
 from .solve import CHECKPOINT, Saving, check_every, drive
 
@@ -70,7 +70,7 @@ class Job:
     capture: Capture
     model: ReflectanceModel
     schedule: Schedule
-    known: dict[str, np.ndarray]
+    fixed: dict[str, np.ndarray]
     truth: dict[str, np.ndarray] | None
     held_out: list[int]
     folder: Path
@@ -78,7 +78,7 @@ class Job:
     subject: object | None
     mesh: MeshData | None
     name: str
-    extras: Extras
+    derived: DerivedMaps
     seconds: dict[str, float] = field(default_factory=dict)
     numbers: list[int] | None = None
 
@@ -119,7 +119,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     job.seconds["read"] = time.perf_counter() - started
     kept = [k for k in range(domain.observations) if k not in job.held_out]
     started = time.perf_counter()
-    lights = found_lights(domain, kept, job.model, job.known, options)
+    lights = found_lights(domain, kept, job.model, job.fixed, options)
     if lights is not None:
         domain = lights.applied(domain)
         job.seconds["lights"] = time.perf_counter() - started
@@ -127,7 +127,7 @@ def run(options: Namespace, opened: bool = False) -> dict:
     started = time.perf_counter()
     fitted = subset(domain, kept)
     with planned_recovery(
-        plan, fitted, job.model, job.schedule, options.seed, job.known, options.entry,
+        plan, fitted, job.model, job.schedule, options.seed, job.fixed, options.entry,
         scratch_folder(Path(options.output)), _prepared(options, job, fitted, plan),
     ) as recovery:  # fmt: skip
         job.seconds["prepare"] = time.perf_counter() - started
@@ -169,7 +169,7 @@ def finish(
         evaluations=solved.progress.evaluations, seconds=job.seconds, ground_truth=job.truth,
         noise=domain.noise,
     )  # fmt: skip
-    warnings = light_warnings(lights, job.capture, domain, kept, maps, job.known, options)
+    warnings = light_warnings(lights, job.capture, domain, kept, maps, job.fixed, options)
     warnings += wide_lights_around(job.subject) if _is_scene(options.capture) else []
     left_out = job.capture.left_out
     warnings += [f"left out: {one.why}" for one in left_out]
@@ -177,9 +177,9 @@ def finish(
     if encoding is not None and encoding.known_by != "format":
         report["colour_space"] = encoding.colour_space
         warnings += [text] if (text := encoding.message()) else []
-    warnings = [*limit_warnings(maps, job.known), *mode_warnings(maps, job.schedule.fitness.priors), *warnings]
+    warnings = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, job.schedule.fitness.priors), *warnings]
     report |= relighting | {"warnings": [*warnings, *solved.warnings]}
-    if job.schedule.fitness.priors and (shares := prior_shares(maps, job.known)):
+    if job.schedule.fitness.priors and (shares := prior_shares(maps, job.fixed)):
         report["priors_decided"] = shares
     if left_out:
         report["left_out"] = [asdict(one) for one in left_out]
@@ -190,11 +190,11 @@ def finish(
     pictures = {"preview": preview, "convergence": solved.history.picture(maps)} | confidence_preview(maps)
     pictures |= relit
     written = maps if mesh is None else blender_maps(maps, mesh, domain.bake, domain.seams)
-    extras, height = extra_maps(job.extras, maps, written, domain.bake, mesh, job.capture.cameras[0])
+    derived, height = derived_maps(job.derived, maps, written, domain.bake, mesh, job.capture.cameras[0])
     if height is not None:
         report["height"] = height.described()
-    write_maps(written, job.folder, report, pictures, extras)
-    _write_material(written, job, job.subject, mesh, height if job.extras.displacement else None)
+    write_maps(written, job.folder, report, pictures, derived)
+    _write_material(written, job, job.subject, mesh, height if job.derived.displacement else None)
     for name in (CHECKPOINT, *[LIVE] * options.live):
         (job.folder / name).unlink(missing_ok=True)
     if not silent(options):
@@ -229,9 +229,9 @@ def check(options: Namespace, opened: bool) -> Job:
     _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
     subject, mesh, name = _subject(options, opened)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
-    extras = Extras(normals_of_text("--normals", options.normals), options.height, options.displacement)
-    extras.check(model)
-    known = known_from_options(options.known, model, tiles)
+    derived = DerivedMaps(normals_of_text("--normals", options.normals), options.height, options.displacement)
+    derived.check(model)
+    fixed = fixed_from_options(options.fixed, model, tiles)
     truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
     with naming_remedy(options.skip_damaged):
         capture = _capture(options)
@@ -239,14 +239,14 @@ def check(options: Namespace, opened: bool) -> Job:
     fitted = [one.light for k, one in enumerate(capture.observations) if k not in held_out]
     if not fitted:
         raise InputError(f"{options.capture}: no observation is left to fit; hold out fewer")
-    if any(parameter.is_normal and parameter.name not in known for parameter in model.parameters):
+    if any(parameter.is_normal and parameter.name not in fixed for parameter in model.parameters):
         check_normal(options.capture, fitted)
     resolution = resolution if mesh is None else mesh.domain_size(*resolution)
     return Job(
         capture,
         model,
         schedule,
-        known,
+        fixed,
         truth,
         held_out,
         folder,
@@ -254,7 +254,7 @@ def check(options: Namespace, opened: bool) -> Job:
         subject,
         mesh,
         name or capture.name,
-        extras,
+        derived,
     )
 
 
@@ -319,7 +319,7 @@ def _plan(
     counts = len(job.capture.observations), len(job.held_out)
     resumed = job.folder / CHECKPOINT if options.resume else None
     return make_plan(
-        coverage, job.model, job.schedule, job.known, *counts,
+        coverage, job.model, job.schedule, job.fixed, *counts,
         memory=options.memory, entry=options.entry, stack_on=stack_on, resumed=resumed, mesh=mesh,
     )  # fmt: skip
 
@@ -342,12 +342,12 @@ def _domain(options: Namespace, job: Job, mesh: MeshData | None, plan: Plan) -> 
 def settle(options: Namespace, job: Job, domain: Domain) -> None:
     """Check what the options say of maps and the material against the domain, and turn normals into its frames."""
     check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, domain.shape)
-    for text in options.known:
+    for text in options.fixed:
         name = text.partition("=")[0].strip()
-        check_size(f"--known {text}", {name: job.known[name]}, domain.shape)
+        check_size(f"--fixed {text}", {name: job.fixed[name]}, domain.shape)
     _try_material(job, job.subject)
     if job.mesh is not None:  # files hold normals in Blender's tangent frame, the solver has one of its own
-        job.known = turned_normals(job.model, job.known, job.mesh, domain.bake, from_blender)
+        job.fixed = turned_normals(job.model, job.fixed, job.mesh, domain.bake, from_blender)
         job.truth = job.truth and turned_normals(job.model, job.truth, job.mesh, domain.bake, from_blender)
 
 

@@ -103,9 +103,9 @@ def recover_stage(
 ) -> Run:
     """Recover one stage from a random start with the other maps known, by the paper's fitness, mean |e|."""
     wanted = {p.name for p in subject.model.parameters if p.stage == stage}
-    known = {name: value for name, value in subject.truth.items() if name not in wanted}
+    fixed = {name: value for name, value in subject.truth.items() if name not in wanted}
     changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, seed="random", loss="l1")
-    return _recover(subject, changed, known, stage, seed, entry, report, **more)
+    return _recover(subject, changed, fixed, stage, seed, entry, report, **more)
 
 
 def recover_jointly(
@@ -119,7 +119,7 @@ def recover_jointly(
 def _recover(
     subject: Subject,
     schedule: Schedule,
-    known: dict[str, np.ndarray],
+    fixed: dict[str, np.ndarray],
     name: str,
     seed: int,
     entry: str,
@@ -132,8 +132,8 @@ def _recover(
     stops = sorted({*range(0, iterations, every), iterations, *strip})
     seconds, made = 0.0, 0
     result = Run(name, None, 0.0, 0)
-    searched = [p for p in subject.model.parameters if p.name not in known]
-    with Recovery(subject.domain, subject.model, schedule, seed, known, entry) as recovery:
+    searched = [p for p in subject.model.parameters if p.name not in fixed]
+    with Recovery(subject.domain, subject.model, schedule, seed, fixed, entry) as recovery:
         for stop in stops:
             start = time.perf_counter()
             progress = recovery.step(stop - made)

@@ -83,9 +83,9 @@ def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
             other.select_set(other == copy)
         bpy.context.view_layer.objects.active = copy
         with replacing_file(path.with_suffix(".glb")) as partial, contextlib.redirect_stdout(io.StringIO()):
-            known = {name: value for name, value in _SETTINGS.items() if name in properties}
+            accepted = {name: value for name, value in _SETTINGS.items() if name in properties}
             try:
-                bpy.ops.export_scene.gltf(filepath=str(partial), **known)
+                bpy.ops.export_scene.gltf(filepath=str(partial), **accepted)
             except RuntimeError as error:
                 raise InputError(f"{path}: Blender's glTF exporter says: {str(error).strip()}") from error
     return report

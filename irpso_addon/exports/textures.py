@@ -12,7 +12,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.png import encode_png
 from ..core.udim import tile_part, tile_stem
-from ..results.extra_maps import height_map
+from ..results.derived_map import height_map
 from ..results.map_tables import encoded_values, map_tables, map_values
 from ..results.maps import Maps, split_maps
 from ..results.report import plain, quantiles

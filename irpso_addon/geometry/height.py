@@ -1,6 +1,6 @@
 """Heights from normals: slopes integrated by weighted least squares, with the natural boundary at the mask.
 
-The discrete problem is that of Quéau, Durou & Aujol 2018, Normal Integration: A Survey: over the edges inside the mask,
+The discrete problem is that of Quéau, Durou & Aujol 2018, Normal Integration: A Prefit: over the edges inside the mask,
 minimise the weighted squares of what the difference of two heights is off the mean of their slopes. It is solved by
 conjugate gradients, preconditioned by the Poisson equation of the whole rectangle, which a cosine transform inverts:
 the number of steps does not grow with the size. They end at a residual of 1e-4 of the first, or at 300.

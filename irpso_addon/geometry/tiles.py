@@ -14,7 +14,7 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
     """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
 
     The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
-    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the annex of its
+    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the ghosts of its
     seams. Raises ValueError where the tile leaves the domain.
     """
     rows, columns = domain.shape
@@ -38,7 +38,7 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
 
 
 def tile_seams(seams: SeamMap, domain: Domain, box: tuple[int, int, int, int], halo: int) -> SeamMap:
-    """Return the seams of a tile of a domain, with an annex of what its own texels see beyond it.
+    """Return the seams of a tile of a domain, with an ghosts of what its own texels see beyond it.
 
     box: x0, y0, width, height of its own texels. halo: texels around them, less where the domain ends.
     """
@@ -68,9 +68,9 @@ def tile_seams(seams: SeamMap, domain: Domain, box: tuple[int, int, int, int], h
         seams, island=seams.island[bottom:top, left:right], chart=seams.chart[bottom:top, left:right],
         of=seams.of[kept], target=new, at=seams.at[kept],
         place=seams.place[kept] - np.array([left, bottom], np.int32),
-        annex=np.concatenate([there, seams.annex[old]]).astype(np.int32),
-        annex_normal=np.concatenate([domain.bake.normal[ay, ax], seams.annex_normal[old]]),
-        annex_tangent=np.concatenate([domain.bake.tangent[ay, ax], seams.annex_tangent[old]]),
+        ghosts=np.concatenate([there, seams.ghosts[old]]).astype(np.int32),
+        ghost_normal=np.concatenate([domain.bake.normal[ay, ax], seams.ghost_normal[old]]),
+        ghost_tangent=np.concatenate([domain.bake.tangent[ay, ax], seams.ghost_tangent[old]]),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..core.errors import GpuUnavailableError
-from . import context, home
+from . import context, context_guard
 from .compiler import compile_shader
 from .library import read_source
 
@@ -108,7 +108,7 @@ class Pass:
         """
         import gpu
 
-        window = home.active()
+        window = context_guard.active()
         key = (id(window), *(id(target) for target in targets))
         if key not in self._framebuffers:
             self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), window, tuple(targets))

@@ -95,7 +95,7 @@ class ReflectanceModel:
     without them (shaders/README.md). ordered: names of scalar parameters kept in rising order while searching
     (interchangeable lobes). complement: names of scalars that become 1 − value when the lobes are exchanged. material:
     the table [material] of the TOML, read by maps.material: ``shader`` names a builder there. starts: places from which
-    a polish begins besides the estimate.
+    a refinement begins besides the estimate.
     """
 
     name: str

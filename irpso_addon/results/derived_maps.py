@@ -14,12 +14,12 @@ from ..geometry.mesh import MeshData
 from ..geometry.relief import card_height, mesh_height
 from ..geometry.spaces import object_normals, turned, world_normals
 from ..reflectance.model import ReflectanceModel
-from .extra_maps import NORMAL_SPACES, ExtraMap, height_map, normal_maps
+from .derived_map import NORMAL_SPACES, DerivedMap, height_map, normal_maps
 from .maps import Maps
 
 
 @dataclass(frozen=True)
-class Extras:
+class DerivedMaps:
     """What is wanted. normals: some of "object", "world" and "directx". height: the relief, as a map.
 
     displacement: the relief as displacement of the material, and as a map as well.
@@ -50,14 +50,14 @@ def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
     return tuple(space for space in NORMAL_SPACES if space in wanted)
 
 
-def extra_maps(
-    wanted: Extras,
+def derived_maps(
+    wanted: DerivedMaps,
     found: Maps,
     written: Maps,
     bake: GeometryBake,
     mesh: MeshData | None,
     camera: Camera,
-) -> tuple[list[ExtraMap], Height | None]:
+) -> tuple[list[DerivedMap], Height | None]:
     """Return the maps that are wanted, and the relief by itself.
 
     found: with normals in the solver's frames; written: in those of Blender's normal maps. bake: the domain's; mesh:

@@ -18,7 +18,7 @@ from ..core.errors import InputError
 from ..core.files import synced
 from ..core.png import encode_png
 from ..core.udim import tile_part, tile_stem
-from .extra_maps import ExtraMap
+from .derived_map import DerivedMap
 from .map_tables import CHANNELS, MapTable, encoded_values, encoding_text, map_tables, map_values
 from .maps import Maps, split_maps
 from .report import plain
@@ -53,7 +53,7 @@ def write_maps(
     folder: str | Path,
     report: Mapping[str, Any],
     pictures: Mapping[str, np.ndarray] | None = None,
-    extras: Sequence[ExtraMap] = (),
+    derived: Sequence[DerivedMap] = (),
 ) -> list[Path]:
     """Write maps, residual, confidence, report and pictures into ``folder`` and return the paths written.
 
@@ -65,7 +65,7 @@ def write_maps(
     the list in its report. Raises InputError where the folder or the model's table of maps cannot be used.
     """
     tables = map_tables(maps.model)
-    if taken := {extra.name for extra in extras} & {table.name for table in tables}:
+    if taken := {extra.name for extra in derived} & {table.name for table in tables}:
         raise InputError(f"model {maps.model.name}: has a map '{taken.pop()}' of its own; give it another name")
     folder = check_output_folder(folder)
     created = [p for p in (folder, *folder.parents) if not p.exists()]
@@ -75,8 +75,8 @@ def write_maps(
             shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
-            names += _write_extras(extras, maps.tiles, Path(temporary))
-            _write_report(Path(temporary), report, tables, extras, names)
+            names += _write_derived(derived, maps.tiles, Path(temporary))
+            _write_report(Path(temporary), report, tables, derived, names)
             former = _former_files(folder)
             # The report goes last: a folder whose report lists a file holds that file.
             for name in (*names, REPORT):
@@ -135,9 +135,9 @@ def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Calla
     return names
 
 
-def _write_extras(extras: Sequence[ExtraMap], tiles: Sequence[int], folder: Path) -> list[str]:
+def _write_derived(derived: Sequence[DerivedMap], tiles: Sequence[int], folder: Path) -> list[str]:
     names = []
-    for extra in extras:
+    for extra in derived:
         for index, number in enumerate(tiles):
             stem = tile_stem(extra.name, number, tiles)
             names.append(f"{stem}.png")
@@ -155,7 +155,7 @@ def _channels(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _write_report(
-    folder: Path, report: Mapping[str, Any], tables: list[MapTable], extras: Sequence[ExtraMap], names: list[str]
+    folder: Path, report: Mapping[str, Any], tables: list[MapTable], derived: Sequence[DerivedMap], names: list[str]
 ) -> None:
     described = {
         table.name: {
@@ -167,7 +167,7 @@ def _write_report(
         }
         for table in tables
     }
-    for extra in extras:
+    for extra in derived:
         described[extra.name] = {"channels": [extra.name], "color_space": "Non-Color", "png": extra.text}
     data = {**plain(report), "maps": described, "files": [*names, REPORT]}
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)

@@ -106,12 +106,12 @@ class LightsFromBall(bpy.types.Operator):
             raise InputError(f"{source}: is not there; give the folder of the photographs")
         ball = self._ball()
         colour_space = context.scene.irpso.colour_space
-        draft = read_photographs(source, colour_space, [ball.mask] if ball.mask else [])
+        spec = read_photographs(source, colour_space, [ball.mask] if ball.mask else [])
         keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else {}
         if keys:
-            draft = with_camera(draft, keys, "Field of View")
-        steps = calibrate_steps(draft, [ball], Request(self.kind), decode)
-        found = run_steps(steps, lambda read: manager.progress_update(read / len(draft.shots)))
+            spec = with_camera(spec, keys, "Field of View")
+        steps = calibrate_steps(spec, [ball], Request(self.kind), decode)
+        found = run_steps(steps, lambda read: manager.progress_update(read / len(spec.observations)))
         table = free_table(source if source.is_dir() else source.parent)
         write_calibration(found, table, keys)
         return table, found.warnings

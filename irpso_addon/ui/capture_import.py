@@ -17,11 +17,11 @@ from bpy.props import StringProperty
 from ..blender.images import decode
 from ..blender.scene import middle_of
 from ..blender.scene_capture import wide_lights
-from ..capture.inspect import sufficiency as enough
+from ..capture.inspect import sufficiency
 from ..capture.inspect.report import Finding, Report, inspect_steps
 from ..capture.places import card_depth, card_middle
-from ..capture.read import read_draft
-from ..capture.spec import Draft
+from ..capture.read import read_spec
+from ..capture.spec import CaptureSpec
 from ..capture.types import Capture
 from ..core.errors import InputError
 from . import drawing, failures, findings
@@ -74,13 +74,13 @@ def capture_at(path: Path) -> Path:
     return path
 
 
-def subject_of(draft: Draft) -> str:
+def subject_of(spec: CaptureSpec) -> str:
     """Return "MESH" where cameras have places, as around an object, "CARD" where one camera looks straight down."""
-    return "CARD" if len(draft.views) == 1 and not draft.views[0].placed else "MESH"
+    return "CARD" if len(spec.views) == 1 and not spec.views[0].placed else "MESH"
 
 
 def asked_of(settings) -> tuple[str, ...]:
-    """Return what is to be recovered, of ``enough.ASKS``: what the lights are to be judged for."""
+    """Return what is to be recovered, of ``sufficiency.ASKS``: what the lights are to be judged for."""
     try:
         model = model_of(settings)
     except InputError:
@@ -183,21 +183,21 @@ class ImportCapture(bpy.types.Operator):
             if not chosen:
                 raise InputError("no file or folder was chosen; give the path of a capture")
             path = capture_at(absolute(chosen, "Capture"))
-            draft = read_draft(path, settings.colour_space)
+            spec = read_spec(path, settings.colour_space)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         settings.source = "FILES"
         if settings.capture_path != (kept := _kept_path(path)):  # else the card's distance that was set stays
             settings.capture_path = kept
-        keep_places(settings, draft)
-        settings.subject = subject_of(draft)
-        settings.summary = f"kind: {draft.kind}\nimages: {len(draft.shots)}"
+        keep_places(settings, spec)
+        settings.subject = subject_of(spec)
+        settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
         settings.findings.clear()
         settings.checked_path = ""
         settings.view.observation = 1
         begin_check(context.scene)
-        self.report({"INFO"}, f"{draft.name}: {len(draft.shots)} images")
+        self.report({"INFO"}, f"{spec.name}: {len(spec.observations)} images")
         _warn(self, settings)
         return {"FINISHED"}
 
@@ -256,7 +256,7 @@ def _check_scene(scene) -> None:
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
     found = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
-    if lack := enough.no_normal([one.light for one in capture.observations]):
+    if lack := sufficiency.no_normal([one.light for one in capture.observations]):
         found.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
     wide = [] if place is None else wide_lights(scene, place)
     findings.keep(settings, [*found, *(Finding("warning", "light_wide", text) for text in wide)])

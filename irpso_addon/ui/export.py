@@ -14,13 +14,13 @@ from ..exports.formats import FORMATS, ONE_FILE, export
 from ..exports.place import file_stem
 from ..exports.result import Result
 from ..exports.textures import CONVENTIONS
-from ..results.derived_maps import Extras
-from ..results.extra_maps import NORMAL_SPACES
+from ..results.derived_map import NORMAL_SPACES
+from ..results.derived_maps import DerivedMaps
 from ..results.report import mode_warnings
 from ..results.write import write_maps
 from . import session
 from .file_paths import absolute
-from .keep import NOTHING, extras_of, found_maps, has_found, pictures_of, report_of
+from .keep import NOTHING, derived_maps_of, found_maps, has_found, pictures_of, report_of
 
 MAPS = "maps"
 _FORMATS = {MAPS: ("Maps", "PNG of 16 bits, EXR of 32 bits, a report and a preview, in a folder"), **FORMATS}
@@ -109,15 +109,15 @@ class IRPSO_OT_export(bpy.types.Operator):
     def _write_maps(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
         maps, written = found_maps(running, confidence=True)
         spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
-        extras, height = extras_of(running, Extras(spaces, self.height), maps, written)
+        derived, height = derived_maps_of(running, DerivedMaps(spaces, self.height), maps, written)
         report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
-        files = write_maps(written, folder, report, pictures_of(running, maps), extras)
+        files = write_maps(written, folder, report, pictures_of(running, maps), derived)
         return f"{len(files)} files written to {folder}", mode_warnings(maps, running.job.schedule.fitness.priors)
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         found, written = found_maps(running, confidence=False)
-        wanted = Extras(height=self.height and "height" in _ALSO.get(self.format, ()))
-        _, height = extras_of(running, wanted, found, written)
+        wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
+        _, height = derived_maps_of(running, wanted, found, written)
         result = Result(file_stem(running.job.name), written, height)
         said = export(result, self.format, path, self.convention, lambda: _subject(running))
         return f"{FORMATS[self.format][0]} written to {said['output']}", said.get("warnings", [])

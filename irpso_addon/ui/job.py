@@ -16,7 +16,7 @@ from ..blender.mesh import extract_mesh
 from ..blender.tangent_frames import from_blender, turned_normals
 from ..capture.inspect.damage import naming_remedy
 from ..capture.inspect.sufficiency import FEWEST, check_normal, no_normal
-from ..capture.read import read_draft
+from ..capture.read import read_spec
 from ..capture.types import Capture
 from ..core.encode import linear_from_srgb, srgb_from_linear
 from ..core.errors import InputError
@@ -83,7 +83,7 @@ class Job:
     source: tuple[Any, ...] | None = None
     shadows: bool = True
     lights: LightWish = LightWish()
-    known: dict[str, np.ndarray] = field(default_factory=dict)
+    fixed: dict[str, np.ndarray] = field(default_factory=dict)
     asked: dict[str, Any] = field(default_factory=dict)
     resumed: Path | None = None
     held_out: tuple[int, ...] = ()
@@ -128,9 +128,9 @@ class Job:
 
     def know(self, domain: Domain) -> None:
         """Find ``known``, which is in the frames of a domain's texels."""
-        self.known = dict(self.given)
+        self.fixed = dict(self.given)
         if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
-            self.known = turned_normals(self.model, self.known, self.mesh, domain.bake, from_blender)
+            self.fixed = turned_normals(self.model, self.fixed, self.mesh, domain.bake, from_blender)
 
     def asks_for_lights(self, domain: Domain) -> bool:
         """Return whether the lights of a domain are to be looked for."""
@@ -144,7 +144,7 @@ class Job:
     def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights | None]:
         """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
         return chosen_steps(
-            domain, self.model, self.seed, self.known, intensities=self.lights.intensities,
+            domain, self.model, self.seed, self.fixed, intensities=self.lights.intensities,
             refine_degrees=self.lights.degrees, fitted=self.fitted, entry=self.entry, sample=sample,
         )  # fmt: skip
 
@@ -154,7 +154,7 @@ class Job:
         domain: of the observations that are fitted.
         """
         return planned_recovery(
-            plan, domain, self.model, self.schedule, self.seed, self.known, self.entry,
+            plan, domain, self.model, self.schedule, self.seed, self.fixed, self.entry,
             self.scratch, prepared,
         )  # fmt: skip
 
@@ -343,11 +343,11 @@ def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int
     """
     if settings.source != "FILES":
         return None
-    draft = read_draft(capture_path(settings), settings.colour_space)
+    spec = read_spec(capture_path(settings), settings.colour_space)
     gone = {one.index for one in capture.left_out}
     images = (
-        *(shot.image for k, shot in enumerate(draft.shots) if k not in gone),
-        *(view.mask for view in draft.views if view.mask),
+        *(shot.image for k, shot in enumerate(spec.observations) if k not in gone),
+        *(view.mask for view in spec.views if view.mask),
     )
     files = {image.path: image.path.stat() for image in images}
     stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)

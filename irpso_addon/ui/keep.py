@@ -14,8 +14,8 @@ from ..core.errors import InputError, IrpsoError
 from ..geometry.height import Height
 from ..gpu import context as gpu_context
 from ..reflectance.model import shipped_models
-from ..results.derived_maps import Extras, extra_maps
-from ..results.extra_maps import ExtraMap
+from ..results.derived_map import DerivedMap
+from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.map_tables import map_tables
 from ..results.maps import Maps
 from ..results.preview import Curves, convergence, display_image
@@ -38,12 +38,12 @@ def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
     return maps, blender_maps(maps, running.mesh, running.domain.bake, running.domain.seams)
 
 
-def extras_of(
-    running: session.Session, wanted: Extras, found: Maps, written: Maps
-) -> tuple[list[ExtraMap], Height | None]:
+def derived_maps_of(
+    running: session.Session, wanted: DerivedMaps, found: Maps, written: Maps
+) -> tuple[list[DerivedMap], Height | None]:
     """Return the maps that are wanted besides the model's, and the relief. Raises InputError."""
     wanted.check(found.model)
-    return extra_maps(wanted, found, written, running.domain.bake, running.mesh, running.job.capture.cameras[0])
+    return derived_maps(wanted, found, written, running.domain.bake, running.mesh, running.job.capture.cameras[0])
 
 
 def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
         else str(maps.model.shader.with_suffix(".toml")),
         "object": None if running.mesh is None else job.name,
         "preset": asdict(job.schedule),
-        "known": sorted(job.given),
+        "fixed": sorted(job.given),
         "hold_out": "auto" if job.held_out else None,
         "entry": running.recovery.entry,
         "done": progress.done,
@@ -150,7 +150,7 @@ def _keep(context, running: session.Session) -> str:
     if subject is not None:
         material.check_object(subject)
     found, maps = found_maps(running, confidence=False)
-    _, height = extras_of(running, Extras(displacement=context.scene.irpso.displacement), found, maps)
+    _, height = derived_maps_of(running, DerivedMaps(displacement=context.scene.irpso.displacement), found, maps)
     folder = preferences.current(context).folder()
     uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
     made = material.build_material(maps, name, folder, uv_map, height)

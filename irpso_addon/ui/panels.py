@@ -390,7 +390,7 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 def _shown(settings, name: str) -> bool:
     """Return whether a setting does anything with the others as they are."""
     schedule = settings.schedule
-    switch = {"survey": "survey_iterations", "polish": "polish_iterations", "prior": "prior_rounds"}
+    switch = {"prefit": "prefit_iterations", "refinement": "refinement_iterations", "prior": "prior_rounds"}
     part = name.partition("_")[0]
     if part in switch and name != switch[part]:
         return getattr(schedule, switch[part]) > 0

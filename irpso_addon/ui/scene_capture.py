@@ -12,8 +12,8 @@ from ..blender.images import decode
 from ..blender.scene_capture import photographed_lights, scene_steps
 from ..capture.images.image import ImageStore
 from ..capture.inspect.damage import naming_remedy, sound_steps
-from ..capture.read import read_draft
-from ..capture.spec import Draft, build_steps
+from ..capture.read import read_spec
+from ..capture.spec import CaptureSpec, build_steps
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.steps import run_steps
@@ -31,32 +31,32 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
     with naming_remedy(settings.skip_damaged):
         if settings.source == "SCENE":
             return (yield from _scene_steps(scene))
-        return (yield from build_steps((yield from draft_steps(settings)), decode))
+        return (yield from build_steps((yield from spec_steps(settings)), decode))
 
 
-def draft_steps(settings) -> Generator[None, None, Draft]:
-    """Yield before each image that is decoded, and return what the capture's files say: see ``draft_of``."""
-    draft = draft_of(settings)
-    return (yield from sound_steps(draft, ImageStore(decode))) if settings.skip_damaged else draft
+def spec_steps(settings) -> Generator[None, None, CaptureSpec]:
+    """Yield before each image that is decoded, and return what the capture's files say: see ``spec_of``."""
+    spec = spec_of(settings)
+    return (yield from sound_steps(spec, ImageStore(decode))) if settings.skip_damaged else spec
 
 
-def draft_of(settings) -> Draft:
+def spec_of(settings) -> CaptureSpec:
     """Return what the capture's files say, with the card's distance that is set. Raises InputError.
 
     What panels, which read no files, want to know of them is kept in the settings.
     """
-    draft = read_draft(capture_path(settings), settings.colour_space)
-    keep_places(settings, draft)
+    spec = read_spec(capture_path(settings), settings.colour_space)
+    keep_places(settings, spec)
     # Blender keeps 420.1 as 420.1000061: a field that says what the files say leaves them their own digits.
-    if settings.card_distance in (0.0, np.float32(draft.card_distance or 0.0)):
-        return draft
-    return replace(draft, card_distance=settings.card_distance)
+    if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
+        return spec
+    return replace(spec, card_distance=settings.card_distance)
 
 
-def keep_places(settings, draft: Draft) -> None:
+def keep_places(settings, spec: CaptureSpec) -> None:
     """Keep whether lights of the files have places, and the distance of a card that the files say."""
-    settings.near_lights = not all(shot.distant for shot in draft.shots)
-    settings.stated_distance = draft.card_distance or 0.0
+    settings.near_lights = not all(shot.distant for shot in spec.observations)
+    settings.stated_distance = spec.card_distance or 0.0
 
 
 def wants_distance(scene) -> bool:

@@ -21,7 +21,7 @@ from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.raw import is_raw
 from ..capture.inspect.damage import naming_remedy
 from ..capture.places import card_depth, card_middle, card_size
-from ..capture.spec import Draft, build_capture
+from ..capture.spec import CaptureSpec, build_capture
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..core.files import natural
@@ -30,7 +30,7 @@ from . import failures, session
 from .card_place import is_free, show_card
 from .file_paths import absolute
 from .job import subject_object
-from .scene_capture import draft_steps
+from .scene_capture import spec_steps
 from .scene_objects import RESOLUTION, set_camera, set_light
 
 _ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
@@ -46,10 +46,10 @@ class _Dome:
     radius: float
 
 
-def create_scene(scene, draft: Draft, capture: Capture) -> list:
+def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     """Make the capture's cameras and lights in the scene, or bring its own ones up to date; return the lights.
 
-    draft: of the same capture. Nothing that the user made is changed, but for a scene without a camera, which gets one
+    spec: of the same capture. Nothing that the user made is changed, but for a scene without a camera, which gets one
     and its resolution. ``scene_capture.capture_from_scene`` of the result is the capture again, to float32.
     """
     owned = {obj[_ROLE]: obj for obj in _own(scene) if obj[CAPTURE] == capture.name}
@@ -58,7 +58,7 @@ def create_scene(scene, draft: Draft, capture: Capture) -> list:
     images = _Images()
     dome = _dome(scene, capture)
     views = []
-    for index, (view, camera, mask) in enumerate(zip(draft.views, capture.cameras, capture.masks, strict=True)):
+    for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
         obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", _new_camera, collection, capture)
         set_camera(obj, camera)
         obj.data.clip_end = max(obj.data.clip_end, 10 * float(np.linalg.norm(camera.position - dome.centre)))
@@ -66,7 +66,7 @@ def create_scene(scene, draft: Draft, capture: Capture) -> list:
         obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
         views.append(obj)
     lights = []
-    for index, (shot, observation) in enumerate(zip(draft.shots, capture.observations, strict=True)):
+    for index, (shot, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
         name = f"Light {index:03d} {observation.name}"
         obj = _object(owned, made, f"light {index}", name, _new_light, collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
@@ -267,15 +267,15 @@ class CreateScene(bpy.types.Operator):
         scene = context.scene
         settings = scene.irpso
         try:
-            draft = run_steps(draft_steps(settings))
+            spec = run_steps(spec_steps(settings))
             with naming_remedy(settings.skip_damaged):
-                capture = build_capture(draft, decode)
+                capture = build_capture(spec, decode)
             on_card = settings.subject == "CARD" and len(capture.cameras) == 1
             depth = card_depth(capture) if on_card else None
         except InputError as error:
             self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}
-        lights = create_scene(scene, draft, capture)
+        lights = create_scene(scene, spec, capture)
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # for the same scene as the capture
             rows, columns = capture.masks[0].shape

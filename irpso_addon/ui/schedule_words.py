@@ -27,15 +27,15 @@ GROUPS = {  # panel → the settings in it, in order
         "c3_until", "neighbourhood", "neighbour_every", "v_max", "walls", "start_speed", "seed", "seeded",
         "seed_spread", "linear_reach", "normal",
     ),
-    "Survey": (
-        "survey_iterations", "survey_polish_iterations", "survey_shadow", "survey_observations", "survey_judge_delta",
-        "survey_trust",
+    "Prefit": (
+        "prefit_iterations", "prefit_refinement_iterations", "prefit_shadow", "prefit_observations", "prefit_acceptance_delta",
+        "prefit_acceptance_ratio",
     ),
     "Fitness": ("loss", "delta", "percentile", "shadow", "highlight_power", "bounds", "priors"),
-    "Polish": (
-        "polish_iterations", "polish_starts", "polish_start_iterations", "polish_rounds", "polish_round_iterations",
-        "polish_daring", "polish_votes", "polish_damping", "polish_gain", "polish_smallest_step", "polish_central",
-        "polish_widening",
+    "Refinement": (
+        "refinement_iterations", "refinement_starts", "refinement_start_iterations", "refinement_rounds", "refinement_round_iterations",
+        "refinement_accept_ratio", "refinement_votes", "refinement_damping", "refinement_ftol", "refinement_xtol", "refinement_central",
+        "refinement_widening",
     ),
     "Materials": ("materials_rounds", "materials_iterations", "materials_count", "materials_weight"),
     "Prior": (
@@ -76,7 +76,7 @@ _LOSSES = {
 }
 
 WORDS = {
-    "iterations": Words("Iterations", "Iterations of every stage; 0 leaves them to the polish", 5000),
+    "iterations": Words("Iterations", "Iterations of every stage; 0 leaves them to the refinement", 5000),
     "cycles": Words("Cycles", "How often the stages are gone through", 10),
     "threshold": Words(
         "Stop at Error", "A swarm stops once its fitness is below this; 0 never stops early", 0.1, precision=5
@@ -124,15 +124,17 @@ WORDS = {
         "Albedo Reach", "How many times a texel's brightness its albedo may be; 0 for the whole range", 32, precision=1
     ),
     "normal": Words("Normals", "How a normal is searched", choices=_NORMALS),
-    "survey_iterations": Words("Iterations", "Iterations of the swarms that find normals first; 0 for no survey", 100),
-    "survey_polish_iterations": Words("Polish", "Levenberg–Marquardt steps after them", 30),
-    "survey_shadow": Words("Shadow", "Samples under this part of a texel's scale count as shadow", 1),
-    "survey_observations": Words("Least Images", "With fewer observations the survey is left out", 100),
-    "survey_judge_delta": Words(
-        "Judge Delta", "Delta with which the survey's normals and the model's are compared", 0.5, precision=4
+    "prefit_iterations": Words("Iterations", "Iterations of the swarms that find normals first; 0 for no prefit", 100),
+    "prefit_refinement_iterations": Words("Refinement", "Levenberg–Marquardt steps after them", 30),
+    "prefit_shadow": Words("Shadow", "Samples under this part of a texel's scale count as shadow", 1),
+    "prefit_observations": Words("Least Images", "With fewer observations the prefit is left out", 100),
+    "prefit_acceptance_delta": Words(
+        "Acceptance Delta", "Delta with which the prefit's normals and the model's are compared", 0.5, precision=4
     ),
-    "survey_trust": Words(
-        "Trust", "Where the model fits worse than the survey by more than this factor, the survey's normal stays", 4
+    "prefit_acceptance_ratio": Words(
+        "Acceptance Ratio",
+        "Where the model fits worse than the prefit by more than this factor, the prefit's normal stays",
+        4,
     ),
     "loss": Words("Loss", "How a difference between render and photograph counts", choices=_LOSSES),
     "delta": Words(
@@ -150,34 +152,37 @@ WORDS = {
     ),
     "bounds": Words("Clipped Samples", "Clipped samples count where the render is darker; else they count nothing"),
     "priors": Words("Model's Priors", "What the model believes of its parameters counts where photographs say little"),
-    "polish_iterations": Words(
-        "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no polish", 100
+    "refinement_iterations": Words(
+        "Iterations", "Levenberg–Marquardt steps from the best that was found; 0 for no refinement", 100
     ),
-    "polish_starts": Words("Model's Starts", "Begin from the places that the model names as well"),
-    "polish_start_iterations": Words("Start Steps", "Steps from each of these places", 30),
-    "polish_rounds": Words("Rounds", "How often every texel tries what its neighbors have found", 8),
-    "polish_round_iterations": Words("Round Steps", "Steps after each round", 30),
-    "polish_daring": Words(
-        "Daring", "A neighbor's material is tried where its fitness is under so many times the texel's own", 10
+    "refinement_starts": Words("Model's Starts", "Begin from the places that the model names as well"),
+    "refinement_start_iterations": Words("Start Steps", "Steps from each of these places", 30),
+    "refinement_rounds": Words("Rounds", "How often every texel tries what its neighbors have found", 8),
+    "refinement_round_iterations": Words("Round Steps", "Steps after each round", 30),
+    "refinement_accept_ratio": Words(
+        "Accept Ratio", "A neighbor's material is tried where its fitness is under so many times the texel's own", 10
     ),
-    "polish_votes": Words(
+    "refinement_votes": Words(
         "Votes",
         "What like neighbors count against a texel's own samples where these hardly decide; more leaves fewer lone"
         " texels, 0 none of this",
         4,
     ),
-    "polish_damping": Words("Damping", "The first damping, as a part of the diagonal", 1, precision=4),
-    "polish_gain": Words(
-        "Least Gain", "A texel is done once two steps gain less than this part of its fitness", 0.01, precision=6
+    "refinement_damping": Words("Damping", "The first damping, as a part of the diagonal", 1, precision=4),
+    "refinement_ftol": Words(
+        "Function Tolerance",
+        "A texel is done once two steps gain less than this part of its fitness",
+        0.01,
+        precision=6,
     ),
-    "polish_smallest_step": Words(
-        "Smallest Step",
+    "refinement_xtol": Words(
+        "Step Tolerance",
         "A texel is done once a step moves nothing by more than this part of its range",
         0.01,
         precision=6,
     ),
-    "polish_central": Words("Central Differences", "Differences to both sides instead of one: slower, more exact"),
-    "polish_widening": Words(
+    "refinement_central": Words("Central Differences", "Differences to both sides instead of one: slower, more exact"),
+    "refinement_widening": Words(
         "Widening", "From the model's starts Delta is so many times as wide at first, and falls to its own", 100
     ),
     "materials_rounds": Words(

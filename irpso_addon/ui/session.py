@@ -20,7 +20,7 @@ from ..core.udim import ONE_SQUARE
 from ..geometry.build import loading_steps
 from ..geometry.domain import Domain, subset
 from ..gpu import context
-from ..gpu.home import Home
+from ..gpu.context_guard import ContextGuard
 from ..results.maps import Maps
 from ..solver.engine.progress import Progress, TimeLeft
 from ..solver.lights.refine import Lights
@@ -99,7 +99,7 @@ class Session:
         self.longest_stall_s = 0.0
         self.closed = False
         self.runs = 0  # of the modal operator, which is begun anew by each resuming
-        self._home: Home | None = None
+        self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
         self._paused_in = self.state
         self._read = 0
@@ -177,9 +177,9 @@ class Session:
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
 
     @property
-    def at_home(self) -> bool:
+    def in_own_context(self) -> bool:
         """Whether the recovery may be touched: in a window, its own graphics context is current."""
-        return self._home is None or self._home.here()
+        return self._guard is None or self._guard.holds()
 
     @property
     def active(self) -> bool:
@@ -372,8 +372,8 @@ class Session:
         self.recovery = self.job.recovery(self.fitted, plan, prepared)
         if self.job.resumed is not None:
             self._take(self.recovery.load(self.job.resumed))
-        self._home = None if bpy.app.background else Home()
-        self.display = display_of(self.recovery, self.job.known)
+        self._guard = None if bpy.app.background else ContextGuard()
+        self.display = display_of(self.recovery, self.job.fixed)
         self.state = "running"
         if self.job.resumed is not None:  # at rest, as it was
             self.title = self.recovery.progress.title
@@ -410,14 +410,14 @@ class Session:
         """Return what the numpy part finds, or found for the same settings before. pack: as for ``prepare``."""
         schedule = self.job.schedule
         basis = (self.job.model, schedule.swarm.seed, schedule.fitness, pack)
-        known = _loaded is not None and _loaded.domain is self.domain
-        if known and _loaded.prepared is not None and _loaded.basis == basis:
+        unchanged = _loaded is not None and _loaded.domain is self.domain
+        if unchanged and _loaded.prepared is not None and _loaded.basis == basis:
             return _loaded.prepared
-        if known:
+        if unchanged:
             _loaded.prepared = None
         work = (self.fitted, self.job.model, schedule, pack, self._note_part)
         prepared = yield from self._threaded(lambda: prepare(*work))
-        if known and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
+        if unchanged and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
             _loaded.basis, _loaded.prepared = basis, prepared
         return prepared
 
@@ -455,9 +455,9 @@ class Session:
         self.job = replace(self.job, schedule=schedule)
         self.display.close()
         self.recovery.close()
-        self._home = None if bpy.app.background else Home()
+        self._guard = None if bpy.app.background else ContextGuard()
         self._time_left = TimeLeft()  # its work is another
-        self.recovery, self.display = changed, display_of(changed, self.job.known)
+        self.recovery, self.display = changed, display_of(changed, self.job.fixed)
 
     def _look(self) -> None:
         """Note the mean error now and then."""

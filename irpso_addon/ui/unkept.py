@@ -54,7 +54,7 @@ def store(running: Any) -> None:
     about = {"name": job.name, "fraction": running.fraction, "file": file, "asked": job.asked}
     digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
     try:
-        if not running.at_home:
+        if not running.in_own_context:
             raise GpuUnavailableError("the graphics context in which it was made is not current")
         notes = {
             _ABOUT: np.frombuffer(json.dumps(about).encode(), np.uint8),

@@ -9,7 +9,7 @@
 #include "fitness/fitness.glsl"
 #include "fitness/linear.glsl"
 #include "diagnostics/freedom.glsl"
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 
 #define TRIALS 7
 // Of a number's range: what is nearer is the same optimum.
@@ -81,11 +81,11 @@ bool texel_kernel(ivec2 texel)
         float weights;
         float fitness = fitness_of(texel, f, best, weights);
         int place = 0;
-        for (int u = 0; u < UNKNOWNS; u++) {
+        for (int u = 0; u < FREE_COUNT; u++) {
             int at;
             float low;
             float width;
-            unknown_at(u, at, low, width);
+            free_at(u, at, low, width);
             if (!searched(u) || prior_precision(c, at) > 0.0) {
                 continue;
             }

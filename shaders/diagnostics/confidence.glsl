@@ -24,9 +24,9 @@ vec2 steps_of(inout float c[12], int u)
     int at;
     float low;
     float width;
-    unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+    free_at(u, at, low, width);
+#if NORMAL_FREE >= 0
+    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
         return vec2(-STEP, STEP);
     }
 #endif
@@ -36,15 +36,15 @@ vec2 steps_of(inout float c[12], int u)
 
 // Adds up JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met tells nothing of
 // them.
-void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out ErrorSums told, out float energy)
+void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums told, out float energy)
 {
-    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
+    for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
     }
     clear_errors(told);
     energy = 0.0;
-    vec2 steps[UNKNOWNS];
-    for (int u = 0; u < UNKNOWNS; u++) {
+    vec2 steps[FREE_COUNT];
+    for (int u = 0; u < FREE_COUNT; u++) {
         steps[u] = steps_of(c, u);
     }
     Frame f = frame_at(texel);
@@ -63,33 +63,33 @@ void accumulate(ivec2 texel, inout float c[12], out float a[UNKNOWNS * UNKNOWNS]
         vec3 weight = relative * relative * counted;
         add_error(told, error, weight, counted);
         energy += dot(weight, render * render);
-        vec3 j[UNKNOWNS];
-        for (int u = 0; u < UNKNOWNS; u++) {
+        vec3 j[FREE_COUNT];
+        for (int u = 0; u < FREE_COUNT; u++) {
             vec2 by = steps[u];
             vec3 first = o.intensity * reflectance(moved(c, u, by.x), o.l, v) - render;
             vec3 second = o.intensity * reflectance(moved(c, u, by.y), o.l, v) - render;
             // The slope at 0 of the parabola through the three.
             j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
         }
-        for (int row = 0; row < UNKNOWNS; row++) {
+        for (int row = 0; row < FREE_COUNT; row++) {
             vec3 weighted = weight * j[row];
-            for (int column = row; column < UNKNOWNS; column++) {
-                a[row * UNKNOWNS + column] += dot(weighted, j[column]);
+            for (int column = row; column < FREE_COUNT; column++) {
+                a[row * FREE_COUNT + column] += dot(weighted, j[column]);
             }
         }
     }
 }
 
 // What the model's priors tell, as samples of that variance would: a width of its own for each unknown that has one.
-void add_priors(inout float c[12], float variance, inout float a[UNKNOWNS * UNKNOWNS])
+void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FREE_COUNT])
 {
 #if PRIORS > 0
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
-        a[u * UNKNOWNS + u] += max(variance, 0.0) * width * width * prior_precision(c, at);
+        free_at(u, at, low, width);
+        a[u * FREE_COUNT + u] += max(variance, 0.0) * width * width * prior_precision(c, at);
     }
 #endif
 }
@@ -97,51 +97,51 @@ void add_priors(inout float c[12], float variance, inout float a[UNKNOWNS * UNKN
 // Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). Once the set S
 // is swept, the matrix holds −A_SS⁻¹ there, the Schur complement A_UU − A_US A_SS⁻¹ A_SU in the rest U, and between them
 // A_SS⁻¹ A_SU: what S gives way when U is moved.
-void sweep(inout float a[UNKNOWNS * UNKNOWNS], int k)
+void sweep(inout float a[FREE_COUNT * FREE_COUNT], int k)
 {
-    float pivot = a[k * UNKNOWNS + k];
-    float column[UNKNOWNS];
-    for (int i = 0; i < UNKNOWNS; i++) {
-        column[i] = a[i * UNKNOWNS + k];
+    float pivot = a[k * FREE_COUNT + k];
+    float column[FREE_COUNT];
+    for (int i = 0; i < FREE_COUNT; i++) {
+        column[i] = a[i * FREE_COUNT + k];
     }
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int m = 0; m < UNKNOWNS; m++) {
-            a[i * UNKNOWNS + m] -= column[i] * column[m] / pivot;
+    for (int i = 0; i < FREE_COUNT; i++) {
+        for (int m = 0; m < FREE_COUNT; m++) {
+            a[i * FREE_COUNT + m] -= column[i] * column[m] / pivot;
         }
     }
-    for (int i = 0; i < UNKNOWNS; i++) {
-        a[i * UNKNOWNS + k] = column[i] / pivot;
-        a[k * UNKNOWNS + i] = column[i] / pivot;
+    for (int i = 0; i < FREE_COUNT; i++) {
+        a[i * FREE_COUNT + k] = column[i] / pivot;
+        a[k * FREE_COUNT + i] = column[i] / pivot;
     }
-    a[k * UNKNOWNS + k] = -1.0 / pivot;
+    a[k * FREE_COUNT + k] = -1.0 / pivot;
 }
 
 // Turns JᵀJ into the deviations of the unknowns, as fractions of their ranges; 1 where the observations do not say.
 // An unknown that is left undetermined has the deviation 1 and passes it on to those that can be traded for it.
-void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float energy, out float deviation[UNKNOWNS])
+void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, float energy, out float deviation[FREE_COUNT])
 {
     // Unit diagonal first: the pivots are then what is left of 1.
-    float norm[UNKNOWNS];
-    bool swept[UNKNOWNS];
-    for (int i = 0; i < UNKNOWNS; i++) {
-        norm[i] = sqrt(a[i * UNKNOWNS + i]);
+    float norm[FREE_COUNT];
+    bool swept[FREE_COUNT];
+    for (int i = 0; i < FREE_COUNT; i++) {
+        norm[i] = sqrt(a[i * FREE_COUNT + i]);
         swept[i] = false;
     }
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int m = i; m < UNKNOWNS; m++) {
+    for (int i = 0; i < FREE_COUNT; i++) {
+        for (int m = i; m < FREE_COUNT; m++) {
             float scale = norm[i] * norm[m];
-            a[i * UNKNOWNS + m] = scale > 0.0 ? a[i * UNKNOWNS + m] / scale : 0.0;
-            a[m * UNKNOWNS + i] = a[i * UNKNOWNS + m];
+            a[i * FREE_COUNT + m] = scale > 0.0 ? a[i * FREE_COUNT + m] / scale : 0.0;
+            a[m * FREE_COUNT + i] = a[i * FREE_COUNT + m];
         }
     }
     // What changes the render by less than rounding does, or than noise over all of its range, is undetermined.
     float nothing = max(DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy, variance);
-    for (int round = 0; round < UNKNOWNS; round++) {
+    for (int round = 0; round < FREE_COUNT; round++) {
         // What changes the render most goes first, so that what is left undetermined is what matters least.
         int chosen = -1;
         float most = nothing;
-        for (int i = 0; i < UNKNOWNS; i++) {
-            float left = a[i * UNKNOWNS + i];
+        for (int i = 0; i < FREE_COUNT; i++) {
+            float left = a[i * FREE_COUNT + i];
             if (!swept[i] && left > SINGULAR && left * norm[i] * norm[i] > most) {
                 chosen = i;
                 most = left * norm[i] * norm[i];
@@ -153,12 +153,12 @@ void deviations_from(inout float a[UNKNOWNS * UNKNOWNS], float variance, float e
         sweep(a, chosen);
         swept[chosen] = true;
     }
-    for (int i = 0; i < UNKNOWNS; i++) {
+    for (int i = 0; i < FREE_COUNT; i++) {
         deviation[i] = 1.0;
         if (swept[i]) {
-            float squared = -a[i * UNKNOWNS + i] * variance;
-            for (int m = 0; m < UNKNOWNS; m++) {
-                float traded = swept[m] ? 0.0 : a[i * UNKNOWNS + m] * norm[m];
+            float squared = -a[i * FREE_COUNT + i] * variance;
+            for (int m = 0; m < FREE_COUNT; m++) {
+                float traded = swept[m] ? 0.0 : a[i * FREE_COUNT + m] * norm[m];
                 squared += traded * traded;
             }
             squared /= norm[i] * norm[i];
@@ -192,11 +192,11 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED) {
         float c[12];
         material_to(estimate_at(texel), c);
-        float a[UNKNOWNS * UNKNOWNS];
+        float a[FREE_COUNT * FREE_COUNT];
         ErrorSums told;
         float energy;
         accumulate(texel, c, a, told, energy);
-        float deviation[UNKNOWNS];
+        float deviation[FREE_COUNT];
         float variance = variance_of(texel, told);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
@@ -204,11 +204,11 @@ bool texel_kernel(ivec2 texel)
         if (variance >= 0.0) {
             deviations_from(a, variance, energy, deviation);
         }
-        for (int u = 0; u < UNKNOWNS; u++) {
+        for (int u = 0; u < FREE_COUNT; u++) {
             int at;
             float low;
             float width;
-            unknown_at(u, at, low, width);
+            free_at(u, at, low, width);
             float own = width * (variance >= 0.0 ? deviation[u] : 1.0);
             // The two of a normal share a component: their variances add up, to its range at most.
             sigma[at] = min(width, length(vec2(sigma[at], own)));

@@ -35,5 +35,5 @@ float alike_of(ErrorSums t)
 // with too few samples.
 float freedom_of(ErrorSums t)
 {
-    return t.channels - 0.5 * (1.0 + alike_of(t)) * float(UNKNOWNS);
+    return t.channels - 0.5 * (1.0 + alike_of(t)) * float(FREE_COUNT);
 }

@@ -1,11 +1,11 @@
 // A material moved along one of its unknowns, for derivatives of whatever model by differences.
 //
-// unknowns.glsl is generated: void unknown_at(int u, out int component, out float low, out float width).
-// UNKNOWNS are counted, the normal as two that follow each other from NORMAL_UNKNOWN on (−1 where it was given);
+// free_parameters.glsl is generated: void free_at(int u, out int component, out float low, out float width).
+// FREE_COUNT are counted, the normal as two that follow each other from NORMAL_FREE on (−1 where it was given);
 // NORMAL_COMPONENT is where it lies in the estimates.
 
 #include "material.glsl"
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 
 // Steps of the differences, of a parameter's range. Rounding leaves about 2⁻²⁵ / 2⁻¹¹ = 2⁻¹⁴ of the radiance.
 #define STEP (1.0 / 1024.0)
@@ -31,12 +31,12 @@ Material moved(inout float given[12], int u, float by)
     int at;
     float low;
     float width;
-    unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+    free_at(u, at, low, width);
+#if NORMAL_FREE >= 0
+    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
         vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
         float angle = by * width;
-        n = turned_normal(n, u == NORMAL_UNKNOWN ? vec2(angle, 0.0) : vec2(0.0, angle));
+        n = turned_normal(n, u == NORMAL_FREE ? vec2(angle, 0.0) : vec2(0.0, angle));
         c[NORMAL_COMPONENT] = n.x;
         c[NORMAL_COMPONENT + 1] = n.y;
         c[NORMAL_COMPONENT + 2] = n.z;
@@ -53,9 +53,9 @@ vec2 room_of(inout float c[12], int u)
     int at;
     float low;
     float width;
-    unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-    if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+    free_at(u, at, low, width);
+#if NORMAL_FREE >= 0
+    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
         return vec2(-1.0, 1.0);
     }
 #endif

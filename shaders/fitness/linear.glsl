@@ -60,7 +60,7 @@ void add_observation(inout Equations e, Material s, vec3 l, vec3 v, vec3 intensi
     }
 }
 
-// Bases that resemble each other need a start: from 0, 24 sweeps of solve_linear left a tenth of the survey's particles
+// Bases that resemble each other need a start: from 0, 24 sweeps of solve_linear left a tenth of the prefit's particles
 // with 16 % more error than their best weights have; from here, none with more than rounding.
 #if COLORS + NUMBERS > 1
 #define LINEAR_SWEEPS 24

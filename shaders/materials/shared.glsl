@@ -2,7 +2,7 @@
 // Reads u_materials, a column each: means of 12 numbers in rows 0 to 2, their inverse variances in 3 to 5, in row 6 x how
 // much of the surface there is of it.
 
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 
 // Searched numbers are alike that differ by this fraction of their range; linear ones whose roots do.
 #define ALIKE_SEARCHED 0.1
@@ -15,8 +15,8 @@ float material_number(int row, int k, int u)
 
 bool turns_normal(int u)
 {
-#if NORMAL_UNKNOWN >= 0
-    return u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1;
+#if NORMAL_FREE >= 0
+    return u == NORMAL_FREE || u == NORMAL_FREE + 1;
 #else
     return false;
 #endif
@@ -29,14 +29,14 @@ float share_of(inout float c[12])
     int count = textureSize(u_materials, 0).x;
     for (int k = 0; k < count; k++) {
         float apart = 0.0;
-        for (int u = 0; u < UNKNOWNS; u++) {
+        for (int u = 0; u < FREE_COUNT; u++) {
             if (turns_normal(u)) {
                 continue;
             }
             int at;
             float low;
             float width;
-            unknown_at(u, at, low, width);
+            free_at(u, at, low, width);
             float x = clamp((c[at] - low) / width, 0.0, 1.0);
             float d = (searched(u) ? x / ALIKE_SEARCHED : sqrt(x) / ALIKE_LINEAR) - material_number(0, k, u);
             apart += d * d * material_number(3, k, u);
@@ -49,14 +49,14 @@ float share_of(inout float c[12])
 // Puts a material's numbers into c, all but the normal.
 void take_material(int k, inout float c[12])
 {
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         if (turns_normal(u)) {
             continue;
         }
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
+        free_at(u, at, low, width);
         float x = material_number(0, k, u) * (searched(u) ? ALIKE_SEARCHED : ALIKE_LINEAR);
         c[at] = low + width * clamp(searched(u) ? x : x * x, 0.0, 1.0);
     }

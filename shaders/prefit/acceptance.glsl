@@ -1,7 +1,7 @@
-// Over W×H texels: what the polish has made of a texel, unless its model explains the texel much worse than the survey's
-// does. Then the polish has turned the normal to make up for what the model cannot tell, and the texel keeps what it had:
-// the survey's normal, and the rest fitted to it. Reads the estimates before the polish, u_work_…: those after it, and
-// u_survey_fitness: the survey's own. Fitnesses are compared on the survey's terms, of grey samples.
+// Over W×H texels: what the refinement has made of a texel, unless its model explains the texel much worse than the prefit's
+// does. Then the refinement has turned the normal to make up for what the model cannot tell, and the texel keeps what it had:
+// the prefit's normal, and the rest fitted to it. Reads the estimates before the refinement, u_work_…: those after it, and
+// u_prefit_fitness: the prefit's own. Fitnesses are compared on the prefit's terms, of grey samples.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
@@ -37,7 +37,7 @@ bool texel_kernel(ivec2 texel)
     }
     float weights;
     float fitness = fitness_of(texel, frame_at(texel), material_from(c), weights);
-    if (fitness > TRUST * texelFetch(u_survey_fitness, texel, 0).x + TRUST_FLOOR) {
+    if (fitness > ACCEPTANCE_RATIO * texelFetch(u_prefit_fitness, texel, 0).x + ACCEPTANCE_FLOOR) {
         o_estimate_0 = texelFetch(u_estimate_0, texel, 0);
 #if ESTIMATES > 1
         o_estimate_1 = texelFetch(u_estimate_1, texel, 0);

@@ -1,5 +1,5 @@
-// Over W×H texels: the estimates with the normal that the survey has found, packed as the estimates are.
-// Reads the estimates and u_survey_0: those of the survey's own model, whose first three are its normal.
+// Over W×H texels: the estimates with the normal that the prefit has found, packed as the estimates are.
+// Reads the estimates and u_prefit_0: those of the prefit's own model, whose first three are its normal.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"
@@ -9,7 +9,7 @@ bool texel_kernel(ivec2 texel)
     float c[12];
     material_to(estimate_at(texel), c);
     if (state_at(texel) == TEXEL_SOLVED) {
-        vec3 n = texelFetch(u_survey_0, texel, 0).xyz;
+        vec3 n = texelFetch(u_prefit_0, texel, 0).xyz;
         c[NORMAL_COMPONENT] = n.x;
         c[NORMAL_COMPONENT + 1] = n.y;
         c[NORMAL_COMPONENT + 2] = n.z;

@@ -1,8 +1,8 @@
-// What the prefit's polish adds to the loss: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few or narrow
+// What the prefit's refinement adds to the loss: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few or narrow
 // lights do not tell a fall-off from a tilt; their texels then keep near to Lambert's law.
 // Half a square in each of the three equal channels, in the units of Cauchy's loss; other losses know no such unit.
 
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 
 #if FITNESS == FITNESS_ROBUST
 #define FALLOFF_UNIT 1.5
@@ -22,17 +22,17 @@ float penalty_of(ivec2 texel, inout float c[12])
 }
 
 // JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², J per range.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
     float scale = loss_scale(texel);
     float precision_of = falloff_precision() / (scale * scale);
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
+        free_at(u, at, low, width);
         if (at == FALLOFF_COMPONENT) {
-            a[u * UNKNOWNS + u] += precision_of * width * width;
+            a[u * FREE_COUNT + u] += precision_of * width * width;
             slope[u] += precision_of * width * (c[at] - 1.0);
         }
     }

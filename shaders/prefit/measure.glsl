@@ -1,4 +1,4 @@
-// Over W×H texels: how well the survey's estimates explain a texel, on the judge's terms. A fit to fewer than
+// Over W×H texels: how well the prefit's estimates explain a texel, on the acceptance test's terms. A fit to fewer than
 // LEAST_SAMPLES meets whatever it is given, noise and all, so that it is no measure for another: UNFIT, which every model
 // is under.
 

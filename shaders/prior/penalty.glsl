@@ -1,9 +1,9 @@
 // What a Gaussian prior adds to the loss, per number (x − m)² / v, which is a deviance: in losses as loss_unit.glsl
-// says. Reads u_noise and the prior (belief.glsl), over the unknowns of unknowns.glsl.
+// says. Reads u_noise and the prior (belief.glsl), over the unknowns of free_parameters.glsl.
 
 #include "prior/belief.glsl"
 #include "prior/loss_unit.glsl"
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 
 float penalty_of(ivec2 texel, inout float c[12])
 {
@@ -23,21 +23,21 @@ float penalty_of(ivec2 texel, inout float c[12])
 
 // Adds the prior to the normal equations, J per range: JᵀWJ and JᵀWe are half the second and the first derivative of
 // n σ² of noise of variance σ², for the losses that are squares; of that over b, for l1.
-void add_penalty(ivec2 texel, inout float c[12], inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
     float mean[12];
     float deviation[12];
     means_at(texel, mean);
     deviations_at(texel, deviation);
     float noise = texelFetch(u_noise, texel, 0).w;
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
+        free_at(u, at, low, width);
         if (deviation[at] > 0.0) {
             float precision_of = noise * width * width / (deviation[at] * deviation[at]);
-            a[u * UNKNOWNS + u] += precision_of;
+            a[u * FREE_COUNT + u] += precision_of;
             slope[u] += precision_of * (c[at] - mean[at]) / width;
         }
     }

@@ -10,7 +10,7 @@
 
 float freedom_of(vec4 noise)
 {
-    return max(noise.y - float(UNKNOWNS), 0.0);
+    return max(noise.y - float(FREE_COUNT), 0.0);
 }
 
 bool texel_kernel(ivec2 texel)

@@ -1,4 +1,4 @@
-// Over W×H texels: the estimates with the values of start u_start put in (−1: as they are), to be polished; a start may
+// Over W×H texels: the estimates with the values of start u_start put in (−1: as they are), to be refined; a start may
 // turn the normal (mirror.glsl). Reads the estimates, u_status and the samples. What this tile does not solve stays as it is.
 
 #include "refine/mirror.glsl"

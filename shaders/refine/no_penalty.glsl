@@ -1,10 +1,10 @@
-// A polish on the samples alone: nothing is added to the loss.
+// A refinement on the samples alone: nothing is added to the loss.
 
 float penalty_of(ivec2 texel, inout float c[12])
 {
     return 0.0;
 }
 
-void add_penalty(ivec2 texel, inout float c[12], inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])
+void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
 }

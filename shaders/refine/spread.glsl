@@ -1,7 +1,7 @@
 // Over W×H texels: tries what the neighbours have found. The four texels beside this one offer their whole material, the
 // normal turned into this texel's frame; the four two away offer their searched numbers alone, with this texel's own
-// normal and linear weights. An offer is taken, to be polished, where its fitness is under DARING times this texel's own,
-// or where it has more votes (votes.glsl) by the factor CROWD: before it is polished, its weights are another's, so that
+// normal and linear weights. An offer is taken, to be refined, where its fitness is under ACCEPT_RATIO times this texel's own,
+// or where it has more votes (votes.glsl) by the factor CROWD: before it is refined, its weights are another's, so that
 // its fitness tells little. Of several the most probable is taken; where there is none, nothing is left to be done.
 // Reads the best estimates so far, u_status and the packing.
 
@@ -26,19 +26,19 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
         c[i] = own[i];
     }
     bool whole = kind == 0;
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        free_at(u, at, low, width);
+#if NORMAL_FREE >= 0
+        if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
             continue;
         }
 #endif
         c[at] = whole || searched(u) ? theirs[at] : own[at];
     }
-#if NORMAL_UNKNOWN >= 0
+#if NORMAL_FREE >= 0
     if (whole) {
         int at = NORMAL_COMPONENT;
         vec3 n = to_local(f, to_world(frame_at(other), vec3(theirs[at], theirs[at + 1], theirs[at + 2])));
@@ -111,7 +111,7 @@ bool texel_kernel(ivec2 texel)
         material_to(tried[p], offered);
         float votes = voted ? votes_for(place, offered) : 0.0;
         float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
-        bool wanted = fitness < DARING * status.x || votes > CROWD * (1.0 + own_votes);
+        bool wanted = fitness < ACCEPT_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
         if (wanted && (chosen < 0 || deviance < least)) {
             least = deviance;
             chosen = p;

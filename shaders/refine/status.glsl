@@ -1,4 +1,4 @@
-// What the polish remembers of a texel: its material, packed as the estimates are, and o_status: (fitness, damping λ,
+// What the refinement remembers of a texel: its material, packed as the estimates are, and o_status: (fitness, damping λ,
 // iterations in a row that changed nothing, evaluations so far).
 
 #include "common/estimate.glsl"

@@ -25,7 +25,7 @@
 #define FARTHEST 0.2
 
 // Adds up JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material as it is, and the weights.
-vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * UNKNOWNS], out float slope[UNKNOWNS])
+vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
 {
     Material s = material_from(c);
     Steps steps;
@@ -51,7 +51,7 @@ vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * U
         weight *= o.intensity;
         add_slopes(s, steps, render, o.l, v, weight * error, weight * o.intensity, sums);
     }
-    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) {
+    for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
     }
     sums_to(sums, a, slope);
@@ -60,8 +60,8 @@ vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[UNKNOWNS * U
 
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D is that of
 // n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
-void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[UNKNOWNS * UNKNOWNS],
-                inout float slope[UNKNOWNS])
+void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
+                inout float slope[FREE_COUNT])
 {
 #if PRIORS > 0
     float scale = loss_scale(texel);
@@ -73,42 +73,42 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[UNK
     float by[12];
     float curvature[12];
     prior_slopes(c, by, curvature);
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
-        a[u * UNKNOWNS + u] += unit * width * width * curvature[at];
+        free_at(u, at, low, width);
+        a[u * FREE_COUNT + u] += unit * width * width * curvature[at];
         slope[u] += unit * width * by[at];
     }
 #endif
 }
 
 // The components after a step of all unknowns; the normal stays on its hemisphere.
-void stepped(inout float given[12], inout float by[UNKNOWNS], out float c[12])
+void stepped(inout float given[12], inout float by[FREE_COUNT], out float c[12])
 {
     for (int i = 0; i < 12; i++) {
         c[i] = given[i];
     }
-    for (int u = 0; u < UNKNOWNS; u++) {
+    for (int u = 0; u < FREE_COUNT; u++) {
         int at;
         float low;
         float width;
-        unknown_at(u, at, low, width);
-#if NORMAL_UNKNOWN >= 0
-        if (u == NORMAL_UNKNOWN || u == NORMAL_UNKNOWN + 1) {
+        free_at(u, at, low, width);
+#if NORMAL_FREE >= 0
+        if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
             continue;
         }
 #endif
         c[at] = clamp(c[at] + by[u] * width, low, low + width);
     }
-#if NORMAL_UNKNOWN >= 0
+#if NORMAL_FREE >= 0
     int at;
     float low;
     float width;
-    unknown_at(NORMAL_UNKNOWN, at, low, width);
+    free_at(NORMAL_FREE, at, low, width);
     vec3 n = vec3(c[at], c[at + 1], c[at + 2]);
-    n = turned_normal(n, width * vec2(by[NORMAL_UNKNOWN], by[NORMAL_UNKNOWN + 1]));
+    n = turned_normal(n, width * vec2(by[NORMAL_FREE], by[NORMAL_FREE + 1]));
     n = normalize(vec3(n.xy, max(n.z, 0.0)));
     c[at] = n.x;
     c[at + 1] = n.y;
@@ -119,8 +119,8 @@ void stepped(inout float given[12], inout float by[UNKNOWNS], out float c[12])
 void improve(ivec2 texel, inout float c[12], inout vec4 status)
 {
     Frame f = frame_at(texel);
-    float a[UNKNOWNS * UNKNOWNS];
-    float slope[UNKNOWNS];
+    float a[FREE_COUNT * FREE_COUNT];
+    float slope[FREE_COUNT];
     vec2 sums = linearise(texel, f, c, a, slope);
     add_penalty(texel, c, a, slope);
     float fitness = (sums.x + penalty_of(texel, c)) / (3.0 * sums.y);
@@ -133,20 +133,20 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         status.z = CALM;
         return;
     }
-    float norm[UNKNOWNS];
-    float least[UNKNOWNS];
-    float most[UNKNOWNS];
-    for (int i = 0; i < UNKNOWNS; i++) {
-        norm[i] = sqrt(a[i * UNKNOWNS + i]);
+    float norm[FREE_COUNT];
+    float least[FREE_COUNT];
+    float most[FREE_COUNT];
+    for (int i = 0; i < FREE_COUNT; i++) {
+        norm[i] = sqrt(a[i * FREE_COUNT + i]);
         vec2 room = room_of(c, i);
         least[i] = searched(i) ? max(room.x, -FARTHEST) : room.x;
         most[i] = searched(i) ? min(room.y, FARTHEST) : room.y;
     }
-    for (int i = 0; i < UNKNOWNS; i++) {
+    for (int i = 0; i < FREE_COUNT; i++) {
         slope[i] = norm[i] > 0.0 ? slope[i] / norm[i] : 0.0;
-        for (int k = i; k < UNKNOWNS; k++) {
+        for (int k = i; k < FREE_COUNT; k++) {
             float both = norm[i] * norm[k];
-            a[i * UNKNOWNS + k] = both > 0.0 ? a[i * UNKNOWNS + k] / both : 0.0;
+            a[i * FREE_COUNT + k] = both > 0.0 ? a[i * FREE_COUNT + k] / both : 0.0;
         }
     }
     Material tried[CANDIDATES];
@@ -157,10 +157,10 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     for (int p = 0; p < CANDIDATES; p++) {
         lambda[p] = clamp(damping, LEAST_DAMPING, MOST_DAMPING);
         damping *= RATIO;
-        float by[UNKNOWNS];
+        float by[FREE_COUNT];
         boxed_step(a, slope, norm, lambda[p], least, most, by);
         size[p] = 0.0;
-        for (int u = 0; u < UNKNOWNS; u++) {
+        for (int u = 0; u < FREE_COUNT; u++) {
             size[p] = max(size[p], abs(by[u]));
         }
         float candidate[12];
@@ -203,7 +203,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
             material_to(tried[p], c);
             order_lobes(c);
             status.y = lambda[p];
-            status.z = gain < GAIN || size[p] < SMALLEST_STEP ? status.z + 1.0 : 0.0;
+            status.z = gain < FTOL || size[p] < XTOL ? status.z + 1.0 : 0.0;
         }
     }
 }

@@ -6,14 +6,14 @@
 #include "common/estimate.glsl"
 #include "common/packing.glsl"
 #include "common/taps.glsl"
-#include "unknowns.glsl"
+#include "free_parameters.glsl"
 #include "materials.glsl"
 
 // The 5×5 texels around, the first taps of common/taps.glsl.
 #define VOTERS 24
 // Numbers are alike that differ by this fraction of their range.
 #define ALIKE 0.1
-// An offer that has so many times a texel's own votes is tried, whatever its fitness is before it is polished. On
+// An offer that has so many times a texel's own votes is tried, whatever its fitness is before it is refined. On
 // rti_icon, near the mouth: 1 takes twice as many offers for a third fewer lone texels.
 #define CROWD 1.5
 
@@ -28,11 +28,11 @@ float votes_for(ivec4 place, inout float c[12])
         float theirs[12];
         material_to(estimate_at(other), theirs);
         float apart = 0.0;
-        for (int u = 0; u < UNKNOWNS; u++) {
+        for (int u = 0; u < FREE_COUNT; u++) {
             int at;
             float low;
             float width;
-            unknown_at(u, at, low, width);
+            free_at(u, at, low, width);
             float d = searched(u) ? (theirs[at] - c[at]) / (ALIKE * width) : 0.0;
             apart += d * d;
         }
@@ -44,7 +44,7 @@ float votes_for(ivec4 place, inout float c[12])
 // Degrees of freedom of the noise, of samples that weigh so much together: of three channels each.
 float freedom_of(float weights)
 {
-    return max(3.0 * weights - float(UNKNOWNS), 0.0);
+    return max(3.0 * weights - float(FREE_COUNT), 0.0);
 }
 
 // −2 log of the posterior of a material, up to a constant. The samples' part is that of Gaussian noise of unknown

@@ -112,8 +112,8 @@ def recoveries():
 
     made = []
 
-    def make(domain, model=None, schedule=SHORT, seed=1, known=None, entry="fragment"):
-        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, known, entry))
+    def make(domain, model=None, schedule=SHORT, seed=1, fixed=None, entry="fragment"):
+        made.append(Recovery(domain, model or load_model("lambert"), schedule, seed, fixed, entry))
         return made[-1]
 
     yield make

@@ -20,14 +20,14 @@ from irpso_addon.geometry.tiles import tile
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
-from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.settings.schedule import Refinement, load_schedule
 from tests.builders.domains import SHORT, subject
 
 PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others
     "prime sizes, near lights, a window of 9": ((1, 2, 4, 7), None),
-    "survey, polish and prior": ((2,), 11),
+    "prefit, refinement and prior": ((2,), 11),
     "a threshold": ((2,), None),
     "seams of a mesh": ((4,), 4),
     "fewer texels than ranks want": ((7,), None),
@@ -35,8 +35,8 @@ PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
 STANDARD = load_schedule("standard").replaced(
-    iterations=3, survey_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
-    polish=Polish(iterations=2, start_iterations=1, rounds=1, round_iterations=1),
+    iterations=3, prefit_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
+    refinement=Refinement(iterations=2, start_iterations=1, rounds=1, round_iterations=1),
 )  # fmt: skip
 THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_every=30)
 
@@ -52,7 +52,7 @@ def cases():
     seams = observed(sheet("mirrored and turned"), holes=0.1)
     return {
         "prime sizes, near lights, a window of 9": (near, LAMBERT, WIDE),
-        "survey, polish and prior": (glossy, TWO_LOBES, STANDARD),
+        "prefit, refinement and prior": (glossy, TWO_LOBES, STANDARD),
         "a threshold": (level, LAMBERT, THRESHOLD),
         "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
         "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
@@ -70,7 +70,7 @@ def digest(maps, progress):
 
 def member_of(ranks, domain, model, schedule):
     """Return this rank's share of a domain that every rank has as a whole."""
-    halo = recovery_need(model, schedule, (), domain.observations).reach
+    halo = recovery_cost(model, schedule, (), domain.observations).reach
     height, width = domain.shape
     boxes = list(divided(domain.bake.coverage, (0, 0, width, height), ranks.size))
     boxes += [None] * (ranks.size - len(boxes))

@@ -10,7 +10,7 @@ from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.phases.sequential_swarm import particle_count
-from irpso_addon.solver.phases.synchronous_swarm import RunningGenerations
+from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -31,7 +31,7 @@ class Case:
     model: str = "lambert"
     domain: dict = field(default_factory=dict)
     settings: dict = field(default_factory=dict)
-    known: frozenset = frozenset()
+    fixed: frozenset = frozenset()
     iterations: int = 3
 
     def __str__(self) -> str:
@@ -44,20 +44,20 @@ class Bench:
     def __init__(self, case: Case, entry: str = "fragment", seed: int = 7, domain=None, estimates=None):
         context.ensure()
         self.model = load_model(case.model)
-        settings = {"survey_iterations": 0, "polish_iterations": 0, "prior_rounds": 0, **case.settings}
+        settings = {"prefit_iterations": 0, "refinement_iterations": 0, "prior_rounds": 0, **case.settings}
         self.schedule = load_schedule("standard").replaced(search=case.search, iterations=40, **settings)
         self.domain = domain or make_domain(*case.shape, **case.domain)
         self.rng = rng = np.random.default_rng(seed)
         scale = rng.uniform(0.5, 2, size=self.domain.shape).astype(np.float32)
         made = random_material(self.model, self.domain.shape, rng)
         self.values = {**made, **(estimates or {})}
-        stage = resolve(self.schedule, self.model, set(case.known))[0]
+        stage = resolve(self.schedule, self.model, set(case.fixed))[0]
         self.packing = pack = Packing(self.domain.solvable)
         self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in self.values.items()})
-        self.stage = RunningGenerations(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
+        self.stage = SynchronousSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))
-        self.problem = oracle.Generations(
+        self.problem = oracle.SynchronousSwarm(
             self.domain, self.model, stage, self.schedule, self.values, scale.astype(np.float64), count, seed
         )
         self.bands = Bands()
@@ -81,7 +81,7 @@ class Bench:
 
     def give(self, state: oracle.State) -> None:
         """Make ``state`` the state on the GPU."""
-        atlas, blocks = self.stage.textures.atlas, self.stage.codec.blocks
+        atlas, blocks = self.stage.textures.atlas, self.stage.encoding.blocks
         fits = np.concatenate([state.p_fitness] * blocks)[..., None]
         particles = {"position": state.x, "velocity": state.v, "best": state.p, "fitness": fits}
         arrays = {}
@@ -106,7 +106,7 @@ class Bench:
         )
         fitness = numbers.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
         fitness = np.stack([pack.unpack(one, swarm.UNFIT) for one in fitness])
-        blocks, linear = stage.codec.blocks, stage.linear.blocks
+        blocks, linear = stage.encoding.blocks, stage.linear.blocks
         g, w = (
             pack.unpack(np.concatenate([arrays[f"global_best_{b}"] for b in some] or [np.zeros((*sizes[1:], 0))], -1))
             for some in (range(blocks), range(blocks, blocks + linear))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irpso_addon.solver.settings.resolve import ResolvedStage
+from irpso_addon.solver.settings.resolve import ResolvedSwarm
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import synchronous_swarm as generation
 
@@ -12,15 +12,17 @@ _TRIED = (0.01, 0.04, 0.1, 0.25, 0.5, 0.75, 1.0)  # of a range
 _FAR, _MOST, _FLOOR = 0.3, 9.0, 0.01
 
 
-def worse(domain, model, values, schedule, scale, known=()):
+def worse(domain, model, values, schedule, scale, fixed=()):
     """Name → (H, W, 1): n log((F + 0.01) / (F₀ + 0.01)) of the best alternative, within ±9, per searched scalar."""
-    linear = tuple(p for p in model.parameters if p.kind == "linear" and p.name not in known)
-    problem = generation.Generations(domain, model, ResolvedStage((), 0, solved=linear), schedule, values, scale, 1)
+    linear = tuple(p for p in model.parameters if p.kind == "linear" and p.name not in fixed)
+    problem = generation.SynchronousSwarm(
+        domain, model, ResolvedSwarm((), 0, solved=linear), schedule, values, scale, 1
+    )
     own, counted = generation.fitness(problem, values), generation.sample_weights(problem, values)
-    n = _independent(problem, values, len(confidence_oracle.unknowns(model, known)))
+    n = _independent(problem, values, len(confidence_oracle.unknowns(model, fixed)))
     found = {}
     for p in model.parameters:
-        given = p.name in known or p.is_normal or p.components > 1 or p.kind == "linear"
+        given = p.name in fixed or p.is_normal or p.components > 1 or p.kind == "linear"
         if given or p.prior is not None and p.prior.kind == "normal":
             continue
         low, width = p.range[0], p.range[1] - p.range[0]

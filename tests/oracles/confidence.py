@@ -17,11 +17,11 @@ def tangents(normal):
     return oracles.unit(oracles.unit(first) + second), oracles.unit(oracles.unit(first) - second)
 
 
-def unknowns(model, known=()):
+def unknowns(model, fixed=()):
     """[(parameter, component, width)]: the numbers to be found; a normal's are two angles with a range of π/2."""
     found = []
     for p in model.parameters:
-        if p.name not in known:
+        if p.name not in fixed:
             width = np.pi / 2 if p.is_normal else p.range[1] - p.range[0]
             found += [(p, i, width) for i in range(2 if p.is_normal else p.components)]
     return found
@@ -50,10 +50,10 @@ def radiance(domain, model_name, values):
     return np.array(layers)
 
 
-def jacobian(domain, model, values, known=()):
+def jacobian(domain, model, values, fixed=()):
     """(n, K, H, W, 3) change of the radiance with every unknown, per range; inward at the ends of a range."""
     columns = []
-    for p, i, width in unknowns(model, known):
+    for p, i, width in unknowns(model, fixed):
         x = np.zeros(domain.shape) if p.is_normal else (values[p.name][..., i] - p.range[0]) / width
         low = np.where(p.is_normal | (x > 2 * _STEP), -_STEP, 0) * width
         high = np.where(p.is_normal | (x < 1 - 2 * _STEP), _STEP, 0) * width
@@ -62,9 +62,9 @@ def jacobian(domain, model, values, known=()):
     return np.array(columns)
 
 
-def normal_matrix(domain, model, values, known=()):
+def normal_matrix(domain, model, values, fixed=()):
     """JᵀJ (H, W, n, n) per range, and the variance of the noise (H, W): a Σ w e² / (3 Σ w − n (1 + a) / 2)."""
-    j = jacobian(domain, model, values, known)
+    j = jacobian(domain, model, values, fixed)
     w = domain.stack[..., 3].astype(np.float64)
     error = np.where(w[..., None] > 0, radiance(domain, model.name, values) - domain.stack[..., :3], 0)
     errors = np.einsum("khw,khwc->hw", w, error**2)
@@ -74,13 +74,13 @@ def normal_matrix(domain, model, values, known=()):
     return np.einsum("khw,akhwc,bkhwc->hwab", w, j, j), variance
 
 
-def deviations(model, matrix, variance, known=()):
+def deviations(model, matrix, variance, fixed=()):
     """Name → (H, W, components) σ, at most the range; a normal's is one number. NaN where ``matrix`` is not regular."""
     regular = np.isfinite(variance) & (np.linalg.cond(matrix) < 1e12)
     inverse = np.linalg.inv(np.where(regular[..., None, None], matrix, np.eye(matrix.shape[-1])))
     squared = np.where(regular, variance, np.nan)[..., None] * np.einsum("hwaa->hwa", inverse)
     sigma = {p.name: np.zeros((*variance.shape, 1 if p.is_normal else p.components)) for p in model.parameters}
-    for (p, i, width), one in zip(unknowns(model, known), np.moveaxis(squared, -1, 0), strict=True):
+    for (p, i, width), one in zip(unknowns(model, fixed), np.moveaxis(squared, -1, 0), strict=True):
         own = width * np.minimum(1, np.sqrt(one))
         at = 0 if p.is_normal else i
         sigma[p.name][..., at] = np.minimum(width, np.hypot(sigma[p.name][..., at], own))

@@ -1,4 +1,4 @@
-"""One step of Levenberg and Marquardt in float64: what the polish is compared with. On cards, under distant lights."""
+"""One step of Levenberg and Marquardt in float64: what the refinement is compared with. On cards, under distant lights."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Texel:
         return np.array(by)
 
     def inside(self, values, by):
-        """Whether a step stays in all ranges, and takes no searched number farther than the polish lets it."""
+        """Whether a step stays in all ranges, and takes no searched number farther than the refinement lets it."""
         for (p, i), one in zip(self.unknowns, by, strict=True):
             x = 0.5 if p.is_normal else (values[p.name][i] - p.range[0]) / (p.range[1] - p.range[0])
             bounded = not p.is_normal and p.kind == "search"

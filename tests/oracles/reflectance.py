@@ -307,7 +307,7 @@ def blinn_phong(p, light, view):
 
 
 def falloff_lobe(p, light, view):
-    """The survey's: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX without Fresnel; both are grey."""
+    """The prefit's: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX without Fresnel; both are grey."""
     c = Configuration(p["normal"], light, view)
     alpha = np.asarray(p["roughness"]) ** 2
     lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)

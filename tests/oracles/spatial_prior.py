@@ -73,9 +73,9 @@ def pooled(prior, model, covered, estimates, own):
                 told = theirs[:, c] < TOLD * width
                 if s[told].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
                     continue
-                known = np.maximum(theirs[told, c], FINEST * width)
+                fixed = np.maximum(theirs[told, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(
-                    s[told], y[told, c], known, (prior.spread * width) ** 2
+                    s[told], y[told, c], fixed, (prior.spread * width) ** 2
                 )
         belief, deviation = mean, spread
     return belief, deviation

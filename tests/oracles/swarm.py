@@ -12,7 +12,7 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
-from irpso_addon.solver.settings.resolve import ResolvedStage
+from irpso_addon.solver.settings.resolve import ResolvedSwarm
 from irpso_addon.solver.settings.schedule import Fitness, Schedule
 from tests.oracles.random_numbers import random_bits, random_uniform
 
@@ -88,7 +88,7 @@ class Problem:
 
     domain: Domain
     model: ReflectanceModel
-    stage: ResolvedStage
+    stage: ResolvedSwarm
     schedule: Schedule
     estimates: dict[str, np.ndarray]
     scale: np.ndarray

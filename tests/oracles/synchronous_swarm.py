@@ -20,7 +20,7 @@ EDGE = 3e-6  # of a cosine: normals at the walls of their square come to the hor
 
 
 @dataclass(frozen=True)
-class Generations(swarm.Problem):
+class SynchronousSwarm(swarm.Problem):
     """A problem whose stage may have ``solved`` parameters, and need not search any."""
 
     @property
@@ -47,14 +47,14 @@ class Generations(swarm.Problem):
         return self.with_weights(self.decode(x), w)
 
 
-def radiance(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+def radiance(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(K, …, H, W, 3): the render of a material; nothing where light or view lie in the horizon, as float32 has it."""
     domain = problem.domain
     above = [(light > swarm.HORIZON) & (view > swarm.HORIZON) for light, view in cosines(problem, s["normal"])]
     return np.where(above, confidence_oracle.radiance(domain, problem.model.name, s), 0)
 
 
-def cosines(problem: Generations, n: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def cosines(problem: SynchronousSwarm, n: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield n·l and n·v (…, H, W, 1) of every observation."""
     domain = problem.domain
     frame, position = swarm.frames(domain.bake), domain.bake.position.astype(np.float64)
@@ -62,7 +62,7 @@ def cosines(problem: Generations, n: np.ndarray) -> Iterator[tuple[np.ndarray, n
         yield tuple(swarm.dot(n, swarm.turned(frame, swarm.direction_to(row, position)[0])) for row in (light, view))
 
 
-def on_edge(problem: Generations, n: np.ndarray) -> np.ndarray:
+def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
     """(…, H, W): whether rounding decides if some light or view is above the horizon of a normal."""
     found = False
     for weight, pair in zip(problem.domain.stack[..., 3], cosines(problem, n), strict=True):
@@ -70,7 +70,7 @@ def on_edge(problem: Generations, n: np.ndarray) -> np.ndarray:
     return found
 
 
-def error(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(K, …, H, W, 3): what the render of a material has too much, in units of the loss."""
     domain, settings = problem.domain, problem.schedule.fitness
     seen = _expanded(domain.stack[..., 3:] > 0, s["normal"])
@@ -88,7 +88,7 @@ def _expanded(samples: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return samples[:, None] if normal.ndim == 4 else samples
 
 
-def fitness(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
+def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
     e = error(problem, s)
     loss = {"l1": np.abs, "l2": np.square, "robust": lambda a: np.log1p(a**2)}[problem.schedule.fitness.loss](e)
@@ -97,7 +97,7 @@ def fitness(problem: Generations, s: dict[str, np.ndarray]) -> np.ndarray:
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), swarm.UNFIT)
 
 
-def sample_weights(problem: Generations, incumbent: dict[str, np.ndarray]) -> np.ndarray:
+def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) -> np.ndarray:
     """(K, H, W, 3): what each sample counts in the least squares, by the error of the incumbent there."""
     e = error(problem, incumbent)
     kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
@@ -117,7 +117,7 @@ def sample_weights(problem: Generations, incumbent: dict[str, np.ndarray]) -> np
     return weight * kinds[problem.schedule.fitness.loss]
 
 
-def system(problem: Generations, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """(K, …, H, W, 3, L) what radiance each weight brings at 1, and (K, …, H, W, 3) what is left for them to explain.
 
     The bases are differences of renders: nothing of the shaders' own split into bases is used.
@@ -136,7 +136,7 @@ def system(problem: Generations, s: dict[str, np.ndarray]) -> tuple[np.ndarray, 
     return np.stack(columns, axis=-1), left - rest
 
 
-def solve(problem: Generations, s: dict[str, np.ndarray], counted: np.ndarray) -> np.ndarray:
+def solve(problem: SynchronousSwarm, s: dict[str, np.ndarray], counted: np.ndarray) -> np.ndarray:
     """(…, H, W, L): the least squares of weights inside their ranges, for samples that count (K, H, W, 3).
 
     Every choice of which weights lie at which end is tried; the best that keeps inside is the answer.
@@ -157,10 +157,10 @@ def solve(problem: Generations, s: dict[str, np.ndarray], counted: np.ndarray) -
             if end is not None:
                 w[..., i] = ranges[i, end]
         if free.any():
-            known = side - np.einsum("...ij,...j->...i", gram, w)
+            fixed = side - np.einsum("...ij,...j->...i", gram, w)
             part = gram[..., free, :][..., free]
             regular = part + 1e-14 * np.einsum("...ii->...", part)[..., None, None] * np.eye(free.sum())
-            w[..., free] = np.linalg.solve(regular, known[..., free][..., None])[..., 0]
+            w[..., free] = np.linalg.solve(regular, fixed[..., free][..., None])[..., 0]
         cost = 0.5 * np.einsum("...i,...ij,...j->...", w, gram, w) - (w * side).sum(axis=-1)
         inside = ((w >= ranges[:, 0] - 1e-12) & (w <= ranges[:, 1] + 1e-12)).all(axis=-1)
         better = inside & (cost < lowest)
@@ -194,7 +194,7 @@ class Generation:
     lead: np.ndarray = field(repr=False)
 
 
-def placed(problem: Generations, state: State) -> Generation:
+def placed(problem: SynchronousSwarm, state: State) -> Generation:
     """Return the state once all particles have been given their first places, which is iteration −1."""
     constants = problem.schedule.swarm
     seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
@@ -214,7 +214,7 @@ def placed(problem: Generations, state: State) -> Generation:
     return _committed(problem, state, np.stack(xs), np.stack(vs), problem.estimates, start=True)
 
 
-def generation(problem: Generations, state: State, iteration: int) -> Generation:
+def generation(problem: SynchronousSwarm, state: State, iteration: int) -> Generation:
     """Return the state after one iteration: Eq. 2 and 3 for every particle, then the bests."""
     every = problem.schedule.swarm.neighbour_every
     mean = swarm.mean_at(problem, state, iteration)
@@ -233,7 +233,7 @@ def generation(problem: Generations, state: State, iteration: int) -> Generation
 
 
 def _committed(
-    problem: Generations, state: State, x: np.ndarray, v: np.ndarray, incumbent: dict[str, np.ndarray], start: bool
+    problem: SynchronousSwarm, state: State, x: np.ndarray, v: np.ndarray, incumbent: dict[str, np.ndarray], start: bool
 ) -> Generation:
     solved, _ = swarm.solved_and_covered(problem.domain)
     moved = solved & (state.g_fitness > problem.schedule.threshold)

@@ -14,7 +14,7 @@ from .ball import Ball
 from .crops import BallView, reading_steps
 from .matte import Fit, fit_lights
 from .mirror import Sight, find_highlights
-from .near import SIGNIFICANT, Meeting, converge, meet
+from .near import SIGNIFICANT, HaloOverlap, converge, meet
 from .shading import shading_of
 
 KINDS = ("mirror", "matte")
@@ -160,7 +160,9 @@ def _doubts(fit: Fit) -> list[str]:
     return warnings
 
 
-def _met(row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, usual: float | None) -> Meeting:
+def _met(
+    row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, usual: float | None
+) -> HaloOverlap:
     """Return where a light is. usual: 1 / the distance that is taken for one whose own cannot be told.
 
     A direction is from where it was seen, on a ball: from the balls' middle a light 6 radii away lies up to 6° off it.
@@ -176,7 +178,7 @@ def _met(row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: R
     return _meeting(row, centre, False, usual or 0.0)
 
 
-def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, inverse: float = 0.0) -> Meeting:
+def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, inverse: float = 0.0) -> HaloOverlap:
     sights = [sight for sight in row if sight is not None]
     return meet(
         np.array([s.point for s in sights]), np.array([s.direction for s in sights]), [s.error for s in sights],
@@ -184,10 +186,10 @@ def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, invers
     )  # fmt: skip
 
 
-def _of_fit(fit: Fit, views: Sequence[BallView]) -> Meeting:
+def _of_fit(fit: Fit, views: Sequence[BallView]) -> HaloOverlap:
     """Return a fit as a meeting; that a ball's outline is uncertain turns its normals."""
     outline = np.mean([2 * (v.ball.error_px[0] ** 2) / v.ball.radius_px**2 for v in views]) ** 0.5
-    return Meeting(
+    return HaloOverlap(
         fit.direction, float(np.sqrt(fit.error**2 + outline**2 + _MATTE_ERROR**2)), fit.inverse,
         float(np.hypot(fit.inverse_error, outline * _baseline(views))), fit.misfit,
     )  # fmt: skip
@@ -200,13 +202,13 @@ def _baseline(views: Sequence[BallView]) -> float:
     return float(1 / far) if far > 0 else 0.0
 
 
-def _brightest(ball: Ball, fit: Fit, meeting: Meeting) -> Sight:
+def _brightest(ball: Ball, fit: Fit, meeting: HaloOverlap) -> Sight:
     """Return where a matte ball's normal points to the light."""
     point = ball.centre + ball.radius * fit.direction
     return Sight(np.full(2, np.nan), point, fit.direction, meeting.error)
 
 
-def _decision(meetings: Sequence[Meeting], request: Request, balls: int) -> tuple[bool, str]:
+def _decision(meetings: Sequence[HaloOverlap], request: Request, balls: int) -> tuple[bool, str]:
     """Return whether lights are near, and why."""
     if request.lights == "distant":
         return False, "distant, as asked"
@@ -224,7 +226,7 @@ def _decision(meetings: Sequence[Meeting], request: Request, balls: int) -> tupl
     return False, f"distant: the balls' rays do not converge ({median:.1f} standard errors in the median)"
 
 
-def _contradiction(row: Sequence[Sight | None], meeting: Meeting) -> list[str]:
+def _contradiction(row: Sequence[Sight | None], meeting: HaloOverlap) -> list[str]:
     expected = np.sqrt(np.mean([s.error**2 for s in row if s is not None]))
     if meeting.misfit > max(_APART * expected, np.radians(_APART_DEGREES)):
         return [f"the balls contradict each other by {np.degrees(meeting.misfit):.1f}°: one may be in shadow"]
@@ -232,7 +234,7 @@ def _contradiction(row: Sequence[Sight | None], meeting: Meeting) -> list[str]:
 
 
 def _placed(
-    meeting: Meeting,
+    meeting: HaloOverlap,
     sights: tuple[Sight | None, ...],
     ball: Ball,
     centre: np.ndarray,

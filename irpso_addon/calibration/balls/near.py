@@ -14,7 +14,7 @@ _ITERATIONS = 40
 
 
 @dataclass(frozen=True)
-class Meeting:
+class HaloOverlap:
     """A light that rays lead to. direction: (3,) unit, from the rig's centre. error: of it, radians.
 
     inverse: 1 / distance from the centre, not above 0 where rays do not converge. inverse_error: its standard error.
@@ -40,7 +40,7 @@ def meet(
     centre: np.ndarray,
     near: bool,
     inverse: float = 0.0,
-) -> Meeting:
+) -> HaloOverlap:
     """Return where rays from points (B, 3) along unit directions (B, 3) meet, by weighted least squares of angles.
 
     The light is sought as direction and 1 / distance from ``centre``, so that a distant one is no special case: seen
@@ -78,9 +78,9 @@ def meet(
     error = np.sqrt(covariance[0, 0] + covariance[1, 1])
     inverse_error = np.sqrt(covariance[2, 2]) if near else abs(inverse)
     misfit = np.sqrt((here**2).sum() / len(points))
-    return Meeting(axis, float(error), float(inverse), float(inverse_error), float(misfit))
+    return HaloOverlap(axis, float(error), float(inverse), float(inverse_error), float(misfit))
 
 
-def converge(meetings: Sequence[Meeting]) -> bool:
+def converge(meetings: Sequence[HaloOverlap]) -> bool:
     """Return whether lights are near: whether rays of most of them converge by more than their errors tell."""
     return bool(meetings) and float(np.median([meeting.significance for meeting in meetings])) > SIGNIFICANT

@@ -15,8 +15,8 @@ from ...capture.images.headers import read_bytes
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
 from ...capture.images.raw import is_raw
-from ...capture.read import read_draft
-from ...capture.spec import Draft, build_capture
+from ...capture.read import read_spec
+from ...capture.spec import CaptureSpec, build_capture
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.files import natural
@@ -75,7 +75,7 @@ def read_source(
     path = Path(path)
     others = {p.resolve() for p in left_out}
     if _has_lists(path):
-        return _listed(read_draft(path, colour_space), decoder, exposing, others)
+        return _listed(read_spec(path, colour_space), decoder, exposing, others)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs; give one of them")
     images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
@@ -110,29 +110,29 @@ def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tupl
     return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, found, strict=True)], []
 
 
-def _listed(draft: Draft, decoder: Decoder | None, exposing: Exposing | None, others: set[Path]) -> Source:
+def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, others: set[Path]) -> Source:
     if exposing is None:
-        capture = build_capture(draft, decoder)
-        shots = [Shot(s.name, (s.image,), None, s.camera) for s in draft.shots]
+        capture = build_capture(spec, decoder)
+        shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
         return Source(tuple(_sized(shots, capture)), capture)
-    if odd := [shot for shot in draft.shots if shot.image.part is not None]:
+    if odd := [shot for shot in spec.observations if shot.image.part is not None]:
         raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; leave the option out")
-    listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(draft.shots)))}
-    paths = [shot.image.path for shot in draft.shots]
+    listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
+    paths = [shot.image.path for shot in spec.observations]
     if exposing.merged:
-        paths += _beside(draft, exposing, others | set(listed))
+        paths += _beside(spec, exposing, others | set(listed))
     brackets, warnings = brackets_of_images(list(dict.fromkeys(paths)), exposing)
     chosen: list[tuple[int, Bracket]] = []
     for bracket in brackets:
-        named = [n for n, shot in enumerate(draft.shots) if shot.image.path.resolve() in _resolved(bracket.paths)]
+        named = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in _resolved(bracket.paths)]
         if named:
-            _same_light(draft, named)
+            _same_light(spec, named)
             chosen.append((named[0], bracket))
     if len(chosen) < len(brackets):
-        warnings.append(f"{draft.source}: {len(brackets) - len(chosen)} brackets beside it are not in its list")
+        warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} brackets beside it are not in its list")
     chosen.sort(key=lambda pair: pair[0])
-    firsts = tuple(draft.shots[n] for n, _ in chosen)
-    capture = build_capture(replace(draft, shots=firsts), decoder)
+    firsts = tuple(spec.observations[n] for n, _ in chosen)
+    capture = build_capture(replace(spec, observations=firsts), decoder)
     shots = [
         Shot(s.name, tuple(replace(s.image, path=p) for p in bracket.paths), bracket.amounts, s.camera)
         for s, (_, bracket) in zip(firsts, chosen, strict=True)
@@ -148,21 +148,21 @@ def _resolved(paths: Sequence[Path]) -> set[Path]:
     return {path.resolve() for path in paths}
 
 
-def _beside(draft: Draft, exposing: Exposing, known: set[Path]) -> list[Path]:
+def _beside(spec: CaptureSpec, exposing: Exposing, known: set[Path]) -> list[Path]:
     """Return the images in the folders of a list's that it does not name and that tell an exposure."""
-    masks = {view.mask.path.resolve() for view in draft.views if view.mask}
-    folders = dict.fromkeys(shot.image.path.parent for shot in draft.shots)
+    masks = {view.mask.path.resolve() for view in spec.views if view.mask}
+    folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
     found = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
     if exposing.by == "exif":
         return [path for path in found if exposure_of(read_bytes(path))]
     return [path for path in found if name_amount(path.stem, exposing.given)]
 
 
-def _same_light(draft: Draft, named: Sequence[int]) -> None:
-    first = draft.shots[named[0]]
+def _same_light(spec: CaptureSpec, named: Sequence[int]) -> None:
+    first = spec.observations[named[0]]
     a = np.asarray(first.vector) / max(np.linalg.norm(first.vector), 1e-30)
     for n in named[1:]:
-        other = draft.shots[n]
+        other = spec.observations[n]
         b = np.asarray(other.vector) / max(np.linalg.norm(other.vector), 1e-30)
         if np.linalg.norm(a - b) > np.radians(_SAME_LIGHT_DEGREES) or other.camera != first.camera:
             raise InputError(

@@ -13,7 +13,7 @@ from ..images.exr_header import is_exr
 from ..images.headers import read_header
 from ..images.image import ImageRef
 from ..poses import PoseFile, moved, of_picture, read_poses, similarity
-from ..spec import ViewDraft
+from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
 _MASK = {"mask", "mask_part", "mask_layer"}
@@ -23,11 +23,11 @@ _KNOWN = {"name", "width", "height", "matrix"} | _MASK | CAMERA_KEYS
 class Views:
     """The cameras of one table, in the order in which they are written or first used.
 
-    drafts: of all so far. Raises CaptureError where keys are unknown, missing or wrong.
+    specs: of all so far. Raises CaptureError where keys are unknown, missing or wrong.
     """
 
     def __init__(self, table: dict[str, Any], path: Path):
-        self.drafts: list[ViewDraft] = []
+        self.specs: list[ViewSpec] = []
         self._poses = _poses(table, path)
         self._world = _world(table, path, self._poses)
         self._masks: dict[str, ImageRef] = {}
@@ -37,7 +37,7 @@ class Views:
                 name = self._poses.name_of(text(row, "name", str(path)), f"{path}: camera {row['name']}")
                 self._masks[name] = image_ref(row, "mask", path, f"{path}: camera {name}")
             else:
-                self.drafts.append(_view(row, path, count))
+                self.specs.append(_view(row, path, count))
         names = self._names()
         if len(set(names)) != len(names):
             raise CaptureError(f"{path}: two cameras have the same name; names must differ", "camera")
@@ -56,21 +56,21 @@ class Views:
             )
         name = self._poses.name_of(wanted, where)
         if name not in names:
-            self.drafts.append(self._posed(name, image))
+            self.specs.append(self._posed(name, image))
             names.append(name)
         return names.index(name)
 
     def _names(self) -> list[str]:
-        return [view.name for view in self.drafts]
+        return [view.name for view in self.specs]
 
-    def _posed(self, name: str, image: ImageRef) -> ViewDraft:
+    def _posed(self, name: str, image: ImageRef) -> ViewSpec:
         camera, where = self._poses.cameras[name], f"{self._poses.path}: camera '{name}'"
 
         def make(width: int, height: int) -> Camera:
             orientation = 1 if is_exr(image.path) else read_header(image.path).orientation
             return moved(of_picture(camera, width, height, orientation, where), self._world)
 
-        return ViewDraft(name, make, where, None, self._masks.get(name), True)
+        return ViewSpec(name, make, where, None, self._masks.get(name), True)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:
@@ -86,7 +86,7 @@ def _world(table: dict[str, Any], path: Path, poses: PoseFile | None) -> np.ndar
     return similarity(_sixteen(table["cameras_matrix"], f"{path}: cameras_matrix"), f"{path}: cameras_matrix")
 
 
-def _view(row: dict[str, Any], path: Path, count: int) -> ViewDraft:
+def _view(row: dict[str, Any], path: Path, count: int) -> ViewSpec:
     where = f"{path}: camera {row.get('name', count)}"
     known_keys(row, _KNOWN, where)
     name = text(row, "name", where) if "name" in row else f"camera {count}"
@@ -98,7 +98,7 @@ def _view(row: dict[str, Any], path: Path, count: int) -> ViewDraft:
             raise CaptureError(f"{where}: width and height must both be whole numbers above 0", "value")
     mask = image_ref(row, "mask", path, where) if "mask" in row else None
     placed = matrix is not None and not np.array_equal(matrix, np.eye(4))
-    return ViewDraft(name, camera_maker(row, where, matrix), where, size, mask, placed, has_lens(row))
+    return ViewSpec(name, camera_maker(row, where, matrix), where, size, mask, placed, has_lens(row))
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import CaptureError
 from ..images.image import ImageRef, find_image
-from ..spec import Draft, Shot, ViewDraft
+from ..spec import CaptureSpec, ObservationSpec, ViewSpec
 from .lists import read_directions, read_intensities, read_lines
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
 
@@ -19,8 +19,8 @@ def is_diligent(folder: Path) -> bool:
     return (folder / FILENAMES).is_file() or (folder / DIRECTIONS).is_file()
 
 
-def draft_of_folder(folder: Path, colour_space: str = "auto") -> Draft:
-    """Return the draft of a DiLiGenT folder.
+def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
+    """Return the spec of a DiLiGenT folder.
 
     Without camera.toml its camera is orthographic, without a mask all is kept.
     Raises CaptureError where a list is missing, damaged or of another length than the others.
@@ -37,14 +37,14 @@ def draft_of_folder(folder: Path, colour_space: str = "auto") -> Draft:
         sound = any(vector) and all(abs(v) < float("inf") for v in vector)
         where = f"{path}: line {row}" if row and sound else f"{folder / DIRECTIONS}: line {line}"
         image = ImageRef(find_image(folder, name), colour_space=colour_space)
-        shots.append(Shot(name, image, vector, where, intensity))
+        shots.append(ObservationSpec(name, image, vector, where, intensity))
     mask = next((folder / m for m in MASKS if (folder / m).exists()), None)
     camera = folder / "camera.toml"
     table = load_toml(camera) if camera.exists() else {}
     known_keys(table, CAMERA_KEYS, str(camera))
     make, lens = camera_maker(table, str(camera)), has_lens(table)
-    view = ViewDraft("camera", make, str(camera), None, mask and ImageRef(mask), lens=lens)
-    return Draft(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
+    view = ViewSpec("camera", make, str(camera), None, mask and ImageRef(mask), lens=lens)
+    return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
 
 
 def _same_count(path: Path, found: int, expected: int) -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from ..errors import CaptureError
 from ..images.image import ImageRef, find_image
-from ..spec import Draft, Shot, ViewDraft
+from ..spec import CaptureSpec, ObservationSpec, ViewSpec
 from .lists import numbers, read_lines
 from .toml_file import camera_maker
 
 
-def draft_of_lp(path: Path, colour_space: str = "auto") -> Draft:
-    """Return the draft of a .lp file: a count, then lines of ``name x y z``; names may hold spaces.
+def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
+    """Return the spec of a .lp file: a count, then lines of ``name x y z``; names may hold spaces.
 
     Its positions lie on a dome of unknown radius, so they are taken as directions. The camera is orthographic.
     Raises CaptureError where the count or a line is wrong.
@@ -34,6 +34,6 @@ def draft_of_lp(path: Path, colour_space: str = "auto") -> Draft:
             raise CaptureError(f"{where}: is not 'name x y z'; complete it", "light_columns")
         name = words[0].strip("\"'")
         image = ImageRef(find_image(path.parent, name), colour_space=colour_space)
-        shots.append(Shot(image.path.name, image, tuple(numbers(words[1:], where)), where))
-    view = ViewDraft("camera", camera_maker({}, str(path)), str(path), lens=False)
-    return Draft(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))
+        shots.append(ObservationSpec(image.path.name, image, tuple(numbers(words[1:], where)), where))
+    view = ViewSpec("camera", camera_maker({}, str(path)), str(path), lens=False)
+    return CaptureSpec(path.resolve().parent.name, "RTI light positions", path, tuple(shots), (view,))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import CaptureError
-from ..spec import Draft, Shot
+from ..spec import CaptureSpec, ObservationSpec
 from .cameras import Views
 from .toml_file import image_ref, known_keys, load_toml, number, rows, text, vector
 
@@ -23,8 +23,8 @@ _OBSERVATION = {
 }  # fmt: skip
 
 
-def draft_of_table(path: Path, colour_space: str = "auto") -> Draft:
-    """Return the draft of a capture.toml. ``colour_space``, where not "auto", goes before what the file says.
+def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
+    """Return the spec of a capture.toml. ``colour_space``, where not "auto", goes before what the file says.
 
     Raises CaptureError where a key is unknown, missing or wrong, or a file of cameras is.
     """
@@ -40,10 +40,10 @@ def draft_of_table(path: Path, colour_space: str = "auto") -> Draft:
     shots = tuple(
         _shot({**defaults, **row, **asked}, path, n, views) for n, row in enumerate(rows(table, "observation", path), 1)
     )
-    return Draft(name, "capture table", path, shots, tuple(views.drafts), distance)
+    return CaptureSpec(name, "capture table", path, shots, tuple(views.specs), distance)
 
 
-def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Shot:
+def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> ObservationSpec:
     where = f"{path}: observation {row.get('name', count)}"
     known_keys(row, _OBSERVATION, where)
     if "image" not in row:
@@ -61,7 +61,7 @@ def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Shot:
         intensity = (number(row, "light_intensity", where, positive=False),) * 3
     camera = views.index(row, image, where)
     name = text(row, "name", where) if "name" in row else image.path.name if image.part is None else str(image.part)
-    return Shot(name, image, light, where, intensity, distant, camera, *_emission(row, distant, where))
+    return ObservationSpec(name, image, light, where, intensity, distant, camera, *_emission(row, distant, where))
 
 
 def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[float, ...] | None, float | None, bool]:

@@ -12,7 +12,7 @@ from ...core.steps import run_steps
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
 from ..images.linearise import Samples
-from ..spec import Draft, common_size, size_fault
+from ..spec import CaptureSpec, common_size, size_fault
 from ..types import LeftOut
 
 # Codes of a CaptureError that tell of one image: not there, no image, cut short, of another size, without a number.
@@ -32,12 +32,12 @@ def naming_remedy(skipping: bool) -> Iterator[None]:
         raise CaptureError(f"{error.message}; {_REMEDY}", error.code, error.others) from error
 
 
-def without_damaged(draft: Draft, store: ImageStore) -> Draft:
-    """Return a draft without its damaged images, which it names. Raises CaptureError where none is whole."""
-    return run_steps(sound_steps(draft, store))
+def without_damaged(spec: CaptureSpec, store: ImageStore) -> CaptureSpec:
+    """Return a spec without its damaged images, which it names. Raises CaptureError where none is whole."""
+    return run_steps(sound_steps(spec, store))
 
 
-def sound_steps(draft: Draft, store: ImageStore) -> Generator[None, None, Draft]:
+def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, CaptureSpec]:
     """Yield before each image is decoded, and return what ``without_damaged`` does.
 
     A camera whose images are all damaged is left out with them. What is wrong with the list rather than with an image
@@ -45,26 +45,26 @@ def sound_steps(draft: Draft, store: ImageStore) -> Generator[None, None, Draft]
     """
     sizes: dict[int, tuple[int, int]] = {}
     why: dict[int, str] = {}
-    for k, shot in enumerate(draft.shots):
+    for k, shot in enumerate(spec.observations):
         yield
         try:
             sizes[k] = _whole_size(shot.image, store)
         except CaptureError as error:
             if error.code in DAMAGE:
                 why[k] = error.message
-    for index, view in enumerate(draft.views):
-        seen = {k: size for k, size in sizes.items() if draft.shots[k].camera == index}
+    for index, view in enumerate(spec.views):
+        seen = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
         expected = common_size(view, list(seen.values())) if seen else None
-        why |= {k: size_fault(draft.shots[k].image, size, expected).message
+        why |= {k: size_fault(spec.observations[k].image, size, expected).message
                 for k, size in seen.items() if size != expected}  # fmt: skip
-    if len(why) == len(draft.shots):
-        raise CaptureError(f"{why[0]} (and so it is with all images of {draft.source})", "list_empty")
-    left_out = tuple(LeftOut(k, str(draft.shots[k].image), why[k]) for k in sorted(why))
-    kept = [shot for k, shot in enumerate(draft.shots) if k not in why]
-    gone = {shot.camera for shot in draft.shots} - {shot.camera for shot in kept}
-    views = [index for index in range(len(draft.views)) if index not in gone]
+    if len(why) == len(spec.observations):
+        raise CaptureError(f"{why[0]} (and so it is with all images of {spec.source})", "list_empty")
+    left_out = tuple(LeftOut(k, str(spec.observations[k].image), why[k]) for k in sorted(why))
+    kept = [shot for k, shot in enumerate(spec.observations) if k not in why]
+    gone = {shot.camera for shot in spec.observations} - {shot.camera for shot in kept}
+    views = [index for index in range(len(spec.views)) if index not in gone]
     shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in kept)
-    return replace(draft, shots=shots, views=tuple(draft.views[index] for index in views), left_out=left_out)
+    return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:

@@ -18,11 +18,10 @@ from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder, Samples
 from ..noise import images_read, noise_of
-from ..read import read_draft
-from ..spec import Draft, build_steps, written_lights
+from ..read import read_spec
+from ..spec import CaptureSpec, build_steps, written_lights
 from ..types import Capture
-from . import checks
-from . import sufficiency as enough
+from . import checks, sufficiency
 from .damage import sound_steps
 
 _T = TypeVar("_T")
@@ -41,7 +40,7 @@ _ENOUGH = 500  # squares or border texels that make either a finding
 class Finding:
     """Something wrong: "error" where a recovery cannot use the capture, else "warning"; with the remedy in words.
 
-    ask: which of enough.ASKS it is an obstacle to, "" for whatever is recovered.
+    ask: which of sufficiency.ASKS it is an obstacle to, "" for whatever is recovered.
     """
 
     severity: str
@@ -104,7 +103,7 @@ def inspect_capture(
 ) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
-    asked: of enough.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
+    asked: of sufficiency.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
     warned of. What else they are enough for is among the facts. card_distance: goes before the capture's own.
     skip_damaged: as for read_capture.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
@@ -123,27 +122,27 @@ def inspect_steps(
     """Yield, before each piece of the work, what it is, in words, and return what ``inspect_capture`` does."""
     path = Path(path)
     try:
-        draft = read_draft(path, colour_space)
+        spec = read_spec(path, colour_space)
         if skip_damaged:
-            steps = sound_steps(draft, ImageStore(decoder))
-            draft = yield from _told("Looking for damaged images", len(draft.shots), steps)
+            steps = sound_steps(spec, ImageStore(decoder))
+            spec = yield from _told("Looking for damaged images", len(spec.observations), steps)
     except CaptureError as error:
         return Report(path, (), _errors(error))
-    draft = replace(draft, card_distance=card_distance or draft.card_distance)
-    left_out = f", {len(draft.left_out)} more left out" if draft.left_out else ""
-    facts = [("kind", draft.kind), ("images", f"{len(draft.shots)}{left_out}")]
-    findings = [Finding("warning", "left_out", f"left out: {one.why}") for one in draft.left_out]
-    lacks = {ask: _lacks(draft, ask) for ask in enough.ASKS}
-    findings += _light_findings(draft)
+    spec = replace(spec, card_distance=card_distance or spec.card_distance)
+    left_out = f", {len(spec.left_out)} more left out" if spec.left_out else ""
+    facts = [("kind", spec.kind), ("images", f"{len(spec.observations)}{left_out}")]
+    findings = [Finding("warning", "left_out", f"left out: {one.why}") for one in spec.left_out]
+    lacks = {ask: _lacks(spec, ask) for ask in sufficiency.ASKS}
+    findings += _light_findings(spec)
     if all(finding.severity != "error" for finding in findings):  # which says it already
-        findings += [Finding("warning", f"lights_{s.code}", f"{draft.source}: {s.message}", ask)
+        findings += [Finding("warning", f"lights_{s.code}", f"{spec.source}: {s.message}", ask)
                      for ask in asked for s in lacks[ask]]  # fmt: skip
     facts.append(("enough for", _enough_for(lacks)))
     try:
-        capture = yield from _told("Looking at headers", len(draft.shots), build_steps(draft, decoder))
+        capture = yield from _told("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
-    facts += _facts(draft, capture)
+    facts += _facts(spec, capture)
     if capture.encoding is not None:
         yield from _told("Testing the encoding", 0, capture.encoding.testing())
         facts.append(("encoding", _encoding(capture.encoding)))
@@ -160,13 +159,13 @@ def inspect_steps(
         except CaptureError as error:
             findings += _errors(error)
             continue
-        findings += _keep(groups[observation.camera], index, str(draft.shots[index].image), found)
+        findings += _keep(groups[observation.camera], index, str(spec.observations[index].image), found)
     for camera, frames in groups.items():
         if frames.names:
             facts.append((f"brightness{f', camera {camera + 1}' * (len(groups) > 1)}", _brightness(frames)))
             findings += yield from _told("Comparing images", 0, _frame_steps(frames))
-            findings += _geometry_findings(draft, capture, camera, frames)
-    findings += _place_findings(draft, capture, groups[0])
+            findings += _geometry_findings(spec, capture, camera, frames)
+    findings += _place_findings(spec, capture, groups[0])
     return Report(path, tuple(facts), tuple(findings))
 
 
@@ -180,8 +179,8 @@ def _errors(error: CaptureError) -> tuple[Finding, ...]:
     return tuple(Finding("error", fault.code, fault.message) for fault in error.all)
 
 
-def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
-    formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in draft.shots)
+def _facts(spec: CaptureSpec, capture: Capture) -> list[tuple[str, str]]:
+    formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in spec.observations)
     lights = [observation.light for observation in capture.observations]
     kinds = (
         (sum(light.distant for light in lights), "distant"),
@@ -193,7 +192,7 @@ def _facts(draft: Draft, capture: Capture) -> list[tuple[str, str]]:
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
         ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
-    for view, camera, mask in zip(draft.views, capture.cameras, capture.masks, strict=True):
+    for view, camera, mask in zip(spec.views, capture.cameras, capture.masks, strict=True):
         kind = "perspective" if camera.perspective else "orthographic"
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
@@ -212,13 +211,13 @@ def _encoding(encoding: Encoding) -> str:
     return f"read as {'linear' if encoding.colour_space == 'linear' else 'sRGB'} ({why}){found}"
 
 
-def _light_findings(draft: Draft) -> Iterator[Finding]:
-    vectors = np.array([shot.vector for shot in draft.shots if shot.distant], float).reshape(-1, 3)
-    wheres = [shot.where for shot in draft.shots if shot.distant]
-    lights = written_lights(draft)
-    lack = enough.no_normal(lights) if lights else None
+def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
+    vectors = np.array([shot.vector for shot in spec.observations if shot.distant], float).reshape(-1, 3)
+    wheres = [shot.where for shot in spec.observations if shot.distant]
+    lights = written_lights(spec)
+    lack = sufficiency.no_normal(lights) if lights else None
     if lack is not None:
-        yield Finding("error", f"lights_{lack.code}", f"{draft.source}: {lack.message}", "normals")
+        yield Finding("error", f"lights_{lack.code}", f"{spec.source}: {lack.message}", "normals")
     if len(vectors) < 3 or not np.isfinite(vectors).all() or not vectors.any(axis=1).all():
         return
     odd = checks.not_unit(vectors)
@@ -235,37 +234,37 @@ def _light_findings(draft: Draft) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "lights_coplanar",
-            f"{draft.source}: all lights lie nearly in one plane through the subject ({flat:.3f}); across it normals"
+            f"{spec.source}: all lights lie nearly in one plane through the subject ({flat:.3f}); across it normals"
             " are uncertain: add lights off that plane",
             "normals",
         )
-    cameras = [shot.camera for shot in draft.shots if shot.distant]
+    cameras = [shot.camera for shot in spec.observations if shot.distant]
     # Cameras around a subject photograph it under the same lights.
     twice = [(i, j) for i, j in checks.same_lights(directions) if cameras[i] == cameras[j]]
     for i, j in twice[:3]:
         yield Finding("warning", "lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
 
 
-def _lacks(draft: Draft, ask: str) -> list[enough.Shortfall]:
+def _lacks(spec: CaptureSpec, ask: str) -> list[sufficiency.Shortfall]:
     """Return what the lights lack for ``ask``: all, where one of them is none."""
-    lights = written_lights(draft)
+    lights = written_lights(spec)
     if not lights:
-        return [enough.Shortfall("unreadable", "one of the lights is none")]
-    if lack := enough.no_normal(lights):
+        return [sufficiency.Shortfall("unreadable", "one of the lights is none")]
+    if lack := sufficiency.no_normal(lights):
         return [lack]
     distant = np.array([light.distant for light in lights])
     vectors = np.array([light.vector for light in lights])
-    on_card = draft.card_distance is not None and len(draft.views) == 1 and not draft.views[0].placed
+    on_card = spec.card_distance is not None and len(spec.views) == 1 and not spec.views[0].placed
     if on_card:  # near lights as its middle sees them
-        vectors[~distant] += (0.0, 0.0, draft.card_distance)
+        vectors[~distant] += (0.0, 0.0, spec.card_distance)
     told = on_card or distant.all()
     if told and not vectors.any(axis=1).all():
         return []
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if told else None
-    return list(enough.shortfalls(ask, len(lights), directions))
+    return list(sufficiency.shortfalls(ask, len(lights), directions))
 
 
-def _enough_for(lacks: dict[str, list[enough.Shortfall]]) -> str:
+def _enough_for(lacks: dict[str, list[sufficiency.Shortfall]]) -> str:
     good = [ask for ask, found in lacks.items() if not found]
     bad = [f"{ask} ({', '.join(s.code for s in found)})" for ask, found in lacks.items() if found]
     return "; ".join([*([", ".join(good)] if good else []), *([f"not for {', '.join(bad)}"] if bad else [])])
@@ -362,7 +361,7 @@ def _frame_findings(frames: _Frames, shifts: np.ndarray) -> Iterator[Finding]:
         )
 
 
-def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Frames) -> Iterator[Finding]:
+def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: _Frames) -> Iterator[Finding]:
     """Yield whether the lights' axes look mirrored against the images, seen from one camera."""
     observations = [capture.observations[i] for i in frames.indices]
     on_card = capture.card_distance is not None and len(capture.cameras) == 1
@@ -370,7 +369,7 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         return
     part = replace(capture, observations=tuple(observations), cameras=(capture.cameras[index],))
     directions, power = places.at_card(part)
-    where = draft.shots[frames.indices[0]].where
+    where = spec.observations[frames.indices[0]].where
     if (directions[:, 2] < 0).mean() > 0.5:
         message = (
             f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
@@ -378,7 +377,7 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         if not places.near_lights(capture):  # of which places.card_problems tells
             yield Finding("warning", "lights_reversed", message)
         return
-    if checks.flatness(directions) < enough.FLAT_USELESS:
+    if checks.flatness(directions) < sufficiency.FLAT_USELESS:
         return
     mask = _shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)
@@ -397,14 +396,14 @@ def _geometry_findings(draft: Draft, capture: Capture, index: int, frames: _Fram
         yield Finding("warning", "turned", message)
 
 
-def _place_findings(draft: Draft, capture: Capture, frames: _Frames) -> Iterator[Finding]:
+def _place_findings(spec: CaptureSpec, capture: Capture, frames: _Frames) -> Iterator[Finding]:
     """Yield what speaks for lengths in different units. frames: of the first camera."""
-    for view, camera in zip(draft.views, capture.cameras, strict=True):
+    for view, camera in zip(spec.views, capture.cameras, strict=True):
         for code, message in places.lens_problems(camera):
             yield Finding("warning", code, f"{view.where}: {message}")
     if not places.near_lights(capture):
         return
-    for view in draft.views:
+    for view in spec.views:
         if not view.lens:
             message = "is taken as 2 units wide, in which places of lights are counted; give fov_degrees or world_width"
             yield Finding("warning", "lens", f"{view.where}: {message}")
@@ -413,10 +412,10 @@ def _place_findings(draft: Draft, capture: Capture, frames: _Frames) -> Iterator
         found += places.camera_problems(capture) if all(camera.perspective for camera in capture.cameras) else ()
     elif capture.card_distance is not None:
         found += [*places.card_problems(capture), *places.strength_problems(capture, _brightest(frames, capture))]
-    elif not draft.views[0].placed:
+    elif not spec.views[0].placed:
         message = "near lights on a flat card need its distance from the camera, in the unit of their places; add"
         found.append(("card_distance", f"{message} card_distance = … (of a mesh nothing is missing)"))
-    yield from (Finding("warning", code, f"{draft.source}: {message}") for code, message in found)
+    yield from (Finding("warning", code, f"{spec.source}: {message}") for code, message in found)
 
 
 def _brightest(frames: _Frames, capture: Capture) -> np.ndarray:

@@ -34,12 +34,12 @@ class SeamMap:
     the UV map that it looks from: its island, or beside a gap in that a number from −2 downward. A texel sees those of
     its own chart, and from such a part those whose chart is its island, where they lie; all others are told:
     place: (N, 2) int32 x, y, some outside the domain, as the chart ``of`` (N,) sees them. target: (N,) int64 the texel
-    that lies there on the surface: y·W + x, or W·H + its number in the annex. at: (N, 2) float32 exactly where, in
+    that lies there on the surface: y·W + x, or W·H + its number in the ghosts. at: (N, 2) float32 exactly where, in
     texels of the whole domain. They are sorted by y, x and chart. reach: how many texels past a border places are
     known. edges: what it was made from.
 
-    A tile has an annex: M texels of other tiles that its own see across seams. annex: (M, 2) int32 x, y in the whole
-    domain; annex_normal: (M, 3), annex_tangent: (M, 4), as in GeometryBake.
+    A tile has an ghosts: M texels of other tiles that its own see across seams. ghosts: (M, 2) int32 x, y in the whole
+    domain; ghost_normal: (M, 3), ghost_tangent: (M, 4), as in GeometryBake.
     """
 
     island: np.ndarray
@@ -50,9 +50,9 @@ class SeamMap:
     at: np.ndarray
     reach: int
     edges: SeamEdges
-    annex: np.ndarray
-    annex_normal: np.ndarray
-    annex_tangent: np.ndarray
+    ghosts: np.ndarray
+    ghost_normal: np.ndarray
+    ghost_tangent: np.ndarray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,7 +106,7 @@ def _covered(island: np.ndarray):
 
 
 def window_seams(seams: SeamMap, window: tuple[int, int, int, int]) -> SeamMap:
-    """Return the seams of texels [x0, x0 + width) × [y0, y0 + height) that are all there is: without an annex."""
+    """Return the seams of texels [x0, x0 + width) × [y0, y0 + height) that are all there is: without an ghosts."""
     x0, y0, width, height = window
     y, x = np.divmod(seams.target, seams.shape[1])
     inside = (x >= x0) & (x < x0 + width) & (y >= y0) & (y < y0 + height)

@@ -10,7 +10,7 @@ import numpy as np
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...reflectance.model import Parameter, ReflectanceModel
-from ..kernels.free_parameters import build_unknowns, has_basis
+from ..kernels.free_parameters import build_free_parameters, has_basis
 from ..kernels.kernels import alternatives_pass
 from ..kernels.linear_weights import MAX_WEIGHTS, linear_weights
 from ..settings.schedule import Fitness
@@ -31,15 +31,15 @@ class Alternatives:
     """
 
     def __init__(
-        self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
     ):
         self._fitness = fitness
-        self._asked = asked(model, known, fitness)
+        self._asked = asked(model, fixed, fitness)
         self._pass = None
         if self._asked:
-            solved = linear_weights(model, _solved(model, known))
+            solved = linear_weights(model, _solved(model, fixed))
             defines = {**domain_defines, "ALTERNATIVES": sum(p.components for p in self._asked)}
-            self._pass = alternatives_pass(model, build_unknowns(model, known), solved, fitness, defines)
+            self._pass = alternatives_pass(model, build_free_parameters(model, fixed), solved, fitness, defines)
         self._targets: list[Any] = []
 
     def measuring(
@@ -76,20 +76,20 @@ class Alternatives:
         self._targets = []
 
 
-def asked(model: ReflectanceModel, known: Collection[str], fitness: Fitness) -> tuple[Parameter, ...]:
+def asked(model: ReflectanceModel, fixed: Collection[str], fitness: Fitness) -> tuple[Parameter, ...]:
     """Return the parameters of which alternatives are tried."""
     return tuple(
         p for p in model.parameters
-        if fitness.loss == "robust" and p.name not in known and not p.is_normal and not has_basis(p, model)
+        if fitness.loss == "robust" and p.name not in fixed and not p.is_normal and not has_basis(p, model)
         and (p.prior is None or p.prior.kind != "normal")
     )  # fmt: skip
 
 
-def _solved(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:
+def _solved(model: ReflectanceModel, fixed: Collection[str]) -> list[Parameter]:
     """Return the linear weights to find anew: the first MAX_WEIGHTS, as many as the closed form takes."""
     solved: list[Parameter] = []
     for p in model.parameters:
         room = MAX_WEIGHTS - sum(q.components for q in solved)
-        if p.name not in known and has_basis(p, model) and p.components <= room:
+        if p.name not in fixed and has_basis(p, model) and p.components <= room:
             solved.append(p)
     return solved

@@ -48,13 +48,13 @@ class Pyramid:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int = 0,
-        known: Mapping[str, np.ndarray] | None = None,
+        fixed: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
     ):
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self._schedules = level_schedules(schedule)
-        known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
-        self._domains, self._known = _sizes(domain, model, known, schedule.levels)
+        fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
+        self._domains, self._fixed = _sizes(domain, model, fixed, schedule.levels)
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self._count()
         self._level, self._before = 0, 0  # evaluations of the levels that are done
@@ -164,10 +164,10 @@ class Pyramid:
         self.close()
 
     def _count(self) -> None:
-        known, observations = set(self._known[-1]), self.domain.observations
+        fixed, observations = set(self._fixed[-1]), self.domain.observations
         self._iterations, self._costs = [], []
         for schedule, domain in zip(self._schedules, self._domains, strict=True):
-            stages = resolve(schedule, self.model, known, observations)
+            stages = resolve(schedule, self.model, fixed, observations)
             work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
             self._iterations.append(sum(stage.iterations for stage in stages))
             self._costs.append(work * int(np.count_nonzero(domain.solvable)))
@@ -178,8 +178,8 @@ class Pyramid:
         prepared = prepare.prepare(domain, self.model, schedule)
         if guess is not None:
             prepared = replace(prepared, guess=guess.values)
-        known = self._known[self._level]
-        return Recovery(domain, self.model, schedule, self.seed, known, self.entry, prepared, state)
+        fixed = self._fixed[self._level]
+        return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, prepared, state)
 
     def _next(self) -> None:
         guess = self._finer(self._live.maps(confidence=False), self._level)
@@ -204,8 +204,8 @@ class Pyramid:
 
     @property
     def _identity(self) -> dict[str, Any]:
-        known = self._known[-1]
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, known)
+        fixed = self._fixed[-1]
+        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, fixed)
 
 
 def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
@@ -213,8 +213,8 @@ def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
     first = schedule.replaced(levels=1)
     part = schedule.level_iterations
     stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
-    survey = replace(first.survey, iterations=_part(first.survey.iterations, part))
-    finer = replace(given(first.replaced(survey=survey)), stages=stages)
+    prefit = replace(first.prefit, iterations=_part(first.prefit.iterations, part))
+    finer = replace(given(first.replaced(prefit=prefit)), stages=stages)
     return (first, *[finer] * (schedule.levels - 1))
 
 
@@ -223,10 +223,10 @@ def _part(iterations: int, part: float) -> int:
 
 
 def _sizes(
-    domain: Domain, model: ReflectanceModel, known: dict[str, np.ndarray], levels: int
+    domain: Domain, model: ReflectanceModel, fixed: dict[str, np.ndarray], levels: int
 ) -> tuple[list[Domain], list[dict[str, np.ndarray]]]:
     """Return the domains of all levels and what is known of each, coarsest first."""
-    domains, maps = [domain], [known]
+    domains, maps = [domain], [fixed]
     for _ in range(levels - 1):
         fine = domains[0]
         coarse = coarser(fine)

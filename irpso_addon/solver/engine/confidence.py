@@ -11,25 +11,25 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels.free_parameters import build_unknowns
+from ..kernels.free_parameters import build_free_parameters
 from ..kernels.kernels import confidence_pass
 from ..settings.schedule import Fitness
 from ..state.textures import DomainTextures, Estimates, loss_constants
 
 
 def deviation_pass(
-    model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+    model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
 ) -> Pass:
     """Return the pass of Confidence."""
-    unknowns = build_unknowns(model, known)
-    return confidence_pass(model, unknowns.source, fitness, {**domain_defines, **unknowns.defines})
+    free = build_free_parameters(model, fixed)
+    return confidence_pass(model, free.source, fitness, {**domain_defines, **free.defines})
 
 
 class Confidence:
     """The pass that tells the standard deviation of every parameter at every texel.
 
     It linearises the render around the estimates and takes the noise from what is left of the samples there: σ² =
-    variance · (JᵀJ)⁻¹, over all n numbers that are not ``known`` jointly. Its variance is a Σ w e² / (3 Σ w − n (1 + a)
+    variance · (JᵀJ)⁻¹, over all n numbers that are not ``fixed`` jointly. Its variance is a Σ w e² / (3 Σ w − n (1 + a)
     / 2), over weighted samples and three channels, with a = Σ w (e_r + e_g + e_b)² / Σ w e² for how much channels err
     together (1 to 3: shifts, shading and JPEG's luminance are one error and not three), and where the loss is robust no
     less than 0.3 % of the texel's scale. It does not see a model that is wrong in itself. Another optimum is told by
@@ -41,10 +41,10 @@ class Confidence:
     """
 
     def __init__(
-        self, model: ReflectanceModel, known: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
     ):
-        self.model, self._known, self._fitness = model, frozenset(known), fitness
-        self._pass = deviation_pass(model, self._known, fitness, domain_defines)
+        self.model, self._fixed, self._fitness = model, frozenset(fixed), fitness
+        self._pass = deviation_pass(model, self._fixed, fitness, domain_defines)
         self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
 
     def deviations(

@@ -22,7 +22,7 @@ _SAMPLED = 4096  # texels of which a mean is told: a sixty-fourth of 512², and 
 _SAMPLED_WIDTH = 64
 
 
-class Findings:
+class Diagnostics:
     """The resolved estimates, how well they fit, and how far they are to be trusted.
 
     ``finding`` finds all that ``maps`` tells. Raises ShaderError where the model does not compile.
@@ -34,10 +34,10 @@ class Findings:
         fitness: Fitness,
         domain: DomainTextures,
         estimates: Estimates,
-        known: Collection[str],
+        fixed: Collection[str],
     ):
         self._fitness = fitness
-        self._model, self._domain, self._estimates, self._known = model, domain, estimates, frozenset(known)
+        self._model, self._domain, self._estimates, self._fixed = model, domain, estimates, frozenset(fixed)
         self._residual = residual_pass(model, domain.defines).compile()
         self._error: Any = textures.empty(*estimates.size)
         self._confidence: Confidence | None = None
@@ -64,7 +64,7 @@ class Findings:
         )  # fmt: skip
         if confidence:
             if self._confidence is None:
-                told = self._model, self._known, self._fitness, self._domain.defines
+                told = self._model, self._fixed, self._fitness, self._domain.defines
                 self._confidence, self._alternatives = Confidence(*told), Alternatives(*told)
             for measured in (self._confidence, self._alternatives):
                 yield from measured.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)

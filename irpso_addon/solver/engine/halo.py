@@ -14,56 +14,56 @@ Part = tuple[slice, slice]  # rows, columns
 
 
 @dataclass(frozen=True)
-class Meeting:
+class HaloOverlap:
     """Texels of one tile's own that another reads.
 
     other: the number of the one that reads them. here, there: where those in its halo lie in either's arrays. seen:
-    (M,) rows and columns, in the arrays of the one that has them, of those in the annex of its seams; annex: (M,)
-    which of the annex they are.
+    (M,) rows and columns, in the arrays of the one that has them, of those in the ghosts of its seams; ghosts: (M,)
+    which of the ghosts they are.
     """
 
     other: int
     here: Part
     there: Part
     seen: tuple[np.ndarray, np.ndarray]
-    annex: np.ndarray
+    ghosts: np.ndarray
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a tile lies in the whole domain: box, halo, its arrays' origin, and (M, 2) the annex of its seams."""
+    """Where a tile lies in the whole domain: box, halo, its arrays' origin, and (M, 2) the ghosts of its seams."""
 
     box: Box
     halo: tuple[int, int, int, int]  # left, right, bottom, top
     origin: tuple[int, int]
-    annex: np.ndarray
+    ghosts: np.ndarray
 
 
 def place_of(box: Box, domain: Domain) -> Place:
     """Return where a tile lies. box: its own texels; domain: the tile with its halo."""
-    annex = np.zeros((0, 2), np.int32) if domain.seams is None else domain.seams.annex
-    return Place(box, domain.halo, domain.origin, annex)
+    ghosts = np.zeros((0, 2), np.int32) if domain.seams is None else domain.seams.ghosts
+    return Place(box, domain.halo, domain.origin, ghosts)
 
 
-def meetings_of(places: Sequence[Place]) -> list[list[Meeting]]:
+def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
     """Return for each tile which others read its own texels."""
     pairs = [
-        [meeting(place, there, other) for other, there in enumerate(places) if number != other]
+        [overlap(place, there, other) for other, there in enumerate(places) if number != other]
         for number, place in enumerate(places)
     ]
     return [[found for found in of_one if found is not None] for of_one in pairs]
 
 
-def meeting(place: Place, there: Place, other: int, reach: int | None = None) -> Meeting | None:
+def overlap(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
     """Return what of a tile's own texels another reads, None where it reads none.
 
     other: the number that the meeting names. reach: how much of the other's halo is read; all of it where None.
     """
     here, beside = _in_halo(place, there, reach)
-    seen, annex = _in_annex(place, there)
-    if not len(annex) and here[0].stop <= here[0].start:
+    seen, ghosts = _in_ghosts(place, there)
+    if not len(ghosts) and here[0].stop <= here[0].start:
         return None
-    return Meeting(other, here, beside, seen, annex)
+    return HaloOverlap(other, here, beside, seen, ghosts)
 
 
 def part_of(box: Box) -> Part:
@@ -86,9 +86,9 @@ def own_of(domain: Domain) -> Part:
     return slice(bottom, height - top), slice(left, width - right)
 
 
-def annex_of(domain: Domain) -> int:
+def ghosts_of(domain: Domain) -> int:
     """Return how many texels a tile sees across seams."""
-    return 0 if domain.seams is None else len(domain.seams.annex)
+    return 0 if domain.seams is None else len(domain.seams.ghosts)
 
 
 def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:
@@ -106,10 +106,10 @@ def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]
     )
 
 
-def _in_annex(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return rows and columns of a tile's own texels in another's annex, and which of that they are."""
-    x, y = (other.annex - np.array(place.origin, np.int32)).T
+def _in_ghosts(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return rows and columns of a tile's own texels in another's ghosts, and which of that they are."""
+    x, y = (other.ghosts - np.array(place.origin, np.int32)).T
     left, _, bottom, _ = place.halo
     _, _, width, height = place.box
-    annex = np.flatnonzero((x >= left) & (x < left + width) & (y >= bottom) & (y < bottom + height))
-    return (y[annex], x[annex]), annex
+    ghosts = np.flatnonzero((x >= left) & (x < left + width) & (y >= bottom) & (y < bottom + height))
+    return (y[ghosts], x[ghosts]), ghosts

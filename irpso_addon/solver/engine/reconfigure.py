@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..kernels.encoding import build_codec
-from ..phases.sequential_swarm import RunningStage, particle_count
-from ..phases.synchronous_swarm import RunningGenerations
-from ..settings.resolve import Resolved, ResolvedStage, resolve
+from ..kernels.encoding import build_encoding
+from ..phases.sequential_swarm import SequentialSwarmPhase, particle_count
+from ..phases.synchronous_swarm import SynchronousSwarmPhase
+from ..settings.resolve import Resolved, ResolvedSwarm, resolve
 from ..settings.schedule import Fitness, Schedule
 from ..state import prepare
 from ..state.prepare import Prepared
@@ -27,7 +27,7 @@ NARROWER = 0.3
 def changed(old: Recovery, schedule: Schedule, seed: int | None, prepared: Prepared | None) -> Recovery:
     """Return what Recovery.changed does."""
     old._check(schedule, old.seed if seed is None else seed)
-    stages = resolve(schedule, old.model, set(old._known), old.domain.observations)
+    stages = resolve(schedule, old.model, set(old._fixed), old.domain.observations)
     old._finish_iteration()
     index = finished_alike(old._stages[: old._index], stages)
     stage = stages[index] if index < len(stages) else None
@@ -41,9 +41,9 @@ def changed(old: Recovery, schedule: Schedule, seed: int | None, prepared: Prepa
     if _samples_differ(old.schedule.fitness, schedule.fitness):
         textures, stack = _new_samples(old, schedule, prepared)
     estimates = old._estimates if goes_on or inherits else _found(old)
-    new._set_up(textures, stack, estimates, old._known, stages)
+    new._set_up(textures, stack, estimates, old._fixed, stages)
     new._index, new._evaluations = index, old._evaluations
-    new._surveyed = old._surveyed if index > 0 else None
+    new._prefit_fitness = old._prefit_fitness if index > 0 else None
     if goes_on:
         old._phase, new._phase = None, old._phase
     elif stage is not None:
@@ -74,7 +74,7 @@ def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> in
 
 def _one_search(a: Resolved, b: Resolved) -> bool:
     """Whether two phases are of one kind and look for the same."""
-    cycles = (a.cycle, b.cycle) if isinstance(a, ResolvedStage) and isinstance(b, ResolvedStage) else (0, 0)
+    cycles = (a.cycle, b.cycle) if isinstance(a, ResolvedSwarm) and isinstance(b, ResolvedSwarm) else (0, 0)
     return type(a) is type(b) and a.title == b.title and cycles[0] == cycles[1]
 
 
@@ -82,7 +82,7 @@ def _goes_on(old: Recovery, schedule: Schedule, stage: Resolved) -> bool:
     """Whether nothing is changed of all that the phase under way depends on."""
 
     def settings(schedule: Schedule, stage: Resolved) -> tuple:
-        return stage, schedule.swarm, schedule.fitness, schedule.survey, schedule.polish
+        return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement
 
     return settings(old.schedule, old._stages[old._index]) == settings(schedule, stage)
 
@@ -90,15 +90,15 @@ def _goes_on(old: Recovery, schedule: Schedule, stage: Resolved) -> bool:
 def _same_swarms(old: Recovery, schedule: Schedule, stage: Resolved) -> bool:
     """Whether the swarms under way are what another schedule wants, with the same meaning of places and fitnesses."""
     phase, before, after = old._phase, old.schedule, schedule
-    if not isinstance(phase, RunningStage | RunningGenerations) or phase.iteration < 0:
+    if not isinstance(phase, SequentialSwarmPhase | SynchronousSwarmPhase) or phase.iteration < 0:
         return False
     if not _one_search(phase.stage, stage) or before.fitness != after.fitness:
         return False
     if (before.swarm.update, before.swarm.linear_reach) != (after.swarm.update, after.swarm.linear_reach):
         return False
-    codec = build_codec(old.model, stage, after.swarm.normal)
-    same = codec == phase.codec and stage.solved == phase.stage.solved
-    return same and particle_count(after, codec.dimensions) == phase.particles
+    encoding = build_encoding(old.model, stage, after.swarm.normal)
+    same = encoding == phase.encoding and stage.solved == phase.stage.solved
+    return same and particle_count(after, encoding.dimensions) == phase.particles
 
 
 def _samples_differ(a: Fitness, b: Fitness) -> bool:

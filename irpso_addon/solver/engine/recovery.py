@@ -21,30 +21,29 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
-from ..phases.prefit import Judge, RunningSurvey
-from ..phases.refinement import RunningPolish
-from ..phases.sequential_swarm import RunningStage
-from ..phases.shared_materials import RunningMaterials
-from ..phases.spatial_prior import RunningPrior
-from ..phases.synchronous_swarm import RunningGenerations
+from ..phases.prefit import AcceptanceTest, PrefitPhase
+from ..phases.refinement import RefinementPhase
+from ..phases.sequential_swarm import SequentialSwarmPhase
+from ..phases.shared_materials import SharedMaterialsPhase
+from ..phases.spatial_prior import SpatialPriorPhase
+from ..phases.synchronous_swarm import SynchronousSwarmPhase
 from ..planning.cost import particle_tiles, work_of
 from ..settings.fixed import full_map
-from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve
+from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement, resolve
 from ..settings.schedule import Schedule
-from ..state import checkpoint, prepare
-from ..state import layout as portable
+from ..state import checkpoint, layout, prepare
 from ..state.checkpoint import Checkpoint, named
 from ..state.prepare import Prepared
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, packed_states, texel_states
 from . import reconfigure as changes
 from .confidence import deviation_pass
-from .diagnostics import Findings
+from .diagnostics import Diagnostics
 from .progress import Progress
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
-_FLAT = frozenset({"surveyed"})  # arrays of a state that have no channels
+_FLAT = frozenset({"prefit_fitness"})  # arrays of a state that have no channels
 _WHOLE = frozenset({_PHASE + "materials"})  # and no texels: who goes on without them finds them again
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _BANDS = 8  # that a long time budget is cut into
@@ -70,7 +69,7 @@ class Recovery:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int = 0,
-        known: Mapping[str, np.ndarray] | None = None,
+        fixed: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
         prepared: Prepared | None = None,
         state: Checkpoint | None = None,
@@ -79,16 +78,16 @@ class Recovery:
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
-        stages = resolve(schedule, model, set(known), domain.observations)
+        fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
+        stages = resolve(schedule, model, set(fixed), domain.observations)
         prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
-        packing, guess = prepared.packing, {**prepared.guess, **known}
+        packing, guess = prepared.packing, {**prepared.guess, **fixed}
         scale = packing.pack(prepared.scale)
         self._set_up(
             DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays),
             prepared.stack,
             Estimates(model, {name: packing.pack(value) for name, value in guess.items()}),
-            known,
+            fixed,
             stages,
         )
         if state is None:
@@ -101,11 +100,11 @@ class Recovery:
         textures: DomainTextures,
         stack: np.ndarray | None,
         estimates: Estimates,
-        known: dict[str, np.ndarray],
+        fixed: dict[str, np.ndarray],
         stages: tuple[Resolved, ...],
     ) -> None:
         """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
-        self._stages, self._known = stages, known
+        self._stages, self._fixed = stages, fixed
         observations = self.domain.observations
         works = [work_of(stage, self.model, self.schedule, observations) for stage in stages]
         total = sum(map(sum, works))
@@ -114,7 +113,9 @@ class Recovery:
         self._textures, self._stack, self._estimates = textures, stack, estimates
         self._packing = textures.packing
         self._solved = int((texel_states(self.domain) == SOLVED).sum())
-        self._findings = Findings(self._believing(self.schedule), self.schedule.fitness, textures, estimates, known)
+        self._diagnostics = Diagnostics(
+            self._believing(self.schedule), self.schedule.fitness, textures, estimates, fixed
+        )
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
         self._shown: tuple[int, int] | None = None  # and of which a display's copy is
@@ -123,7 +124,7 @@ class Recovery:
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the iteration that was made last is one of the stage's, not of its placing
         self._index = 0
-        self._surveyed: np.ndarray | None = None  # the survey's fitness, packed, once there is one
+        self._prefit_fitness: np.ndarray | None = None  # the prefit's fitness, packed, once there is one
         self._evaluations = 0
         self._phase: Phase | None = None
 
@@ -179,7 +180,7 @@ class Recovery:
         if self._work is not None or self._found != at or (confidence and self._trusted != at):
             for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
-        return replace(self._findings.maps(confidence), model=self.model)
+        return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Find what ``maps`` tells, for about so long; return whether it is found: then maps() itself is quick.
@@ -203,7 +204,7 @@ class Recovery:
         They are drawn at random, once; NaN where none is solved. It takes milliseconds, where maps() may take a second.
         """
         self._give_stack()
-        return self._findings.mean_error(self._show())
+        return self._diagnostics.mean_error(self._show())
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
@@ -212,7 +213,7 @@ class Recovery:
         u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
         texel of the domain lies in them. No copy is read back. What a stage has found is brought up to date when its
         iteration is another; until it has found something they are what it began with, at first the seed. What the
-        survey thinks of a polish, and the prior, show once they are done.
+        prefit thinks of a refinement, and the prior, show once they are done.
         """
         self._give_stack()
         yield {**self._textures.textures, **self._show()}
@@ -224,12 +225,12 @@ class Recovery:
         A parameter's lie where its own components do; a normal has one. Empty before the first refresh_confidence() or
         maps().
         """
-        yield self._findings.deviations()
+        yield self._diagnostics.deviations()
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         """Return the pass that tells the deviations of what ``view`` lends, and its constants."""
-        known, fitness, defines = self._known, self.schedule.fitness, self._textures.defines
-        made = deviation_pass(self._believing(self.schedule), known, fitness, defines)
+        fixed, fitness, defines = self._fixed, self.schedule.fitness, self._textures.defines
+        made = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
         return made, loss_constants(self._textures, fitness.delta)
 
     def halo(self) -> np.ndarray:
@@ -237,13 +238,13 @@ class Recovery:
         self._finish_iteration()
         return self._running().halo()
 
-    def set_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n) of what neighbouring tiles have found at their texels; others are left alone.
 
-        annex: (M, n) of the texels that the domain's seams name in their annex.
+        ghosts: (M, n) of the texels that the domain's seams name in their ghosts.
         """
         self._finish_iteration()
-        self._running().take_halo(values, annex)
+        self._running().take_halo(values, ghosts)
 
     def sample(self) -> np.ndarray | None:
         """Return this tile's part of the sample that the next iteration needs of the whole domain; None for none."""
@@ -284,8 +285,8 @@ class Recovery:
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None:
             arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
-        if self._surveyed is not None:
-            arrays["surveyed"] = self._surveyed
+        if self._prefit_fitness is not None:
+            arrays["prefit_fitness"] = self._prefit_fitness
         iteration = self._phase.iteration if self._phase else 0
         return Checkpoint(self._index, iteration, self._evaluations, arrays)
 
@@ -295,7 +296,7 @@ class Recovery:
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
-        self._surveyed = saved.arrays.get("surveyed")
+        self._prefit_fitness = saved.arrays.get("prefit_fitness")
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -308,19 +309,19 @@ class Recovery:
         own = packed_states(self.domain, packing).ravel()[: packing.count] == SOLVED
         size = packing.width, packing.height
         texels = {name: array for name, array in state.arrays.items() if name not in _WHOLE}
-        rows = portable.rows_of(texels, size, self._particle_tiles(state.stage), packing.count)
+        rows = layout.rows_of(texels, size, self._particle_tiles(state.stage), packing.count)
         return replace(state, arrays={name: value[own] for name, value in rows.items()})
 
     def take_rows(self, saved: Checkpoint) -> None:
-        """Go on from what ``rows`` gave of all texels that this tile holds: own and halo, then the annex."""
+        """Go on from what ``rows`` gave of all texels that this tile holds: own and halo, then the ghosts."""
         size, limit = (self._packing.width, self._packing.height), context.max_texture_size()
         tiles = self._particle_tiles(saved.stage)
-        self.restore(replace(saved, arrays=portable.arrays_of(saved.arrays, size, tiles, limit, _FLAT)))
+        self.restore(replace(saved, arrays=layout.arrays_of(saved.arrays, size, tiles, limit, _FLAT)))
 
     @property
     def _is_tile(self) -> bool:
         seams = self.domain.seams
-        return any(self.domain.halo) or (seams is not None and len(seams.annex) > 0)
+        return any(self.domain.halo) or (seams is not None and len(seams.ghosts) > 0)
 
     def _particle_tiles(self, stage: int) -> int:
         return particle_tiles(self._stages[stage], self.schedule) if stage < len(self._stages) else 1
@@ -332,7 +333,7 @@ class Recovery:
         not made again, whatever their settings are now. The stage under way goes on in mid-search where its swarms have
         as many particles and the fitness is the same: other constants then count from the next iteration on. Else it
         begins anew, as does every stage from the first on that is another: swarms around what has been found, the
-        polish and the prior from there. So the error can rise for a while where the fitness is another, and a prior
+        refinement and the prior from there. So the error can rise for a while where the fitness is another, and a prior
         that was under way is made from the start. A checkpoint goes on bit for bit
         once its swarms are placed. prepared: of ``prepare`` with the other schedule, where its
         percentile or shadow differ; found here otherwise, which may take a second. Raises InputError, with this one
@@ -345,9 +346,9 @@ class Recovery:
         self._work = self._finding = self._stack = None  # generators first: they hold what they work with
         if self._phase is not None:
             self._phase.close()
-        if self._findings is not None:
-            self._findings.close()
-        self._phase = self._textures = self._estimates = self._findings = None
+        if self._diagnostics is not None:
+            self._diagnostics.close()
+        self._phase = self._textures = self._estimates = self._diagnostics = None
 
     def __enter__(self) -> Recovery:
         return self
@@ -367,26 +368,26 @@ class Recovery:
         seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
         stage, model = self._stages[index], self._believing(schedule)
         domain, estimates = self._textures, self._estimates
-        if isinstance(stage, ResolvedPolish):
-            judge = self._judge() if any(p.is_normal for p in stage.parameters) else None
-            kind = RunningMaterials if isinstance(stage, ResolvedMaterials) else RunningPolish
-            return kind(stage, model, schedule, domain, estimates, self.entry, judge)
+        if isinstance(stage, ResolvedRefinement):
+            acceptance = self._acceptance() if any(p.is_normal for p in stage.parameters) else None
+            kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
+            return kind(stage, model, schedule, domain, estimates, self.entry, acceptance)
         if isinstance(stage, ResolvedPrior):
-            return RunningPrior(stage, model, schedule, domain, estimates, self.entry, self._judge())
-        if isinstance(stage, ResolvedSurvey):
-            return RunningSurvey(stage, model, schedule, seed, domain, estimates, self.entry)
-        kind = RunningGenerations if schedule.swarm.update == "all" else RunningStage
+            return SpatialPriorPhase(stage, model, schedule, domain, estimates, self.entry, self._acceptance())
+        if isinstance(stage, ResolvedPrefit):
+            return PrefitPhase(stage, model, schedule, seed, domain, estimates, self.entry)
+        kind = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
         return kind(stage, model, schedule, seed, domain, estimates, self.entry)
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none where the schedule says so, nor of what is known."""
         everything = {p.name for p in self.model.parameters}
-        return self.model.without_priors(self._known if schedule.fitness.priors else everything)
+        return self.model.without_priors(self._fixed if schedule.fitness.priors else everything)
 
-    def _judge(self) -> Judge | None:
-        if self._surveyed is None:
+    def _acceptance(self) -> AcceptanceTest | None:
+        if self._prefit_fitness is None:
             return None
-        return Judge(self.model, self.schedule, self._textures, self._estimates, self._surveyed)
+        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit_fitness)
 
     @property
     def _at(self) -> tuple[int, int]:
@@ -415,8 +416,8 @@ class Recovery:
         phase = self._phase
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(phase, RunningSurvey):
-            self._surveyed = yield from phase.measuring(self._bands, seconds)
+        if isinstance(phase, PrefitPhase):
+            self._prefit_fitness = yield from phase.measuring(self._bands, seconds)
         yield  # nowhere below: view() must not come upon a phase that is closed
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes cost something else
@@ -439,7 +440,7 @@ class Recovery:
             self._work = None
         at = self._at
         self._found = self._trusted = None
-        yield from self._findings.finding(self._phase, confidence, seconds, paced)
+        yield from self._diagnostics.finding(self._phase, confidence, seconds, paced)
         self._found, self._trusted = at, at if confidence else None
 
     def _show(self) -> dict[str, Any]:
@@ -466,7 +467,7 @@ class Recovery:
     @cached_property
     def _identity(self) -> dict[str, Any]:
         """Who this is to a checkpoint; found once: it reads all samples."""
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
+        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._fixed)
 
 
 def _band_seconds(time_budget_s: float | None) -> float:

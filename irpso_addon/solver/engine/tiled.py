@@ -25,11 +25,11 @@ from ..settings.fixed import full_map
 from ..settings.schedule import Schedule, refuse_levels
 from ..state import checkpoint, prepare
 from ..state.checkpoint import Checkpoint, named
-from .halo import Box, Meeting, Part, annex_of, meetings_of, own_of, part_of, place_of, rectangle
+from .halo import Box, HaloOverlap, Part, ghosts_of, overlaps_of, own_of, part_of, place_of, rectangle
 from .progress import Progress
 from .recovery import Recovery
 
-Told = tuple[Meeting, np.ndarray, np.ndarray]  # values of the halo's texels, and of the annex's
+Told = tuple[HaloOverlap, np.ndarray, np.ndarray]  # values of the halo's texels, and of the ghosts's
 
 
 class TileRecovery(Recovery):
@@ -61,14 +61,14 @@ class _Tile:
 
     domain: with its halo. solved: texels of its own. error: their mean when it was looked at last. state: of the
     recovery while that is not on the device; files: where it lies, if not in memory. strips: what other tiles have told
-    of the texels of this one's halo and annex; coming: the same of the iteration that the burst under way leads to.
+    of the texels of this one's halo and ghosts; coming: the same of the iteration that the burst under way leads to.
     sample: this tile's part of what that iteration reads of the whole domain, if it does.
     """
 
     box: Box
     domain: Domain
     prepared: prepare.Prepared
-    known: dict[str, np.ndarray]
+    fixed: dict[str, np.ndarray]
     solved: int
     recovery: TileRecovery | None = None
     progress: Progress | None = None
@@ -102,7 +102,7 @@ class TiledRecovery:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int = 0,
-        known: Mapping[str, np.ndarray] | None = None,
+        fixed: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
         *,
         boxes: Sequence[Box],
@@ -116,11 +116,11 @@ class TiledRecovery:
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self._halo, self._scratch = halo, scratch
-        self._known = {name: full_map(model, name, value, domain.shape) for name, value in (known or {}).items()}
+        self._fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
         self._tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
-        self._meetings = meetings_of([place_of(part.box, part.domain) for part in self._tiles])
+        self._overlaps = overlaps_of([place_of(part.box, part.domain) for part in self._tiles])
         self._most = len(self._tiles) if on_device is None else min(on_device, len(self._tiles))
         self._active = 0  # the tile that was used last
         self._sample: np.ndarray | None = None  # of all tiles, for the iteration that they are at
@@ -232,8 +232,8 @@ class TiledRecovery:
         for part in self._tiles:
             if part.recovery is not None:
                 part.error = part.recovery.mean_error()
-        known = [part for part in self._tiles if part.error is not None]
-        return float(np.average([part.error for part in known], weights=[part.solved for part in known]))
+        fixed = [part for part in self._tiles if part.error is not None]
+        return float(np.average([part.error for part in fixed], weights=[part.solved for part in fixed]))
 
     def changed(self, schedule: Schedule, seed: int | None = None) -> TiledRecovery:
         """Raise InputError: a recovery in tiles does not change its settings midway."""
@@ -337,7 +337,7 @@ class TiledRecovery:
                 last.recovery.close()
                 last.recovery = None
             part.recovery = TileRecovery(
-                part.domain, self.model, self.schedule, self.seed, part.known, self.entry, part.prepared, part.state
+                part.domain, self.model, self.schedule, self.seed, part.fixed, self.entry, part.prepared, part.state
             )
             part.state = None
             part.progress = part.recovery.progress
@@ -367,8 +367,8 @@ class TiledRecovery:
             raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
         self._tiles[number].sample = recovery.sample()
         found = recovery.halo()
-        for meeting in self._meetings[number]:
-            self._tiles[meeting.other].coming[number] = meeting, found[meeting.here].copy(), found[meeting.seen]
+        for overlap in self._overlaps[number]:
+            self._tiles[overlap.other].coming[number] = overlap, found[overlap.here].copy(), found[overlap.seen]
 
     def _all_told(self) -> None:
         """Let what has been told be heard: every tile is at one iteration now."""
@@ -389,22 +389,22 @@ class TiledRecovery:
             return
         size = next(iter(part.strips.values()))[1].shape[-1]
         values = np.full((*part.domain.shape, size), np.nan, np.float32)
-        annex = np.full((annex_of(part.domain), size), np.nan, np.float32)
-        for meeting, strip, seen in part.strips.values():
-            values[meeting.there], annex[meeting.annex] = strip, seen
-        recovery.set_halo(values, annex)
+        ghosts = np.full((ghosts_of(part.domain), size), np.nan, np.float32)
+        for overlap, strip, seen in part.strips.values():
+            values[overlap.there], ghosts[overlap.ghosts] = strip, seen
+        recovery.set_halo(values, ghosts)
 
     def _tile(self, box: Box, prepared: prepare.Prepared) -> _Tile:
         domain = tile(self.domain, *box, halo=self._halo)
         around = rectangle(box, domain.halo)
-        known = {name: value[around] for name, value in self._known.items()}
+        fixed = {name: value[around] for name, value in self._fixed.items()}
         solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
-        return _Tile(box, domain, prepared.part(*around), known, solved)
+        return _Tile(box, domain, prepared.part(*around), fixed, solved)
 
     @cached_property
     def _identity(self) -> dict[str, Any]:
         """Who this is to a checkpoint; found once: it reads all samples."""
-        who = checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._known)
+        who = checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._fixed)
         return who | {"tiles": [[*part.box, self._halo] for part in self._tiles]}
 
 

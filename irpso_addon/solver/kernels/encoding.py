@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
-from ..settings.resolve import ResolvedStage
+from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import NormalSearch
 
 
 @dataclass(frozen=True)
-class Codec:
+class Encoding:
     """dimensions: n of 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
 
     lambert_tells: a bit for every dimension of which a Lambertian seed knows something: the normal and the albedo.
@@ -27,7 +27,7 @@ class Codec:
         return 1 if self.dimensions <= 4 else 2
 
 
-def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSearch) -> Codec:
+def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: NormalSearch) -> Encoding:
     """Return the codec of a stage: its parameters one after the other, each component scaled to its range."""
     decode, encode, places = [], [], {}
     defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
@@ -63,4 +63,4 @@ def build_codec(model: ReflectanceModel, stage: ResolvedStage, normal: NormalSea
          "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
          "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
-    return Codec(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2}, tells)
+    return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2}, tells)

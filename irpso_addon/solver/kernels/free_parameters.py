@@ -12,7 +12,7 @@ NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the 
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class FreeParameters:
     """The numbers that a model leaves to be found. count: a normal is two.
 
     source: their table, and which of them are searched, as GLSL.
@@ -23,18 +23,18 @@ class Unknowns:
     defines: dict[str, int]
 
 
-def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
-    """Return the unknowns of a model of which the parameters named ``known`` are given.
+def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> FreeParameters:
+    """Return the unknowns of a model of which the parameters named ``fixed`` are given.
 
     ``bool searched(int u)`` says which are neither a normal nor linear; SEARCHED is how many.
     """
     rows: list[tuple[int, float, float]] = []
     searched: list[int] = []
-    defines = {"NORMAL_UNKNOWN": -1}
-    for p in _unknown(model, known):
+    defines = {"NORMAL_FREE": -1}
+    for p in _free(model, fixed):
         at = model.offset(p.name)
         if p.is_normal:
-            defines = {"NORMAL_UNKNOWN": len(rows), "NORMAL_COMPONENT": at}
+            defines = {"NORMAL_FREE": len(rows), "NORMAL_COMPONENT": at}
             rows += [(at, 0.0, NORMAL_RANGE)] * 2
         else:
             searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
@@ -42,14 +42,14 @@ def build_unknowns(model: ReflectanceModel, known: Collection[str]) -> Unknowns:
     cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
              for u, (at, low, width) in enumerate(rows)]  # fmt: skip
     source = "\n".join(
-        ["void unknown_at(int u, out int component, out float low, out float width)", "{",
+        ["void free_at(int u, out int component, out float low, out float width)", "{",
          "    component = 0; low = 0.0; width = 1.0;", *cases, "}", "bool searched(int u)", "{",
          f"    return {' || '.join(f'u == {u}' for u in searched) or 'false'};", "}", ""]
     )  # fmt: skip
-    return Unknowns(len(rows), source, defines | {"UNKNOWNS": len(rows), "SEARCHED": len(searched)})
+    return FreeParameters(len(rows), source, defines | {"FREE_COUNT": len(rows), "SEARCHED": len(searched)})
 
 
-def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool) -> tuple[Unknowns, str]:
+def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool) -> tuple[FreeParameters, str]:
     """Return the unknowns, and slopes.glsl: sums of the normal equations.
 
     STEPPED unknowns have no derivative but by differences: normals and what is searched. The others' derivative is
@@ -59,10 +59,10 @@ def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool)
     slopes.glsl is written out, number by number: in loops over arrays a compiler that does not unroll them copies whole
     arrays at every observation, which took half of a step's time.
     """
-    unknowns = build_unknowns(model, known)
+    free = build_free_parameters(model, fixed)
     stepped, channels = [], []
     lines = ["vec3 basis = vec3(0.0);"]
-    for p in _unknown(model, known):
+    for p in _free(model, fixed):
         u, count = len(channels), 2 if p.is_normal else p.components
         if has_basis(p, model):
             lines.append(f"basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
@@ -75,14 +75,14 @@ def build_slopes(model: ReflectanceModel, known: Collection[str], central: bool)
                 lines.append(f"vec3 slope_{i} = (reflectance(p.ahead_{i}, l, v) - {other}) / p.by_{i};")
             stepped += range(u, u + count)
             channels += [""] * count
-    defines = unknowns.defines | {"STEPPED": len(stepped)}
+    defines = free.defines | {"STEPPED": len(stepped)}
     names = (*model.ordered, *model.complement)
-    if model.ordered and not set(names) & set(known):
+    if model.ordered and not set(names) & set(fixed):
         first, second = (model.offset(name) for name in model.ordered)
         defines |= {"LOBE_FIRST": first, "LOBE_SECOND": second}
         if model.complement:
             defines["LOBE_WEIGHT"] = model.offset(model.complement[0])
-    return Unknowns(unknowns.count, unknowns.source, defines), _slopes(stepped, central, lines, channels)
+    return FreeParameters(free.count, free.source, defines), _slopes(stepped, central, lines, channels)
 
 
 def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channels: Sequence[str]) -> str:
@@ -103,7 +103,7 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
         ("struct NormalSums", sums),
         ("void take_steps(inout float c[12], inout Steps p)", taken),
         ("void clear_sums(out NormalSums n)", cleared),
-        ("void sums_to(NormalSums n, inout float a[UNKNOWNS * UNKNOWNS], inout float slope[UNKNOWNS])", told),
+        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", told),
         (
             "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
             " inout NormalSums n)",
@@ -157,5 +157,5 @@ def has_basis(p: Parameter, model: ReflectanceModel) -> bool:
     return p.kind == "linear" and p.name in model.bases and p.components in (1, 3)
 
 
-def _unknown(model: ReflectanceModel, known: Collection[str]) -> list[Parameter]:
-    return [p for p in model.parameters if p.name not in known]
+def _free(model: ReflectanceModel, fixed: Collection[str]) -> list[Parameter]:
+    return [p for p in model.parameters if p.name not in fixed]

@@ -8,8 +8,8 @@ from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Fitness, Schedule
-from .encoding import Codec
-from .free_parameters import Unknowns
+from .encoding import Encoding
+from .free_parameters import FreeParameters
 from .linear_weights import LinearWeights
 
 FLOAT_2D = "FLOAT_2D"
@@ -30,7 +30,7 @@ _WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/upd
 
 
 @dataclass(frozen=True)
-class StagePasses:
+class SequentialSwarmPasses:
     """The compiled passes of a stage. ``resolve`` is always a fragment pass: what it wrote may be read back."""
 
     start: Pass
@@ -47,27 +47,27 @@ class StagePasses:
             getattr(self, name).close()
 
 
-def build_stage_passes(
+def build_sequential_swarm_passes(
     model: ReflectanceModel,
-    codec: Codec,
+    encoding: Encoding,
     schedule: Schedule,
     particles: int,
     across: int,
     domain_defines: dict[str, int],
     entry: Entry,
-) -> StagePasses:
+) -> SequentialSwarmPasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
     estimates = estimate_samplers(model)
-    given = {**model_includes(model), "codec.glsl": codec.source}
+    given = {**model_includes(model), "codec.glsl": encoding.source}
     tiling = {"PARTICLES": particles, "TILES_X": across}
     defines = {
         **domain_defines,
-        **codec.defines,
+        **encoding.defines,
         **estimate_defines(model),
         **tiling,
         **schedule_defines(schedule),
     }
-    blocks = range(codec.blocks)
+    blocks = range(encoding.blocks)
     bests = {f"u_best_{b}": FLOAT_2D for b in blocks}
     particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
     candidates = {f"u_candidate_position_{b}": FLOAT_2D for b in blocks}
@@ -81,7 +81,7 @@ def build_stage_passes(
         return Pass(kernel, how)
 
     read = {**particle, "u_best_fitness": FLOAT_2D, **bests, **estimates, **OBSERVATIONS, **PACKING}
-    return StagePasses(
+    return SequentialSwarmPasses(
         start=make("move", (*moved, Output("o_verdict")), read, MOVE, START=1),
         move=make("move", (*moved, Output("o_verdict")), read, MOVE),
         commit_state=make(
@@ -94,14 +94,14 @@ def build_stage_passes(
             "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
         ),
         resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **PACKING}, _SIZE, how="fragment"),
-        take_halo=take_halo_pass(codec, defines),
+        take_halo=take_halo_pass(encoding, defines),
     )
 
 
-def take_halo_pass(codec: Codec, defines: dict[str, int]) -> Pass:
+def take_halo_pass(encoding: Encoding, defines: dict[str, int]) -> Pass:
     """Compile the pass that takes given bests at the texels of neighbouring tiles."""
-    outputs = tuple(Output(f"o_best_{b}") for b in range(codec.blocks))
-    samplers = {**{f"u_given_{b}": FLOAT_2D for b in range(codec.blocks)}, **GEOMETRY}
+    outputs = tuple(Output(f"o_best_{b}") for b in range(encoding.blocks))
+    samplers = {**{f"u_given_{b}": FLOAT_2D for b in range(encoding.blocks)}, **GEOMETRY}
     return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
 
 
@@ -143,24 +143,24 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
-def confidence_pass(model: ReflectanceModel, unknowns: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
-    """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what unknowns.glsl brings."""
+def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
+    """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what free_parameters.glsl brings."""
     outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
-    given = {**model_includes(model), "unknowns.glsl": unknowns}
+    given = {**model_includes(model), "free_parameters.glsl": free}
     defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
     return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def alternatives_pass(
-    model: ReflectanceModel, unknowns: Unknowns, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
+    model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
 ) -> Pass:
     """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
     outputs = tuple(Output(f"o_alternative_{i}") for i in range(-(-defines["ALTERNATIVES"] // 4)))
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
-    given = {**model_includes(model), "unknowns.glsl": unknowns.source, "basis.glsl": linear.source}
+    given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
     defines = {
-        **defines, **unknowns.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
+        **defines, **free.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
     }  # fmt: skip
     return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 

@@ -1,4 +1,4 @@
-"""The kernels of the polish."""
+"""The kernels of the refinement."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 from ...core.paths import SHADERS
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import ReflectanceModel
-from ..settings.resolve import ResolvedMaterials, ResolvedPolish
-from ..settings.schedule import Fitness, Polish
-from .free_parameters import Unknowns, build_slopes, build_starts
+from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
+from ..settings.schedule import Fitness, Refinement
+from .free_parameters import FreeParameters, build_slopes, build_starts
 from .kernels import (
     FITNESS,
     FLOAT_2D,
@@ -32,8 +32,8 @@ _OFFERS = {True: 8, False: 4}  # OFFERS of shaders/refine/spread.glsl: twice fou
 
 
 @dataclass(frozen=True)
-class PolishPasses:
-    """The compiled passes of a polish. evaluations: renders of all observations of a step; offers: of a spread.
+class RefinementPasses:
+    """The compiled passes of a refinement. evaluations: renders of all observations of a step; offers: of a spread.
 
     vote: in place of ``keep`` after a spread, None where neighbours have no votes. ``keep`` is always a fragment pass:
     what it wrote may be read back.
@@ -54,40 +54,40 @@ class PolishPasses:
                 work.close()
 
 
-def renders(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[int, int]:
+def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
     """Return how many renders of all observations a step makes at a texel, and a spread."""
-    unknowns, _ = resolved_slopes(model, resolved)
-    stepped = unknowns.defines["STEPPED"] * (2 if resolved.polish.central else 1)
+    free, _ = resolved_slopes(model, resolved)
+    stepped = free.defines["STEPPED"] * (2 if resolved.refinement.central else 1)
     # The bases of the linear parameters make up another render.
-    evaluations = 1 + stepped + (1 if unknowns.defines["STEPPED"] < unknowns.count else 0) + CANDIDATES
+    evaluations = 1 + stepped + (1 if free.defines["STEPPED"] < free.count else 0) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
-    return evaluations, _OFFERS[unknowns.defines["SEARCHED"] > 0]
+    return evaluations, _OFFERS[free.defines["SEARCHED"] > 0]
 
 
-def step_defines(settings: Polish) -> dict[str, str | int]:
+def step_defines(settings: Refinement) -> dict[str, str | int]:
     """Return the constants of a step that are compiled in."""
     return {
-        "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "GAIN": f"{settings.gain:.9f}",
-        "SMALLEST_STEP": f"{settings.smallest_step:.9f}", "DARING": f"{settings.daring:.9f}",
+        "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
+        "XTOL": f"{settings.xtol:.9f}", "ACCEPT_RATIO": f"{settings.accept_ratio:.9f}",
         "VOTES": f"{settings.votes:.9f}",
     }  # fmt: skip
 
 
-def build_polish_passes(
+def build_refinement_passes(
     model: ReflectanceModel,
-    resolved: ResolvedPolish,
+    resolved: ResolvedRefinement,
     fitness: Fitness,
     domain_defines: dict[str, int],
     entry: Entry,
     penalty: Path = NO_PENALTY,
-) -> PolishPasses:
-    """Compile the passes of a polish. penalty: the shader of what is added to the loss."""
-    settings = resolved.polish
-    unknowns, slopes = resolved_slopes(model, resolved)
+) -> RefinementPasses:
+    """Compile the passes of a refinement. penalty: the shader of what is added to the loss."""
+    settings = resolved.refinement
+    free, slopes = resolved_slopes(model, resolved)
     evaluations, offers = renders(model, resolved)
     defines = {
-        **domain_defines, **unknowns.defines, **estimate_defines(model),
+        **domain_defines, **free.defines, **estimate_defines(model),
         **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
     }  # fmt: skip
     spread, materials = "refine/spread", {}
@@ -95,7 +95,7 @@ def build_polish_passes(
         spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
     given = {
-        **model_includes(model), "unknowns.glsl": unknowns.source, "slopes.glsl": slopes,
+        **model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes,
         "starts.glsl": build_starts(model, resolved.starts),
         "penalty.glsl": penalty,
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
@@ -104,12 +104,12 @@ def build_polish_passes(
     held = {**estimate_samplers(model), "u_status": FLOAT_2D}
     work = {f"u_work_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
 
-    voted = settings.votes > 0 and unknowns.defines["SEARCHED"] > 0
+    voted = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
     def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
         return Pass(Kernel(f"{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
 
-    return PolishPasses(
+    return RefinementPasses(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", OBSERVATIONS, STEP),
         spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
@@ -122,7 +122,7 @@ def build_polish_passes(
     )
 
 
-def resolved_slopes(model: ReflectanceModel, resolved: ResolvedPolish) -> tuple[Unknowns, str]:
-    """Return the unknowns of a polish, and its slopes.glsl."""
-    known = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
-    return build_slopes(model, known, resolved.polish.central)
+def resolved_slopes(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[FreeParameters, str]:
+    """Return the unknowns of a refinement, and its slopes.glsl."""
+    fixed = {p.name for p in model.parameters} - {p.name for p in resolved.parameters}
+    return build_slopes(model, fixed, resolved.refinement.central)

@@ -8,8 +8,8 @@ from ...core.paths import SHADERS
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..settings.resolve import ResolvedPrior
-from ..settings.schedule import Polish, Prior, Schedule
-from .free_parameters import build_slopes, build_unknowns
+from ..settings.schedule import Prior, Refinement, Schedule
+from .free_parameters import build_free_parameters, build_slopes
 from .kernels import (
     FITNESS,
     FLOAT_2D,
@@ -69,17 +69,17 @@ def build_prior_passes(
 ) -> PriorPasses:
     """Compile the passes of a prior."""
     prior, held = resolved.prior, _held(model, resolved.parameters)
-    unknowns = build_unknowns(model, held)
+    free = build_free_parameters(model, held)
     common = {
-        **domain_defines, **estimate_defines(model), **unknowns.defines, **_lobes(model, held),
-        **_settings(prior, schedule.polish), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
+        **domain_defines, **estimate_defines(model), **free.defines, **_lobes(model, held),
+        **_settings(prior, schedule.refinement), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
     }  # fmt: skip
     means, deviations, own = (_samplers(model, name) for name in ("mean", "deviation", "own"))
     estimates, belief = estimate_samplers(model), {**means, **deviations}
     beliefs = (*_outputs(model, "mean"), *_outputs(model, "deviation"))
     work = {**_samplers(model, "work"), "u_work_status": FLOAT_2D}
     includes = {
-        **model_includes(model), "components.glsl": components_source(model, resolved), "unknowns.glsl": unknowns.source
+        **model_includes(model), "components.glsl": components_source(model, resolved), "free_parameters.glsl": free.source
     }  # fmt: skip
 
     def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:
@@ -118,7 +118,7 @@ def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: 
     if iteration == NOISE:
         return 1
     if iteration == DEVIATION:  # the render, and two for each derivative
-        return 1 + 2 * build_unknowns(model, _held(model, resolved.parameters)).count
+        return 1 + 2 * build_free_parameters(model, _held(model, resolved.parameters)).count
     return 0 if iteration < FIRST_ROUND + resolved.prior.rounds else renders(model, resolved.step)[0]
 
 
@@ -140,9 +140,9 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
 def _step_pass(
     model: ReflectanceModel, resolved: ResolvedPrior, common: dict, samplers: dict, includes: dict, entry: Entry
 ) -> Pass:
-    unknowns, slopes_source = resolved_slopes(model, resolved.step)
+    free, slopes_source = resolved_slopes(model, resolved.step)
     # Lobes are put in order at the end: what a prior says is said of the one or of the other.
-    slopes = {name: value for name, value in unknowns.defines.items() if not name.startswith("LOBE_")}
+    slopes = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
     penalty = SHADERS / "prior" / "penalty.glsl"
     return Pass(
@@ -150,19 +150,19 @@ def _step_pass(
             "refine/step.glsl", (*estimate_outputs(model), Output("o_status")),
             {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
             {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
-            {**includes, "unknowns.glsl": unknowns.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
+            {**includes, "free_parameters.glsl": free.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
         ),
         entry,
     )  # fmt: skip
 
 
-def _settings(prior: Prior, polish: Polish) -> dict[str, str | int]:
+def _settings(prior: Prior, refinement: Refinement) -> dict[str, str | int]:
     numbers = {
         "NOISE_FREEDOM": prior.noise_freedom, "LIKENESS": prior.likeness, "LIKENESS_COLOR": prior.likeness_color,
         "SPREAD": prior.spread, "LEAST_SHARE": prior.share, "TOLERANCE": prior.tolerance,
     }  # fmt: skip
     return {
-        **step_defines(polish),
+        **step_defines(refinement),
         "SCALES": prior.scales,
         **{name: f"{value:.9f}" for name, value in numbers.items()},
     }

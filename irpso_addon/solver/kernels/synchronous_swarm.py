@@ -8,7 +8,7 @@ from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
 from . import kernels
-from .encoding import Codec
+from .encoding import Encoding
 from .linear_weights import LinearWeights
 
 MAX_PARTICLES = 16  # four outputs of four fitnesses; two more hold the linear weights of the best
@@ -16,7 +16,7 @@ _CHUNK = 4  # particles evaluated per read of an observation
 
 
 @dataclass(frozen=True)
-class GenerationPasses:
+class SynchronousSwarmPasses:
     """The compiled passes of a generation: place or move and evaluate, then commit. ``resolve`` is a fragment pass."""
 
     place: Pass
@@ -35,18 +35,18 @@ class GenerationPasses:
             getattr(self, name).close()
 
 
-def build_generation_passes(
+def build_synchronous_swarm_passes(
     model: ReflectanceModel,
-    codec: Codec,
+    encoding: Encoding,
     linear: LinearWeights,
     schedule: Schedule,
     particles: int,
     across: int,
     domain_defines: dict[str, int],
     entry: Entry,
-) -> GenerationPasses:
+) -> SynchronousSwarmPasses:
     """Compile the passes for ``particles`` in an atlas ``across`` tiles wide."""
-    blocks, linears = range(codec.blocks), range(linear.blocks)
+    blocks, linears = range(encoding.blocks), range(linear.blocks)
     bests = {f"u_best_{b}": kernels.FLOAT_2D for b in blocks}
     means = {f"u_mean_{b}": kernels.FLOAT_2D for b in blocks}
     weights = {f"u_best_linear_{b}": kernels.FLOAT_2D for b in linears}
@@ -58,11 +58,11 @@ def build_generation_passes(
     # Particles are placed by the estimates and moved by the means: all together are more than 16 textures.
     placed, moved = {**best_so_far, **estimates}, {**best_so_far, **state, **means}
     defines = {
-        **domain_defines, **codec.defines, **linear.defines, **kernels.estimate_defines(model),
+        **domain_defines, **encoding.defines, **linear.defines, **kernels.estimate_defines(model),
         **kernels.schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across,
         "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
-    given = {**kernels.model_includes(model), "codec.glsl": codec.source, "basis.glsl": linear.source}
+    given = {**kernels.model_includes(model), "codec.glsl": encoding.source, "basis.glsl": linear.source}
 
     def make(source: str, outputs: list[Output], samplers: dict, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"
@@ -72,7 +72,7 @@ def build_generation_passes(
     commits = [Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")]
     best = [Output(f"o_best_{b}") for b in blocks] + [Output(f"o_best_linear_{b}") for b in linears]
     best.append(Output("o_best_fitness", "R32F"))
-    return GenerationPasses(
+    return SynchronousSwarmPasses(
         place=make("evaluate", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
         place_commit=make("commit", commits, {**placed, **state, **found}, START=1),
         place_best=make("best", best, {**placed, **found}, START=1),
@@ -81,5 +81,5 @@ def build_generation_passes(
         commit=make("commit", commits, {**moved, **found}, ESTIMATES=0),
         best=make("best", best, {**moved, **found}, ESTIMATES=0),
         resolve=make("resolve", list(kernels.estimate_outputs(model)), {**placed, **state}, how="fragment"),
-        take_halo=kernels.take_halo_pass(codec, defines),
+        take_halo=kernels.take_halo_pass(encoding, defines),
     )

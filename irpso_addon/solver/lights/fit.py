@@ -85,7 +85,7 @@ def light_step(
     domain: Domain,
     model: ReflectanceModel,
     values: Mapping[str, np.ndarray],
-    known: frozenset[str],
+    fixed: frozenset[str],
     scale: np.ndarray,
     fitness: Fitness,
     gains: bool,
@@ -93,13 +93,13 @@ def light_step(
 ) -> Generator[None, None, LightStep]:
     """Yield after each observation, and return what would make the lights fit the images better.
 
-    The unknowns of the texels, of ``values`` all but the ``known``, are eliminated (variable projection; Golub and
+    The unknowns of the texels, of ``values`` all but the ``fixed``, are eliminated (variable projection; Golub and
     Pereyra 1973): a light's error that they have taken up is seen all the same. Samples count as in the robust fitness.
     scale: (h, w) of ``prepare.texel_scale``. moving: None where the lights stay where they are, as ``domain`` has them.
     """
     texels = np.nonzero(domain.bake.coverage)
     found = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
-    steps = _texel_steps(model, values, known)
+    steps = _texel_steps(model, values, fixed)
     renders = _Renders(domain, model, values, steps, moving)
     stack = domain.stack.copy()
     drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
@@ -143,10 +143,10 @@ class _Step:
     spread: float
 
 
-def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], known: frozenset[str]) -> list[_Step]:
+def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str]) -> list[_Step]:
     steps = []
     for parameter in model.parameters:
-        if parameter.name in known:
+        if parameter.name in fixed:
             continue
         value = values[parameter.name]
         shape = value.shape[:2]

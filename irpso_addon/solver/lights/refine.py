@@ -112,7 +112,7 @@ def estimate_lights(
     model: ReflectanceModel,
     schedule: Schedule | None = None,
     seed: int = 0,
-    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     *,
     intensities: bool = True,
     refine_degrees: float = 0.0,
@@ -131,7 +131,7 @@ def estimate_lights(
     Raises InputError; otherwise as a Recovery.
     """
     return run_steps(
-        light_steps(domain, model, schedule, seed, known, intensities=intensities, refine_degrees=refine_degrees,
+        light_steps(domain, model, schedule, seed, fixed, intensities=intensities, refine_degrees=refine_degrees,
                     fitted=fitted, entry=entry)
     )  # fmt: skip
 
@@ -141,7 +141,7 @@ def light_steps(
     model: ReflectanceModel,
     schedule: Schedule | None = None,
     seed: int = 0,
-    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     *,
     intensities: bool = True,
     refine_degrees: float = 0.0,
@@ -161,7 +161,7 @@ def light_steps(
             "no texel is lit by three observations, so that its lights cannot be told; give the intensities"
         )
     search = _Search(
-        sample, model, sample_schedule(schedule), seed, light_sample.known_at(known, sample), fitted, intensities,
+        sample, model, sample_schedule(schedule), seed, light_sample.fixed_at(fixed, sample), fitted, intensities,
         np.radians(refine_degrees), entry,
     )  # fmt: skip
     yield from search.rounds()
@@ -172,7 +172,7 @@ def chosen_steps(
     domain: Domain,
     model: ReflectanceModel,
     seed: int = 0,
-    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     *,
     intensities: Intensities = "auto",
     refine_degrees: float = 0.0,
@@ -189,13 +189,13 @@ def chosen_steps(
 
     def search(wanted: bool) -> Generator[float, None, Lights]:
         return light_steps(
-            domain, model, None, seed, known, intensities=wanted, refine_degrees=refine_degrees, fitted=fitted,
+            domain, model, None, seed, fixed, intensities=wanted, refine_degrees=refine_degrees, fitted=fitted,
             entry=entry, sample=sample,
         )  # fmt: skip
 
     if intensities == "auto" and can_tell(domain, fitted):
         sample = sample or light_sample.draw(domain, seed, fitted)
-        if (yield from _contradicted(domain, model, seed, known, fitted, entry, sample)):
+        if (yield from _contradicted(domain, model, seed, fixed, fitted, entry, sample)):
             found = yield from search(True)
             if found.told >= _TOLD:
                 return found
@@ -222,7 +222,7 @@ def _contradicted(
     domain: Domain,
     model: ReflectanceModel,
     seed: int,
-    known: Mapping[str, np.ndarray],
+    fixed: Mapping[str, np.ndarray],
     fitted: np.ndarray,
     entry: Any,
     sample: LightSample,
@@ -234,7 +234,7 @@ def _contradicted(
     if not len(sample.rows) or _size(np.log(sample.factors)) < _CONTRADICTED:
         return False
     few = light_sample.draw(domain, seed, fitted, _SMALL)
-    here, held = subset(few.domain, fitted), light_sample.known_at(known, few)
+    here, held = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
     recovery = Recovery(here, model, sample_schedule(), seed, held, entry)
     try:
         while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
@@ -242,7 +242,7 @@ def _contradicted(
         values = recovery.maps(confidence=False).values
     finally:
         recovery.close()
-    return _disagreement(here, model, values, frozenset(known)) is not None
+    return _disagreement(here, model, values, frozenset(fixed)) is not None
 
 
 def check(intensities: bool, refine_degrees: float) -> None:
@@ -258,12 +258,12 @@ def check(intensities: bool, refine_degrees: float) -> None:
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
     """Return a schedule, by default ``standard``, for texels that have no neighbours."""
     return (schedule or load_schedule("standard")).replaced(
-        c3=0.0, neighbour_every=0, polish_rounds=0, prior_rounds=0, levels=1
+        c3=0.0, neighbour_every=0, refinement_rounds=0, prior_rounds=0, levels=1
     )
 
 
 def contradiction(
-    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: frozenset[str], seed: int = 0
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str], seed: int = 0
 ) -> str:
     """Return a warning where recovered maps say that the intensities are not as given, "" where they do not.
 
@@ -273,7 +273,7 @@ def contradiction(
     if not len(sample.rows):
         return ""
     here = {name: sample.part(value) for name, value in values.items()}
-    step = _disagreement(sample.domain, model, here, known)
+    step = _disagreement(sample.domain, model, here, fixed)
     if step is None:
         return ""
     remedy = (
@@ -288,13 +288,13 @@ def contradiction(
 
 
 def _disagreement(
-    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: frozenset[str]
+    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str]
 ) -> LightStep | None:
     """Return the step that other intensities would be, None where recovered texels do not speak for them."""
     fitness = load_schedule("standard").fitness
     scale = texel_scale(domain, fitness.percentile)
     fitness = replace(fitness, delta=_WIDTHS[1])
-    step = run_steps(light_step(domain, model, values, known, scale, fitness, True, None))
+    step = run_steps(light_step(domain, model, values, fixed, scale, fitness, True, None))
     return step if _size(step.gains) >= _CONTRADICTED and step.explained >= _EXPLAINED else None
 
 
@@ -307,13 +307,13 @@ class _Search:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
-        known: Mapping[str, np.ndarray],
+        fixed: Mapping[str, np.ndarray],
         fitted: np.ndarray,
         intensities: bool,
         sigma: float,
         entry: Any,
     ):
-        self._sample, self._model, self._schedule, self._seed, self._known = sample, model, schedule, seed, known
+        self._sample, self._model, self._schedule, self._seed, self._fixed = sample, model, schedule, seed, fixed
         self._fitted, self._intensities, self._entry = fitted, intensities, entry
         self._base = subset(sample.domain, fitted)
         self._moving = None
@@ -342,7 +342,7 @@ class _Search:
                 here,
                 self._model,
                 self._values,
-                frozenset(self._known),
+                frozenset(self._fixed),
                 scale,
                 schedule.fitness,
                 self._intensities,
@@ -374,7 +374,7 @@ class _Search:
         )  # fmt: skip
 
     def _solved(self, domain: Domain, schedule: Schedule) -> Generator[float, None, dict[str, np.ndarray]]:
-        recovery = Recovery(domain, self._model, schedule, self._seed, self._known, self._entry)
+        recovery = Recovery(domain, self._model, schedule, self._seed, self._fixed, self._entry)
         try:
             while not (progress := recovery.step(time_budget_s=_SLICE_SECONDS)).done:
                 yield self._fraction(0.7 * progress.fraction)

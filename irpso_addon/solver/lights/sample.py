@@ -65,9 +65,9 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     return LightSample(part, factors, rows[order], columns[order])
 
 
-def known_at(known: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
+def fixed_at(fixed: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
     """Return known maps, (H, W, components) or (components,), at the sample's texels."""
-    return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in known.items()}
+    return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in fixed.items()}
 
 
 def with_lights(domain: Domain, lights: np.ndarray, intensities: np.ndarray) -> Domain:

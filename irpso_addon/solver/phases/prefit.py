@@ -1,4 +1,4 @@
-"""The survey: normals found with a model of few assumptions, before the surface's own model is asked."""
+"""The prefit: normals found with a model of few assumptions, before the surface's own model is asked."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ...gpu.bands import Bands
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
-from ..kernels.free_parameters import build_unknowns
+from ..kernels.free_parameters import build_free_parameters
 from ..kernels.refinement import NO_PENALTY
-from ..settings.resolve import ResolvedSurvey, survey_model
+from ..settings.resolve import ResolvedPrefit, prefit_model
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates, loss_constants
 from .phase import BACKGROUND_BAND_SECONDS, Phase
-from .refinement import RunningPolish
-from .synchronous_swarm import RunningGenerations
+from .refinement import RefinementPhase
+from .synchronous_swarm import SynchronousSwarmPhase
 
-# With fewer samples for each of its unknowns the survey is no acceptance test. Under 16 near lamps it would turn the
+# With fewer samples for each of its unknowns the prefit is no acceptance test. Under 16 near lamps it would turn the
 # normals of metals by noise alone (metallic of a gilding 0.056 for 0.042); hollows of bunny_specular that few of its 50
 # lights reach go from 0.82 to 0.69° of mean error.
-_SAMPLES_AN_UNKNOWN = 3
-_TRUST_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
+_SAMPLES_PER_UNKNOWN = 3
+_ACCEPTANCE_FLOOR = 0.005  # under such a mean of bounded losses a fit is as good as the pictures
 _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 # Of the prior on the exponent, whose mean is 1, under narrow lights. On balls under 12 lights within 22° it takes the
 # mean error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2); wide lights tell the exponent,
@@ -36,17 +36,17 @@ _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 _FALLOFF_DEVIATION = 0.15
 
 
-class RunningSurvey(Phase):
-    """The survey under way, a Phase: swarms, then Levenberg–Marquardt, on grey samples with the survey's own model.
+class PrefitPhase(Phase):
+    """The prefit under way, a Phase: swarms, then Levenberg–Marquardt, on grey samples with the prefit's own model.
 
-    What it resolves are the estimates of the recovery's model, with the survey's normals put in.
+    What it resolves are the estimates of the recovery's model, with the prefit's normals put in.
     """
 
-    title = ResolvedSurvey.title
+    title = ResolvedPrefit.title
 
     def __init__(
         self,
-        resolved: ResolvedSurvey,
+        resolved: ResolvedPrefit,
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
@@ -56,25 +56,25 @@ class RunningSurvey(Phase):
     ):
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
         self._domain, self._estimates = grey(domain, schedule), estimates
-        self._model = survey_model()
+        self._model = prefit_model()
         self._domain.defines |= {
             "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
         }  # fmt: skip
         self._own = _begun(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
-        self._polishing = False
-        if schedule.swarm.seed == "given":  # a first guess tells the normal, but nothing of the survey's own model
+        self._refining = False
+        if schedule.swarm.seed == "given":  # a first guess tells the normal, but nothing of the prefit's own model
             schedule = schedule.replaced(seed="lambert")
-        self._inner: Phase = RunningGenerations(
+        self._inner: Phase = SynchronousSwarmPhase(
             resolved.stage, self._model, schedule, seed, self._domain, self._own, entry
         )
         self.iterations = resolved.iterations
 
     @property
     def iteration(self) -> int:
-        """How many iterations were made, those of the polish on top of the swarms'."""
-        return self._inner.iteration + (self._resolved.stage.iterations if self._polishing else 0)
+        """How many iterations were made, those of the refinement on top of the swarms'."""
+        return self._inner.iteration + (self._resolved.stage.iterations if self._refining else 0)
 
     @property
     def done(self) -> bool:
@@ -94,15 +94,15 @@ class RunningSurvey(Phase):
     @property
     def placed(self) -> bool:
         """Whether the particles have been placed."""
-        return self._polishing or self._inner.placed
+        return self._refining or self._inner.placed
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
         yield from self._inner.advance(bands, seconds)
-        if self._inner.done and not self._polishing:
+        if self._inner.done and not self._refining:
             yield from self._inner.conclude(bands, seconds)
             self._own.accept()
-            self._begin_polish()
+            self._begin_refinement()
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Put the normals that have been found so far into the resolved estimates."""
@@ -118,21 +118,21 @@ class RunningSurvey(Phase):
         self._take_over(own, targets)
 
     def _take_over(self, own: list[Any], targets: list[Any]) -> None:
-        survey = {f"u_survey_{i}": texture for i, texture in enumerate(own)}
-        self._adopt.run(targets, {**self._estimates.bindings(), **self._domain.textures, **survey})
+        prefit = {f"u_prefit_{i}": texture for i, texture in enumerate(own)}
+        self._adopt.run(targets, {**self._estimates.bindings(), **self._domain.textures, **prefit})
 
     def reached(self, threshold: float) -> bool:
-        """Return False: a survey's fitness says nothing of the recovery's threshold."""
+        """Return False: a prefit's fitness says nothing of the recovery's threshold."""
         return False
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, np.ndarray]:
-        """Return (h, w) float32, packed as the domain's textures: how well the survey's model fits what is resolved.
+        """Return (h, w) float32, packed as the domain's textures: how well the prefit's model fits what is resolved.
 
         In bands; yields after each.
         """
         targets = [textures.empty(*self._own.size, "R32F")]
         inputs = {**self._own.bindings(resolved=True), **self._domain.textures}
-        constants, measure = _judge_constants(self._domain, self._schedule), self._measure
+        constants, measure = _acceptance_constants(self._domain, self._schedule), self._measure
         yield from bands.run(
             "measure", targets[0].height, seconds, lambda rows: measure.run(targets, inputs, constants, rows),
             lambda: measure.fence(targets),
@@ -148,9 +148,9 @@ class RunningSurvey(Phase):
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
         return self._inner.halo()
 
-    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n), and (M, n), for the texels that belong to other tiles; others are left alone."""
-        self._inner.take_halo(values, annex)
+        self._inner.take_halo(values, ghosts)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration."""
@@ -161,9 +161,9 @@ class RunningSurvey(Phase):
         """Go on from what ``state`` returned at an iteration."""
         self._own.current = [textures.upload(arrays[f"own_{i}"]) for i in range(self._own.count)]
         swarm = self._resolved.stage.iterations
-        if iteration >= swarm and not self._polishing:
-            self._begin_polish()
-        self._inner.restore(arrays, iteration - (swarm if self._polishing else 0))
+        if iteration >= swarm and not self._refining:
+            self._begin_refinement()
+        self._inner.restore(arrays, iteration - (swarm if self._refining else 0))
 
     def close(self) -> None:
         """Free shaders and textures."""
@@ -172,19 +172,19 @@ class RunningSurvey(Phase):
         self._measure.close()
         self._own = None
 
-    def _begin_polish(self) -> None:
+    def _begin_refinement(self) -> None:
         self._inner.close()
-        self._inner = RunningPolish(
-            self._resolved.polish, self._model, self._schedule, self._domain, self._own, self._entry,
+        self._inner = RefinementPhase(
+            self._resolved.refinement, self._model, self._schedule, self._domain, self._own, self._entry,
             penalty=_PENALTY if _narrow(self._domain.domain.lights) else NO_PENALTY,
         )  # fmt: skip
-        self._polishing = True
+        self._refining = True
 
 
-class Judge:
-    """Decides at every texel whether the polish of the recovery's model may turn the survey's normal.
+class AcceptanceTest:
+    """Decides at every texel whether the refinement of the recovery's model may turn the prefit's normal.
 
-    fitness: (h, w) the survey's own, packed. It swaps what it decides into the resolved estimates.
+    fitness: (h, w) the prefit's own, packed. It swaps what it decides into the resolved estimates.
     """
 
     def __init__(
@@ -199,15 +199,15 @@ class Judge:
         self._fitness = textures.upload(fitness)
         self._schedule = schedule
         self._decided = [textures.empty(*estimates.size) for _ in range(estimates.count)]
-        self._pass = _judge_pass(model, schedule, self._domain.defines)
+        self._pass = _acceptance_pass(model, schedule, self._domain.defines)
 
     def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Put into the resolved estimates what is to be believed of them, in bands; the last one makes it so."""
         work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
-        inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_survey_fitness": self._fitness}
-        constants, targets = _judge_constants(self._domain, self._schedule), self._decided
+        inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness}
+        constants, targets = _acceptance_constants(self._domain, self._schedule), self._decided
         yield from bands.run(
-            "judge", targets[0].height, seconds, lambda rows: self._pass.run(targets, inputs, constants, rows),
+            "acceptance", targets[0].height, seconds, lambda rows: self._pass.run(targets, inputs, constants, rows),
             lambda: self._pass.fence(targets),
         )  # fmt: skip
         self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
@@ -222,24 +222,24 @@ def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     """Return a domain's textures, shared, for kernels that see grey samples under lights of intensity 1."""
     result = object.__new__(DomainTextures)
     result.__dict__.update(domain.__dict__)
-    result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.survey.shadow:.9f}"}
+    result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.prefit.shadow:.9f}"}
     result.brightness = 1.0
     return result
 
 
 def _begun(own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates, domain: DomainTextures) -> Estimates:
-    """The survey's first estimates: the normals that the recovery begins with, matt and as bright as the texel is."""
+    """The prefit's first estimates: the normals that the recovery begins with, matt and as bright as the texel is."""
     normal = next(p.name for p in model.parameters if p.is_normal)
     packed = np.concatenate([textures.download(t) for t in estimates.current], axis=-1)
     at = model.offset(normal)
-    known = {
+    fixed = {
         "normal": packed[..., at : at + 3],
         "base": domain.scale[..., None],
     }
     default = {
         p.name: np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components)) for p in own.parameters
     }
-    return Estimates(own, default | known)
+    return Estimates(own, default | fixed)
 
 
 def _narrow(lights: np.ndarray) -> bool:
@@ -249,7 +249,7 @@ def _narrow(lights: np.ndarray) -> bool:
 
 def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
     normal = next(p.name for p in model.parameters if p.is_normal)
-    samplers = {**kernels.estimate_samplers(model), **kernels.GEOMETRY, "u_survey_0": kernels.FLOAT_2D}
+    samplers = {**kernels.estimate_samplers(model), **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
     defines = {**defines, **kernels.estimate_defines(model), "NORMAL_COMPONENT": model.offset(normal)}
     return Pass(
         Kernel(
@@ -258,15 +258,15 @@ def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
     )
 
 
-def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
+def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
     count = kernels.estimate_defines(model)["ESTIMATES"]
     samplers = {
-        **kernels.estimate_samplers(model), **kernels.OBSERVATIONS, "u_survey_fitness": kernels.FLOAT_2D,
+        **kernels.estimate_samplers(model), **kernels.OBSERVATIONS, "u_prefit_fitness": kernels.FLOAT_2D,
         **{f"u_work_{i}": kernels.FLOAT_2D for i in range(count)},
     }  # fmt: skip
     defines = {
         **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
-        "TRUST": f"{schedule.survey.trust:.9f}", "TRUST_FLOOR": f"{_TRUST_FLOOR:.9f}",
+        "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
     given = kernels.model_includes(model)
     return Pass(
@@ -276,14 +276,14 @@ def _judge_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
     samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS}
-    unknowns = build_unknowns(model, ()).count
+    free = build_free_parameters(model, ()).count
     defines = {
         **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
-        "LEAST_SAMPLES": max(schedule.survey.observations, _SAMPLES_AN_UNKNOWN * unknowns),
+        "LEAST_SAMPLES": max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * free),
     }  # fmt: skip
     outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
     return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
 
 
-def _judge_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
-    return loss_constants(domain, schedule.survey.judge_delta)
+def _acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:
+    return loss_constants(domain, schedule.prefit.acceptance_delta)

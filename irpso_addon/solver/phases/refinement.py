@@ -1,4 +1,4 @@
-"""The polish under way: Levenberg–Marquardt at every texel, from several starts and from what neighbours have found."""
+"""The refinement under way: Levenberg–Marquardt at every texel, from several starts and from what neighbours have found."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry, Pass
 from ...reflectance.model import ReflectanceModel
-from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, build_polish_passes
-from ..settings.resolve import ResolvedPolish
-from ..settings.schedule import Polish, Schedule
+from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, build_refinement_passes
+from ..settings.resolve import ResolvedRefinement
+from ..settings.schedule import Refinement, Schedule
 from ..state.reader import Reader
 from ..state.textures import (
     HALO,
     SOLVED,
     DomainTextures,
     Estimates,
-    MadeInSteps,
+    IncrementalAllocation,
     loss_constants,
     packed_states,
     texel_states,
@@ -41,14 +41,14 @@ class Track:
     iterations: int
 
 
-def tracks_of(polish: Polish, starts: int) -> tuple[Track, ...]:
-    """Return what is polished one after the other; after each, every texel keeps the best that it has had."""
-    several = [Track(start, polish.start_iterations) for start in range(BEST, starts)] if starts else []
-    spreads = [Track(SPREAD, polish.round_iterations)] * polish.rounds
-    return (*several, Track(BEST, polish.iterations), *spreads)
+def tracks_of(refinement: Refinement, starts: int) -> tuple[Track, ...]:
+    """Return what is refined one after the other; after each, every texel keeps the best that it has had."""
+    several = [Track(start, refinement.start_iterations) for start in range(BEST, starts)] if starts else []
+    spreads = [Track(SPREAD, refinement.round_iterations)] * refinement.rounds
+    return (*several, Track(BEST, refinement.iterations), *spreads)
 
 
-class Judge(Protocol):
+class AcceptanceTest(Protocol):
     """Has the last word on what is resolved."""
 
     def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
@@ -58,7 +58,7 @@ class Judge(Protocol):
         """Free shaders and textures."""
 
 
-class PolishTextures(MadeInSteps):
+class RefinementTextures(IncrementalAllocation):
     """Three sets of a material and its status, of which two are in use, and a status to begin or to end with."""
 
     def __init__(self, width: int, height: int, count: int):
@@ -74,8 +74,8 @@ class PolishTextures(MadeInSteps):
         yield
 
 
-class RunningPolish(Phase):
-    """The polish of a recovery, a Phase.
+class RefinementPhase(Phase):
+    """The refinement of a recovery, a Phase.
 
     Every texel has a best material so far, and one that is worked on; both with its fitness, its damping, and for how
     long it has been done (shaders/refine/status.glsl).
@@ -83,26 +83,26 @@ class RunningPolish(Phase):
 
     def __init__(
         self,
-        resolved: ResolvedPolish,
+        resolved: ResolvedRefinement,
         model: ReflectanceModel,
         schedule: Schedule,
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        judge: Judge | None = None,
+        acceptance: AcceptanceTest | None = None,
         penalty: Path = NO_PENALTY,
     ):
-        self._judge = judge
+        self._acceptance = acceptance
         self.title, self.iterations = resolved.title, resolved.iterations
         self.iteration = 0
         self._resolved, self._model = resolved, model
         self._schedule, self._domain, self._estimates = schedule, domain, estimates
         self._components = model.components
-        self.passes = build_polish_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
-        self._polish = resolved.polish
-        self._tracks = tracks_of(resolved.polish, len(resolved.starts))
+        self.passes = build_refinement_passes(model, resolved, schedule.fitness, domain.defines, entry, penalty)
+        self._refinement = resolved.refinement
+        self._tracks = tracks_of(resolved.refinement, len(resolved.starts))
         self._reader = Reader(entry)
-        self.textures = PolishTextures(*estimates.size, estimates.count)
+        self.textures = RefinementTextures(*estimates.size, estimates.count)
         self.best: list[Any] = []
         self.work: list[Any] = []
 
@@ -136,7 +136,9 @@ class RunningPolish(Phase):
             yield from self._begin(track, bands, seconds)
         target = self._spare()
         widening = self._widening(track, made)
-        yield from self._banded("polish", self.passes.step, target, self._bindings(self.work), bands, seconds, widening)
+        yield from self._banded(
+            "refinement", self.passes.step, target, self._bindings(self.work), bands, seconds, widening
+        )
         self.work = target
         if made == track.iterations - 1:
             target = self._spare()
@@ -152,8 +154,8 @@ class RunningPolish(Phase):
         yield from self._open(bands)
         targets = [*self._estimates.resolved, self.textures.kept]
         yield from self._once(bands, self.passes.keep, targets, self._kept_from())
-        if self._judge is not None:
-            yield from self._judge.deciding(bands, seconds)
+        if self._acceptance is not None:
+            yield from self._acceptance.deciding(bands, seconds)
 
     def preview(self, targets: list[Any]) -> None:
         """Put the better of the best so far and what is worked on into other textures, before it is judged."""
@@ -186,12 +188,12 @@ class RunningPolish(Phase):
         packed = np.concatenate([textures.download(t) for t in self._estimates.resolved], axis=-1)
         return self._domain.packing.unpack(packed[..., : self._components], np.nan)
 
-    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n) materials, and (M, n), as the best ones of the texels that belong to other tiles."""
         self._ensure()
         packing = self._domain.packing
         theirs = packed_states(self._domain.domain, packing) == HALO
-        given = packing.pack(values, annex)
+        given = packing.pack(values, ghosts)
         given = np.pad(given, ((0, 0), (0, 0), (0, 4 * self._estimates.count - given.shape[-1])))
         for i in range(self._estimates.count):
             part = np.where(theirs[..., None], given[..., 4 * i : 4 * i + 4], self._reader.read(self.best[i]))
@@ -213,8 +215,8 @@ class RunningPolish(Phase):
 
     def close(self) -> None:
         """Free shaders and textures."""
-        if self._judge is not None:
-            self._judge.close()
+        if self._acceptance is not None:
+            self._acceptance.close()
         self.passes.close()
         self._reader.close()
         if self.textures is not None:
@@ -247,7 +249,7 @@ class RunningPolish(Phase):
         """How many times its own width δ is in an iteration of a track: 1 in its last, and always but from starts."""
         if track.start < 0 or track.iterations < 2:
             return 1.0
-        return self._polish.widening ** (1 - made / (track.iterations - 1))
+        return self._refinement.widening ** (1 - made / (track.iterations - 1))
 
     def _begin(self, track: Track, bands: Bands, seconds: float) -> Iterator[None]:
         if track.start == BEST:

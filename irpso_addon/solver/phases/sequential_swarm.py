@@ -12,9 +12,9 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
-from ..kernels.encoding import build_codec
-from ..kernels.kernels import build_stage_passes
-from ..settings.resolve import ResolvedStage
+from ..kernels.encoding import build_encoding
+from ..kernels.kernels import build_sequential_swarm_passes
+from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import Schedule
 from ..state.reader import Reader
 from ..state.textures import SOLVED, DomainTextures, Estimates, SwarmTextures, loss_constants, texel_states
@@ -23,14 +23,14 @@ from .phase import Phase
 ALL_TOLD = 255  # a seed that knows of all eight dimensions
 
 
-class RunningStage(Phase):
+class SequentialSwarmPhase(Phase):
     """The swarms of a stage, a Phase. ``iteration`` counts from −particles, while it places one particle of each."""
 
     evaluations = 1  # one particle of each swarm moves
 
     def __init__(
         self,
-        stage: ResolvedStage,
+        stage: ResolvedSwarm,
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
@@ -41,13 +41,13 @@ class RunningStage(Phase):
         self.stage, self.schedule, self.seed = stage, schedule, seed
         self.title, self.iterations = stage.title, stage.iterations
         self._domain, self._estimates = domain, estimates
-        self.codec = build_codec(model, stage, schedule.swarm.normal)
-        self.particles = particle_count(schedule, self.codec.dimensions)
+        self.encoding = build_encoding(model, stage, schedule.swarm.normal)
+        self.particles = particle_count(schedule, self.encoding.dimensions)
         width, height = domain.packing.width, domain.packing.height
         self.width, self.height = width, height
-        self.swarm = SwarmTextures(width, height, self.particles, self.codec)
-        self.passes = build_stage_passes(
-            model, self.codec, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
+        self.swarm = SwarmTextures(width, height, self.particles, self.encoding)
+        self.passes = build_sequential_swarm_passes(
+            model, self.encoding, schedule, self.particles, self.swarm.atlas.across, domain.defines, entry
         )
         self.reader = Reader(entry)
         self.iteration = -self.particles
@@ -117,19 +117,19 @@ class RunningStage(Phase):
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
         self.swarm.ensure()
         packed = np.concatenate([self.reader.read(t) for t in self.swarm.global_best], axis=-1)
-        return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
+        return self._domain.packing.unpack(packed[..., : self.encoding.dimensions], np.nan)
 
     def global_fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every swarm's best fitness; NaN where none is solved."""
         self.swarm.ensure()
         return self._domain.packing.unpack(self.reader.read(self.swarm.global_fitness)[..., 0], np.nan)
 
-    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n) places, and (M, n), as the bests of the texels that belong to other tiles."""
         self.swarm.ensure()
-        packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
-        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values, annex)
-        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
+        packed = np.zeros((self.height, self.width, 4 * self.encoding.blocks), np.float32)
+        packed[..., : self.encoding.dimensions] = self._domain.packing.pack(values, ghosts)
+        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.encoding.blocks)}
         self.passes.take_halo.run(self.swarm.global_best, {**given, **self._domain.textures}, self.constants())
 
     def state(self) -> dict[str, np.ndarray]:
@@ -142,7 +142,7 @@ class RunningStage(Phase):
         self.swarm.restore(arrays)
         self.iteration = iteration
 
-    def inherit(self, old: RunningStage) -> None:
+    def inherit(self, old: SequentialSwarmPhase) -> None:
         """Go on with the swarms of a stage that looks for the same, which is over then."""
         self.swarm.stop()
         self.swarm, old.swarm, self.iteration = old.swarm, None, old.iteration
@@ -181,7 +181,7 @@ def reach_at(schedule: Schedule, iteration: int, iterations: int) -> int:
 
 
 def swarm_constants(
-    stage: ResolvedStage,
+    stage: ResolvedSwarm,
     schedule: Schedule,
     domain: DomainTextures,
     seed: int,

@@ -12,13 +12,13 @@ from ...gpu.bands import Bands
 from ..kernels.refinement import SPREAD_REACH
 from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
-from .refinement import BEST, SPREAD, RunningPolish, Track
+from .refinement import BEST, SPREAD, RefinementPhase, Track
 
 _TABLE = "materials"  # in a state
 
 
-class RunningMaterials(RunningPolish):
-    """A Phase: a polish whose rounds begin with the materials of a sample of the whole surface (mixture.py).
+class SharedMaterialsPhase(RefinementPhase):
+    """A Phase: a refinement whose rounds begin with the materials of a sample of the whole surface (mixture.py).
 
     Each round finds them anew. A tile or a rank is given the sample of all before an iteration whose ``reach`` is not
     0; without, its own stands for the whole.
@@ -46,7 +46,7 @@ class RunningMaterials(RunningPolish):
         self._table = textures.upload(material_table(features, self._resolved.materials.count))
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Make one iteration, as RunningPolish does."""
+        """Make one iteration, as RefinementPhase does."""
         yield from self._open(bands)
         if self._in_round and self._table is None:
             self.take_sample(self.sample())
@@ -76,12 +76,12 @@ class RunningMaterials(RunningPolish):
 
     def _widening(self, track: Track, made: int) -> float:
         last = track.iterations - 1
-        return 1.0 if track.start == BEST or last == 0 else self._polish.widening ** (1 - made / last)
+        return 1.0 if track.start == BEST or last == 0 else self._refinement.widening ** (1 - made / last)
 
     def _bindings(self, held: list[Any]) -> dict[str, Any]:
         table = {} if self._table is None else {"u_materials": self._table}
         return {**super()._bindings(held), **table}
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
-        first = self.iteration < 1 + self._polish.round_iterations
+        first = self.iteration < 1 + self._refinement.round_iterations
         return {**super()._constants(start, widening), "u_mirror": int(not first)}

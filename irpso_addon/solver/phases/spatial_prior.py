@@ -15,12 +15,12 @@ from ..kernels.spatial_prior import DEVIATION, FIRST_ROUND, NOISE, build_prior_p
 from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
 from ..state.reader import Reader
-from ..state.textures import HALO, DomainTextures, Estimates, MadeInSteps, loss_constants, packed_states
+from ..state.textures import HALO, DomainTextures, Estimates, IncrementalAllocation, loss_constants, packed_states
 from .phase import Phase
-from .refinement import Judge
+from .refinement import AcceptanceTest
 
 
-class PriorTextures(MadeInSteps):
+class PriorTextures(IncrementalAllocation):
     """What a prior remembers of every texel.
 
     noise: of the samples (shaders/prior/variance.glsl). belief: means, then deviations, of the numbers: what
@@ -74,12 +74,12 @@ class PriorTextures(MadeInSteps):
         return {"u_noise": self.noise, "u_penalty": self.penalty, "u_work_status": self.work[-1], **several}
 
 
-class RunningPrior(Phase):
+class SpatialPriorPhase(Phase):
     """The prior of a recovery, a Phase: empirical Bayes over neighbours that are alike, then a fit to both.
 
     Iteration 0 asks what the fit leaves of the samples, iteration 1 how well they tell each number, the rounds what
     neighbours say of them; the steps that follow look for the most probable material. A texel keeps what it had where
-    that fits significantly worse, and where the judge says so.
+    that fits significantly worse, and where the acceptance test says so.
     """
 
     def __init__(
@@ -90,9 +90,9 @@ class RunningPrior(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        judge: Judge | None = None,
+        acceptance: AcceptanceTest | None = None,
     ):
-        self._judge = judge
+        self._acceptance = acceptance
         self.title, self.iterations = resolved.title, resolved.iterations
         self.iteration = 0
         self._resolved, self._model, self._schedule = resolved, model, schedule
@@ -145,8 +145,8 @@ class RunningPrior(Phase):
             yield from self._copies(bands, self._estimates.current, self._estimates.resolved)
             return
         yield from self._banded("prior keep", self.passes.keep, self._estimates.resolved, bands, seconds)
-        if self._judge is not None:
-            yield from self._judge.deciding(bands, seconds)
+        if self._acceptance is not None:
+            yield from self._acceptance.deciding(bands, seconds)
 
     def reached(self, threshold: float) -> bool:
         """Return False: a prior is not there to make the fitness better."""
@@ -158,12 +158,12 @@ class RunningPrior(Phase):
         packed = [self._reader.read(texture) for texture in (self.textures.noise, *self.textures.belief)]
         return self._domain.packing.unpack(np.concatenate(packed, axis=-1), np.nan)
 
-    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n), and (M, n), for the texels that belong to other tiles; others are left alone."""
         self.textures.ensure()
         packing, held = self._domain.packing, self.textures
         theirs = packed_states(self._domain.domain, packing)[..., None] == HALO
-        given = packing.pack(values, annex)
+        given = packing.pack(values, ghosts)
         merged = [
             textures.upload(np.where(theirs, given[..., 4 * i : 4 * i + 4], self._reader.read(texture)))
             for i, texture in enumerate((held.noise, *held.belief))
@@ -182,8 +182,8 @@ class RunningPrior(Phase):
 
     def close(self) -> None:
         """Free shaders and textures."""
-        if self._judge is not None:
-            self._judge.close()
+        if self._acceptance is not None:
+            self._acceptance.close()
         self.passes.close()
         self._reader.close()
         if self.textures is not None:

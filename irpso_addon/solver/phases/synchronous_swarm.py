@@ -12,18 +12,18 @@ from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
-from ..kernels.encoding import build_codec
+from ..kernels.encoding import build_encoding
 from ..kernels.linear_weights import LinearWeights, linear_weights
-from ..kernels.synchronous_swarm import MAX_PARTICLES, build_generation_passes
-from ..settings.resolve import ResolvedStage
+from ..kernels.synchronous_swarm import MAX_PARTICLES, build_synchronous_swarm_passes
+from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import Schedule
 from ..state.reader import Reader
-from ..state.textures import SOLVED, UNFIT, DomainTextures, Estimates, MadeInSteps, plan_atlas, texel_states
+from ..state.textures import SOLVED, UNFIT, DomainTextures, Estimates, IncrementalAllocation, plan_atlas, texel_states
 from .phase import Phase
 from .sequential_swarm import ALL_TOLD, particle_count, reach_at, swarm_constants
 
 
-class RunningGenerations(Phase):
+class SynchronousSwarmPhase(Phase):
     """The swarms of a stage that move as a whole, a Phase. Iteration −1 places all particles.
 
     State is kept twice: a generation is judged from the old one and written into the new one, then they change places.
@@ -31,7 +31,7 @@ class RunningGenerations(Phase):
 
     def __init__(
         self,
-        stage: ResolvedStage,
+        stage: ResolvedSwarm,
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
@@ -42,13 +42,22 @@ class RunningGenerations(Phase):
         self.stage, self.schedule, self.seed = stage, schedule, seed
         self.title, self.iterations = stage.title, stage.iterations
         self._domain, self._estimates = domain, estimates
-        self.codec = build_codec(model, stage, schedule.swarm.normal)
+        self.encoding = build_encoding(model, stage, schedule.swarm.normal)
         self.linear = linear_weights(model, stage.solved)
-        self.particles = _checked(particle_count(schedule, self.codec.dimensions))
+        self.particles = _checked(particle_count(schedule, self.encoding.dimensions))
         self.width, self.height = domain.packing.width, domain.packing.height
-        self.textures = GenerationTextures(self.width, self.height, self.particles, self.codec.blocks, self.linear)
-        self.passes = build_generation_passes(
-            model, self.codec, self.linear, schedule, self.particles, self.textures.atlas.across, domain.defines, entry
+        self.textures = SynchronousSwarmTextures(
+            self.width, self.height, self.particles, self.encoding.blocks, self.linear
+        )
+        self.passes = build_synchronous_swarm_passes(
+            model,
+            self.encoding,
+            self.linear,
+            schedule,
+            self.particles,
+            self.textures.atlas.across,
+            domain.defines,
+            entry,
         )
         self.reader = Reader(entry)
         self.iteration = -1
@@ -89,7 +98,7 @@ class RunningGenerations(Phase):
             else (passes.move, passes.commit, passes.best)
         )
         steps = [
-            ("place" if placing else "generation", find, old.found, inputs),
+            ("place" if placing else "synchronous", find, old.found, inputs),
             ("place commit" if placing else "commit", commit, old.spare_state, judged),
             ("place best" if placing else "best", best, old.spare_bests, judged),
         ]
@@ -109,7 +118,7 @@ class RunningGenerations(Phase):
 
     def constants(self) -> dict[str, int | float]:
         """Return the push constants of the iteration that is next."""
-        told = ALL_TOLD if self.schedule.swarm.seed == "given" else self.codec.lambert_tells
+        told = ALL_TOLD if self.schedule.swarm.seed == "given" else self.encoding.lambert_tells
         return swarm_constants(
             self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles, told
         )  # fmt: skip
@@ -133,21 +142,21 @@ class RunningGenerations(Phase):
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
         self.textures.ensure()
-        packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.codec.blocks]], axis=-1)
-        return self._domain.packing.unpack(packed[..., : self.codec.dimensions], np.nan)
+        packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.encoding.blocks]], axis=-1)
+        return self._domain.packing.unpack(packed[..., : self.encoding.dimensions], np.nan)
 
     def fitness(self) -> np.ndarray:
         """Return (h, w) float32, packed as the domain's textures: every swarm's best fitness."""
         self.textures.ensure()
         return self.reader.read(self.textures.bests[-1])[..., 0]
 
-    def take_halo(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> None:
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
         """Take (H, W, n) places, and (M, n), as the bests of the texels that belong to other tiles."""
         self.textures.ensure()
-        packed = np.zeros((self.height, self.width, 4 * self.codec.blocks), np.float32)
-        packed[..., : self.codec.dimensions] = self._domain.packing.pack(values, annex)
-        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.codec.blocks)}
-        targets = self.textures.bests[: self.codec.blocks]
+        packed = np.zeros((self.height, self.width, 4 * self.encoding.blocks), np.float32)
+        packed[..., : self.encoding.dimensions] = self._domain.packing.pack(values, ghosts)
+        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.encoding.blocks)}
+        targets = self.textures.bests[: self.encoding.blocks]
         self.passes.take_halo.run(targets, {**given, **self._domain.textures}, self.constants())
 
     def state(self) -> dict[str, np.ndarray]:
@@ -160,7 +169,7 @@ class RunningGenerations(Phase):
         self.textures.restore(arrays)
         self.iteration = iteration
 
-    def inherit(self, old: RunningGenerations) -> None:
+    def inherit(self, old: SynchronousSwarmPhase) -> None:
         """Go on with the swarms of a stage that looks for the same, which is over then."""
         self.textures.stop()
         self.textures, old.textures, self.iteration = old.textures, None, old.iteration
@@ -174,7 +183,7 @@ class RunningGenerations(Phase):
         self.textures = None
 
 
-class GenerationTextures(MadeInSteps):
+class SynchronousSwarmTextures(IncrementalAllocation):
     """All that the swarms of one stage remember, twice, and what a generation finds.
 
     state: position, velocity, best, fitness in atlases. bests: global best places, their linear weights, fitness.

@@ -12,12 +12,12 @@ from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_
 from ..phases.sequential_swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
-    ResolvedPolish,
+    ResolvedPrefit,
     ResolvedPrior,
-    ResolvedStage,
-    ResolvedSurvey,
+    ResolvedRefinement,
+    ResolvedSwarm,
+    prefit_model,
     resolve,
-    survey_model,
 )
 from ..settings.schedule import Schedule
 from ..state.textures import plan_atlas
@@ -25,13 +25,16 @@ from ..state.textures import plan_atlas
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 # What iterations cost beside each other, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a render for Levenberg–Marquardt, which adds up normal equations
-MOVING, CALM = 0.75, 0.2  # of a polish step: what is left of its cost after another one, and when nearly all are done
+MOVING, CALM = (
+    0.75,
+    0.2,
+)  # of a refinement step: what is left of its cost after another one, and when nearly all are done
 LOOKS = 10.0  # all that a prior makes of one neighbour
 _SIDE = 16384  # of a texture: how an atlas is laid out depends on it only where it does not fit at all
 
 
 @dataclass(frozen=True)
-class PhaseNeed:
+class PhaseCost:
     """Bytes a texel of one phase of a recovery, beside the domain's and the estimates', and what it does.
 
     atlas: how many W×H tiles its largest textures have, which hold all particles. textures: bytes of all textures.
@@ -48,7 +51,7 @@ class PhaseNeed:
 
 
 @dataclass(frozen=True)
-class Need:
+class Cost:
     """What a recovery asks for at every texel.
 
     observations: that are fitted; observed: with those held out. components: of the model. compute: whether passes are
@@ -58,7 +61,7 @@ class Need:
     observations: int
     observed: int
     components: int
-    phases: tuple[PhaseNeed, ...]
+    phases: tuple[PhaseCost, ...]
     compute: bool = False
     alternatives: int = 0
 
@@ -96,31 +99,31 @@ class Need:
         return each + copies + max(phase.textures for phase in self.phases)
 
 
-def recovery_need(
+def recovery_cost(
     model: ReflectanceModel,
     schedule: Schedule,
-    known: Collection[str],
+    fixed: Collection[str],
     observations: int,
     held_out: int = 0,
     compute: bool = False,
-) -> Need:
+) -> Cost:
     """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
-    stages = resolve(schedule, model, set(known), observations - held_out)
-    phases = tuple(phase_need(stage, model, schedule) for stage in stages)
+    stages = resolve(schedule, model, set(fixed), observations - held_out)
+    phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
     free = model.without_priors({p.name for p in model.parameters})
-    numbers = sum(p.components for p in asked(free, known, schedule.fitness))
-    return Need(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4))
+    numbers = sum(p.components for p in asked(free, fixed, schedule.fitness))
+    return Cost(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4))
 
 
-def phase_need(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseNeed:
+def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:
     """Return what one resolved stage asks for."""
-    if isinstance(resolved, ResolvedStage):
-        return _swarm_need(resolved, schedule)
-    if isinstance(resolved, ResolvedSurvey):
-        return _survey_need(resolved, schedule)
+    if isinstance(resolved, ResolvedSwarm):
+        return _swarm_cost(resolved, schedule)
+    if isinstance(resolved, ResolvedPrefit):
+        return _prefit_cost(resolved, schedule)
     if isinstance(resolved, ResolvedPrior):
-        return _prior_need(resolved, model)
-    return _polish_need(resolved, model)
+        return _prior_cost(resolved, model)
+    return _refinement_cost(resolved, model)
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
@@ -128,32 +131,32 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
 
     What a recovery's progress counts: as long as it takes, about, and known before it begins.
     """
-    if isinstance(resolved, ResolvedSurvey):
-        own = survey_model()
+    if isinstance(resolved, ResolvedPrefit):
+        own = prefit_model()
         return (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
-                *_polish_work(resolved.polish, own, observations, 1.0))  # fmt: skip
-    if isinstance(resolved, ResolvedStage):
+                *_refinement_work(resolved.refinement, own, observations, 1.0))  # fmt: skip
+    if isinstance(resolved, ResolvedSwarm):
         return _swarm_work(resolved, schedule, observations)
-    if isinstance(resolved, ResolvedPolish):
-        return _polish_work(resolved, model, observations, STEP)
-    looks, first_step = LOOKS * taps_of(resolved.prior), FIRST_ROUND + resolved.prior.rounds
+    if isinstance(resolved, ResolvedRefinement):
+        return _refinement_work(resolved, model, observations, STEP)
+    neighbour_reads, first_step = LOOKS * taps_of(resolved.prior), FIRST_ROUND + resolved.prior.rounds
     made = [evaluations_of(resolved, model, i) * observations for i in range(resolved.iterations)]
     found, fitted = made[:FIRST_ROUND], made[first_step:]
-    return (*map(float, found), *[looks] * resolved.prior.rounds, *(STEP * renders for renders in fitted))
+    return (*map(float, found), *[neighbour_reads] * resolved.prior.rounds, *(STEP * renders for renders in fitted))
 
 
-def _swarm_work(stage: ResolvedStage, schedule: Schedule, observations: int) -> tuple[float, ...]:
+def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> tuple[float, ...]:
     particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
     if schedule.swarm.update == "all":
         return (float(particles * (2 if stage.solved else 1) * observations),) * (1 + stage.iterations)
     return (float(observations),) * (particles + stage.iterations)
 
 
-def _polish_work(
-    resolved: ResolvedPolish, model: ReflectanceModel, observations: int, cost: float
+def _refinement_work(
+    resolved: ResolvedRefinement, model: ReflectanceModel, observations: int, cost: float
 ) -> tuple[float, ...]:
-    """Every texel moves while it is polished from starts; from the best so far, and after offers, ever fewer do."""
-    settings, (step, spread) = resolved.polish, (cost * n * observations for n in renders(model, resolved))
+    """Every texel moves while it is refined from starts; from the best so far, and after offers, ever fewer do."""
+    settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
     starts = resolved.iterations - settings.iterations - settings.rounds * settings.round_iterations
     from_best = [step * max(CALM, MOVING**i) for i in range(settings.iterations)]
     after_offers = [spread + step * CALM, *[step * CALM] * (settings.round_iterations - 1)]
@@ -162,49 +165,49 @@ def _polish_work(
 
 def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:
     """Return of how many W×H tiles, one after another, the atlas of a stage's particles is; 1 where it has none."""
-    if isinstance(resolved, ResolvedSurvey):
+    if isinstance(resolved, ResolvedPrefit):
         resolved = resolved.stage
-    if not isinstance(resolved, ResolvedStage):
+    if not isinstance(resolved, ResolvedSwarm):
         return 1
     dimensions = resolved.dimensions(schedule.swarm.normal)
     return particle_count(schedule, dimensions) * (1 if dimensions <= 4 else 2)
 
 
-def _survey_need(resolved: ResolvedSurvey, schedule: Schedule) -> PhaseNeed:
-    """Return the need of a survey: of the larger of its two phases, and of its own model's estimates."""
-    model = survey_model()
-    swarm, polish = _swarm_need(resolved.stage, schedule), _polish_need(resolved.polish, model)
+def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
+    """Return the need of a prefit: of the larger of its two phases, and of its own model's estimates."""
+    model = prefit_model()
+    swarm, refinement = _swarm_cost(resolved.stage, schedule), _refinement_cost(resolved.refinement, model)
     own = FLOAT4 * -(-model.components // 4)
-    return PhaseNeed(
-        max(swarm.atlas, polish.atlas),
-        max(swarm.textures, polish.textures) + 2 * own,
-        max(swarm.kept, polish.kept) + own,
-        max(swarm.reach, polish.reach),
-        swarm.exchanges + polish.exchanges,
-        swarm.evaluations + polish.evaluations,
+    return PhaseCost(
+        max(swarm.atlas, refinement.atlas),
+        max(swarm.textures, refinement.textures) + 2 * own,
+        max(swarm.kept, refinement.kept) + own,
+        max(swarm.reach, refinement.reach),
+        swarm.exchanges + refinement.exchanges,
+        swarm.evaluations + refinement.evaluations,
     )
 
 
-def _polish_need(resolved: ResolvedPolish, model: ReflectanceModel) -> PhaseNeed:
-    """Return the need of a polish, whose textures are those of RunningPolish: three sets, of which two are kept."""
-    settings, held = resolved.polish, FLOAT4 * (-(-model.components // 4) + 1)
+def _refinement_cost(resolved: ResolvedRefinement, model: ReflectanceModel) -> PhaseCost:
+    """Return the need of a refinement, whose textures are those of RefinementPhase: three sets, of which two are kept."""
+    settings, held = resolved.refinement, FLOAT4 * (-(-model.components // 4) + 1)
     step, spread = renders(model, resolved)
     evaluations = resolved.iterations * step + settings.rounds * spread
     textures = 3 * held + 2 * FLOAT4  # one that shows, one to begin with
-    return PhaseNeed(1, textures, 2 * held, SPREAD_REACH * int(settings.rounds > 0), settings.rounds, evaluations)
+    return PhaseCost(1, textures, 2 * held, SPREAD_REACH * int(settings.rounds > 0), settings.rounds, evaluations)
 
 
-def _prior_need(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseNeed:
+def _prior_cost(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseCost:
     """Return the need of a prior, whose textures are those of PriorTextures."""
     held = -(-model.components // 4)
     textures = FLOAT4 * (2 + 5 * held + 2 * (held + 1)) + FLOAT
     kept = FLOAT4 * (1 + 3 * held + held + 1) + FLOAT
     evaluations = sum(evaluations_of(resolved, model, i) for i in range(resolved.iterations))
-    return PhaseNeed(1, textures, kept, reach_of(resolved.prior), 1 + resolved.prior.rounds, evaluations)
+    return PhaseCost(1, textures, kept, reach_of(resolved.prior), 1 + resolved.prior.rounds, evaluations)
 
 
-def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:
-    """Return the need of a swarm's stage, whose textures are those of SwarmTextures or GenerationTextures."""
+def _swarm_cost(stage: ResolvedSwarm, schedule: Schedule) -> PhaseCost:
+    """Return the need of a swarm's stage, whose textures are those of SwarmTextures or SynchronousSwarmTextures."""
     particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
     blocks = 1 if dimensions <= 4 else 2
     linear = -(-sum(p.components for p in stage.solved) // 4)
@@ -213,10 +216,10 @@ def _swarm_need(stage: ResolvedStage, schedule: Schedule) -> PhaseNeed:
     state = (3 * FLOAT4 + FLOAT) * tiles  # position, velocity, best; fitness
     bests = FLOAT4 * (blocks + linear) + FLOAT
     reaches = [reach_at(schedule, i, stage.iterations) for i in range(stage.iterations)]
-    looks = max(reaches), sum(reach > 0 for reach in reaches)
+    neighbour_reads = max(reaches), sum(reach > 0 for reach in reaches)
     if schedule.swarm.update == "all":
         found = FLOAT4 * (-(-particles // 4) + linear + blocks)  # fitnesses, weights, means
         renders = (1 + stage.iterations) * particles * (2 if linear else 1)
-        return PhaseNeed(tiles, 2 * (state + bests) + found, state + bests, *looks, renders)
+        return PhaseCost(tiles, 2 * (state + bests) + found, state + bests, *neighbour_reads, renders)
     candidates = FLOAT4 * (2 * blocks + 1)
-    return PhaseNeed(tiles, state + bests + candidates, state + bests, *looks, particles + stage.iterations)
+    return PhaseCost(tiles, state + bests + candidates, state + bests, *neighbour_reads, particles + stage.iterations)

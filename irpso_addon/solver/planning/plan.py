@@ -10,7 +10,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...geometry.seams.seams import LOOKED_FOR, SEAM_REACH
 from ..state.textures import plan_atlas
-from .cost import FLOAT, FLOAT2, FLOAT4, Need
+from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
 _BAKE = 65  # on the host: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
@@ -126,7 +126,7 @@ class Plan:
 
 def plan_recovery(
     coverage: np.ndarray,
-    need: Need,
+    cost: Cost,
     memory: Memory,
     limits: Limits = Limits(),
     stack_on: str | None = None,
@@ -141,45 +141,45 @@ def plan_recovery(
     given. borders: of a mesh, whose seams take memory too. Raises InputError, naming the setting, where even small
     tiles do not fit, and where no texel is covered.
     """
-    if need.observations > limits.layers:
+    if cost.observations > limits.layers:
         raise InputError(
-            f"{need.observations} observations exceed this GPU's textures of {limits.layers} layers; hold some out"
+            f"{cost.observations} observations exceed this GPU's textures of {limits.layers} layers; hold some out"
         )
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
     if not boxes:
-        fits = _fits(coverage, whole, need, memory, limits, borders)
-        boxes = [whole] if fits else _cut(coverage, need, memory, limits, borders)
-    tiles = tuple(tile_of(coverage, box, need, borders) for box in boxes)
+        fits = _fits(coverage, whole, cost, memory, limits, borders)
+        boxes = [whole] if fits else _cut(coverage, cost, memory, limits, borders)
+    tiles = tuple(tile_of(coverage, box, cost, borders) for box in boxes)
     largest = max(tile.device for tile in tiles)
     restored = max(tile.restored for tile in tiles)
     resident = sum(tile.device for tile in tiles) <= memory.device
     on_device = len(tiles) if resident else max(1, (memory.device - restored) // largest)
-    host, scratch, stack_on, state_on = _places(coverage.size, tiles, need, memory, resident, stack_on)
+    host, scratch, stack_on, state_on = _places(coverage.size, tiles, cost, memory, resident, stack_on)
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
     texels = _texels(coverage)
     return Plan(
-        coverage.shape, texels, need.observations, tiles, 0 if boxes == [whole] else need.reach, on_device, stack_on,
-        state_on, 1 if resident else 1 + need.exchanges, device, host, scratch, texels * need.evaluations, memory,
+        coverage.shape, texels, cost.observations, tiles, 0 if boxes == [whole] else cost.reach, on_device, stack_on,
+        state_on, 1 if resident else 1 + cost.exchanges, device, host, scratch, texels * cost.evaluations, memory,
     )  # fmt: skip
 
 
-def device_bytes(texels: int, rectangle: int, need: Need) -> int:
+def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
     """Return the bytes of all textures of a recovery of so many packed texels in a rectangle of so many."""
-    table = 3 * FLOAT4 * need.observations
-    return _places_of(texels) * need.device + FLOAT2 * rectangle + table
+    table = 3 * FLOAT4 * cost.observations
+    return _places_of(texels) * cost.device + FLOAT2 * rectangle + table
 
 
-def host_bytes(texels: int, rectangle: int, need: Need) -> int:
+def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:
     """Return the bytes on the host while a tile is put on the device or taken off: its stack, geometry and state."""
     geometry = 4 * FLOAT4
-    return _places_of(texels) * (FLOAT4 * need.observations + geometry + need.kept) + FLOAT2 * rectangle
+    return _places_of(texels) * (FLOAT4 * cost.observations + geometry + cost.kept) + FLOAT2 * rectangle
 
 
-def restored_bytes(texels: int, need: Need) -> int:
+def restored_bytes(texels: int, cost: Cost) -> int:
     """Return the bytes of what a tile that comes back to the device has taken along."""
-    return _places_of(texels) * need.kept
+    return _places_of(texels) * cost.kept
 
 
 def _places_of(texels: int) -> int:
@@ -198,42 +198,42 @@ def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))
 
 
-def tile_of(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> Tile:
+def tile_of(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> Tile:
     """Return a box of the covered texels, (H, W) bool, as a tile."""
-    texels, device, host = _amounts(coverage, box, need, borders)
+    texels, device, host = _amounts(coverage, box, cost, borders)
     own = coverage[_around(box, 0, coverage.shape)]
-    return Tile(*box, _texels(own), device, host, restored_bytes(texels, need))
+    return Tile(*box, _texels(own), device, host, restored_bytes(texels, cost))
 
 
-def _amounts(coverage: np.ndarray, box: Box, need: Need, borders: Borders | None) -> tuple[int, int, int]:
-    """Return the texels of a tile with its halo and its annex, and its bytes on the device and on the host."""
-    part = coverage[_around(box, need.reach, coverage.shape)]
+def _amounts(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None) -> tuple[int, int, int]:
+    """Return the texels of a tile with its halo and its ghosts, and its bytes on the device and on the host."""
+    part = coverage[_around(box, cost.reach, coverage.shape)]
     texels, seams = _texels(part), 0
     if borders is not None:
-        beside = borders.beside(box, need.reach)
-        annex = int(beside * (need.reach if need.reach <= LOOKED_FOR else SEAM_REACH))
-        texels += min(annex, _texels(coverage) - texels)
+        beside = borders.beside(box, cost.reach)
+        ghosts = int(beside * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
+        texels += min(ghosts, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
         # What lies past borders has four channels; what is seen there fills whole layers of the geometry.
         places = _places_of(texels)
         layers = -(-int(beside * SEAM_REACH) // places)
         seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
-    return texels, device_bytes(texels, part.size, need) + seams, host_bytes(texels, part.size, need) + seams
+    return texels, device_bytes(texels, part.size, cost) + seams, host_bytes(texels, part.size, cost) + seams
 
 
-def _cut(coverage: np.ndarray, need: Need, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
+def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
     """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
     count = 1
     while True:
         boxes = list(divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
-        unfit = [box for box in boxes if not _fits(coverage, box, need, memory, limits, borders, in_turns=True)]
+        unfit = [box for box in boxes if not _fits(coverage, box, cost, memory, limits, borders, in_turns=True)]
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            found = tile_of(coverage, small[0], need, borders)
+            found = tile_of(coverage, small[0], cost, borders)
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {found.width} ×"
-                f" {found.height} texels with a halo of {need.reach} takes {amount(found.device)}; allow more, or lower"
+                f" {found.height} texels with a halo of {cost.reach} takes {amount(found.device)}; allow more, or lower"
                 " the number of observations or the number of particles"
             )
         count = max(count + 1, int(1.1 * count))
@@ -268,25 +268,25 @@ def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
 def _fits(
     coverage: np.ndarray,
     box: Box,
-    need: Need,
+    cost: Cost,
     memory: Memory,
     limits: Limits,
     borders: Borders | None,
     in_turns: bool = False,
 ) -> bool:
-    texels, device, _ = _amounts(coverage, box, need, borders)
-    device += in_turns * restored_bytes(texels, need)
-    shape = coverage[_around(box, need.reach, coverage.shape)].shape
+    texels, device, _ = _amounts(coverage, box, cost, borders)
+    device += in_turns * restored_bytes(texels, cost)
+    shape = coverage[_around(box, cost.reach, coverage.shape)].shape
     border = 0 if borders is None else 2 * SEAM_REACH
-    return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), need, limits)
+    return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), cost, limits)
 
 
-def _fits_textures(texels: int, shape: tuple[int, int], need: Need, limits: Limits) -> bool:
+def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
     """Return whether no single texture is larger than the device takes one."""
     places = _places_of(texels)
     side = int(np.ceil(np.sqrt(places)))
-    tiles = max(phase.atlas for phase in need.phases)
-    if max(*shape, side) > limits.side or places * FLOAT4 * need.observations > limits.texture:
+    tiles = max(phase.atlas for phase in cost.phases)
+    if max(*shape, side) > limits.side or places * FLOAT4 * cost.observations > limits.texture:
         return False
     try:
         atlas = plan_atlas(side, side, tiles, limits.side)
@@ -296,15 +296,15 @@ def _fits_textures(texels: int, shape: tuple[int, int], need: Need, limits: Limi
 
 
 def _places(
-    texels: int, tiles: Sequence[Tile], need: Need, memory: Memory, resident: bool, stack_on: str | None
+    texels: int, tiles: Sequence[Tile], cost: Cost, memory: Memory, resident: bool, stack_on: str | None
 ) -> tuple[int, int, str, str]:
     """Return (host, scratch, stack_on, state_on): in memory what it has room for, the sample stack first.
 
     texels: of the domain, covered or not.
     """
-    stack = FLOAT4 * need.observed * texels
-    state = 0 if resident else need.kept * sum(_places_of(tile.texels) for tile in tiles)
-    maps = FLOAT * (2 * need.components + 1) * texels
+    stack = FLOAT4 * cost.observed * texels
+    state = 0 if resident else cost.kept * sum(_places_of(tile.texels) for tile in tiles)
+    maps = FLOAT * (2 * cost.components + 1) * texels
     least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for where in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:

@@ -23,7 +23,7 @@ from ..engine.tiled import TiledRecovery
 from ..settings.schedule import Schedule, refuse_levels
 from ..state import checkpoint
 from ..state.prepare import Prepared
-from .cost import recovery_need
+from .cost import recovery_cost
 from .memory import machine_memory
 from .plan import Borders, Limits, Plan, plan_recovery
 
@@ -39,7 +39,7 @@ def make_plan(
     coverage: np.ndarray,
     model: ReflectanceModel,
     schedule: Schedule,
-    known: Collection[str],
+    fixed: Collection[str],
     observations: int,
     held_out: int = 0,
     *,
@@ -58,13 +58,13 @@ def make_plan(
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
-    need = recovery_need(model, schedule, known, observations, held_out, entry != "fragment")
+    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
     boxes = []
     if resumed is not None:
         boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
         _check_boxes(boxes, coverage)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
-    plan = plan_recovery(coverage, need, allowed, limits, stack_on, boxes, borders)
+    plan = plan_recovery(coverage, cost, allowed, limits, stack_on, boxes, borders)
     if not untiled(plan):
         refuse_levels(schedule)
     return plan
@@ -106,7 +106,7 @@ def planned_recovery(
     model: ReflectanceModel,
     schedule: Schedule,
     seed: int,
-    known: Mapping[str, np.ndarray],
+    fixed: Mapping[str, np.ndarray],
     entry: str,
     scratch: Path,
     prepared: Prepared | None = None,
@@ -116,7 +116,7 @@ def planned_recovery(
     scratch: the folder for scratch files. prepared: of ``prepare``, packed where the domain is solved as one; a domain
     of several levels is prepared level by level.
     """
-    settings = (domain, model, schedule, seed, known, entry)
+    settings = (domain, model, schedule, seed, fixed, entry)
     if untiled(plan):
         return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
     folder = scratch if plan.state_on == "scratch" else None

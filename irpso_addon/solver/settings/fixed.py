@@ -19,9 +19,9 @@ def full_map(model: ReflectanceModel, name: str, value: np.ndarray, shape: tuple
         value = np.broadcast_to(value, (*shape, len(value)))
     if value.shape != (*shape, parameter.components):
         raise InputError(
-            f"known {name}: its shape is {value.shape}, the domain wants {(*shape, parameter.components)};"
+            f"fixed {name}: its shape is {value.shape}, the domain wants {(*shape, parameter.components)};"
             " resample it to the domain"
         )
     if not np.isfinite(value).all():
-        raise InputError(f"known {name}: it holds values that are not finite; fill them first")
+        raise InputError(f"fixed {name}: it holds values that are not finite; fill them first")
     return value

@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ...core.errors import InputError
 
-_FROM_ZERO = {"iterations", "neighbour_every", "survey_iterations", "survey_polish_iterations", "survey_observations",
-              "polish_iterations", "polish_rounds", "prior_rounds", "materials_rounds"}  # fmt: skip
-_ABOVE_ZERO = {"v_max", "delta", "percentile", "level_iterations", "survey_judge_delta", "polish_damping",
+_FROM_ZERO = {"iterations", "neighbour_every", "prefit_iterations", "prefit_refinement_iterations", "prefit_observations",
+              "refinement_iterations", "refinement_rounds", "prior_rounds", "materials_rounds"}  # fmt: skip
+_ABOVE_ZERO = {"v_max", "delta", "percentile", "level_iterations", "prefit_acceptance_delta", "refinement_damping",
                "prior_likeness", "prior_likeness_color", "prior_spread", "prior_noise_freedom", "prior_share",
                "prior_tolerance"}  # fmt: skip
 # At five levels a coarse texel is 16 × 16; at six scales a round of the prior reaches 64 texels.
@@ -25,7 +25,7 @@ _MOST = {
     "prior_scales": 6,
     "highlight_power": 1,
 }
-_FROM_ONE = {"polish_widening"}
+_FROM_ONE = {"refinement_widening"}
 _ODD = {"neighbourhood"}
 
 

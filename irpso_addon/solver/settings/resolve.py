@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .schedule import ALL, MAX_DIMENSIONS, REST, Materials, NormalSearch, Polish, Prior, Schedule, Stage, Survey
+from .schedule import ALL, MAX_DIMENSIONS, REST, Materials, NormalSearch, Prefit, Prior, Refinement, Schedule, Stage
 
 _ROUNDS = 2  # of the neighbours' offers, with the normals held
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them
 
 
 @dataclass(frozen=True)
-class ResolvedStage:
+class ResolvedSwarm:
     """A stage for one model: the parameters that are searched, in the table's order, and for how long.
 
     solved: those that are found in closed form for every particle instead.
@@ -41,42 +41,42 @@ class ResolvedStage:
 
 
 @dataclass(frozen=True)
-class ResolvedPolish:
-    """The polish for one model: the parameters that are found together, and where to begin besides the estimate."""
+class ResolvedRefinement:
+    """The refinement for one model: the parameters that are found together, and where to begin besides the estimate."""
 
     parameters: tuple[Parameter, ...]
-    polish: Polish
+    refinement: Refinement
     starts: tuple[Start, ...]
-    title: str = "polish"
+    title: str = "refinement"
 
     @property
     def iterations(self) -> int:
         """How many steps are made in all."""
-        settings = self.polish
+        settings = self.refinement
         from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
         return from_starts + settings.iterations + settings.rounds * settings.round_iterations
 
 
 @dataclass(frozen=True)
-class ResolvedMaterials(ResolvedPolish):
-    """The phase of the materials that the surface shares: a polish whose rounds begin with what those offer."""
+class ResolvedMaterials(ResolvedRefinement):
+    """The phase of the materials that the surface shares: a refinement whose rounds begin with what those offer."""
 
     materials: Materials = Materials()
 
 
 @dataclass(frozen=True)
-class ResolvedSurvey:
-    """The survey: what its swarms and its polish search, all of its own model."""
+class ResolvedPrefit:
+    """The prefit: what its swarms and its refinement search, all of its own model."""
 
-    stage: ResolvedStage
-    polish: ResolvedPolish
+    stage: ResolvedSwarm
+    refinement: ResolvedRefinement
 
-    title = "survey of the normals"
+    title = "prefit of the normals"
 
     @property
     def iterations(self) -> int:
         """How many iterations are made in all."""
-        return self.stage.iterations + self.polish.iterations
+        return self.stage.iterations + self.refinement.iterations
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class ResolvedPrior:
     parameters: tuple[Parameter, ...]
     pooled: tuple[Parameter, ...]
     prior: Prior
-    step: ResolvedPolish
+    step: ResolvedRefinement
 
     title = "prior"
 
@@ -99,57 +99,64 @@ class ResolvedPrior:
         return 2 + self.prior.rounds + self.prior.iterations
 
 
-Resolved = ResolvedSurvey | ResolvedStage | ResolvedPolish | ResolvedPrior
+Resolved = ResolvedPrefit | ResolvedSwarm | ResolvedRefinement | ResolvedPrior
 
 
-def survey_model() -> ReflectanceModel:
-    """Return the survey's own model."""
+def prefit_model() -> ReflectanceModel:
+    """Return the prefit's own model."""
     return load_model(SHADERS / "prefit" / "falloff_lobe.toml")
 
 
-def _resolve_survey(survey: Survey) -> ResolvedSurvey:
-    model = survey_model()
-    polish = Polish(survey.polish_iterations, starts=False, rounds=0)
+def _resolve_prefit(prefit: Prefit) -> ResolvedPrefit:
+    model = prefit_model()
+    refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=0)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
-    stage = ResolvedStage(searched, survey.iterations, solved=solved)
-    return ResolvedSurvey(stage, ResolvedPolish(model.parameters, polish, ()))
+    stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)
+    return ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
 
 
-def _resolve_polish(
-    polish: Polish, model: ReflectanceModel, parameters: tuple[Parameter, ...], title: str = ResolvedPolish.title
-) -> tuple[ResolvedPolish, ...]:
-    if polish.iterations == 0:
+def _resolve_refinement(
+    refinement: Refinement,
+    model: ReflectanceModel,
+    parameters: tuple[Parameter, ...],
+    title: str = ResolvedRefinement.title,
+) -> tuple[ResolvedRefinement, ...]:
+    if refinement.iterations == 0:
         return ()
     names = {p.name for p in parameters}
-    starts = (tuple(row for row in start if row[0] in names) for start in model.starts if polish.starts)
-    return (ResolvedPolish(parameters, polish, tuple(dict.fromkeys(start for start in starts if start)), title),)
+    starts = (tuple(row for row in start if row[0] in names) for start in model.starts if refinement.starts)
+    return (
+        ResolvedRefinement(parameters, refinement, tuple(dict.fromkeys(start for start in starts if start)), title),
+    )
 
 
-def _resolve_polish_of_the_rest(
-    polish: Polish, model: ReflectanceModel, parameters: tuple[Parameter, ...]
-) -> tuple[ResolvedPolish, ...]:
-    """Return a polish with the normals held, shorter than the first: most texels have converged.
+def _resolve_refinement_of_the_rest(
+    refinement: Refinement, model: ReflectanceModel, parameters: tuple[Parameter, ...]
+) -> tuple[ResolvedRefinement, ...]:
+    """Return a refinement with the normals held, shorter than the first: most texels have converged.
 
     A texel that keeps the prefit's normal has its other parameters from the swarms alone, often in another local
     optimum than its neighbours. Around the mouth of a real icon roughness differed by 0.4 or more from its 5×5 median
-    at 5.5 % of the texels; with this polish at 0.24 %. More iterations or rounds do not lower that.
+    at 5.5 % of the texels; with this refinement at 0.24 %. More iterations or rounds do not lower that.
     """
     rest = tuple(p for p in parameters if not p.is_normal)
     if not any(p.kind == "search" for p in rest):  # what is linear the swarms have solved
         return ()
-    shorter = replace(polish, starts=False, iterations=polish.start_iterations, rounds=min(polish.rounds, _ROUNDS))
-    return _resolve_polish(shorter, model, rest, "polish, normals held")
+    shorter = replace(
+        refinement, starts=False, iterations=refinement.start_iterations, rounds=min(refinement.rounds, _ROUNDS)
+    )
+    return _resolve_refinement(shorter, model, rest, "refinement, normals held")
 
 
 def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedMaterials, ...]:
     settings = schedule.materials
-    none = settings.rounds == 0 or schedule.polish.iterations == 0
+    none = settings.rounds == 0 or schedule.refinement.iterations == 0
     if none or not any(p.kind == "search" and not p.is_normal for p in parameters):
         return ()
     # One step first: what is offered is held against a fitness that has to be known.
     rounds = replace(
-        schedule.polish, starts=False, iterations=1, rounds=settings.rounds, round_iterations=settings.iterations
+        schedule.refinement, starts=False, iterations=1, rounds=settings.rounds, round_iterations=settings.iterations
     )
     return (ResolvedMaterials(parameters, rounds, (), "shared materials", settings),)
 
@@ -159,15 +166,15 @@ def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tup
     if prior.rounds == 0 or not pooled:
         return ()
     moved = tuple(p for p in parameters if prior.turn or not p.is_normal)
-    return (ResolvedPrior(parameters, pooled, prior, ResolvedPolish(moved, schedule.polish, ())),)
+    return (ResolvedPrior(parameters, pooled, prior, ResolvedRefinement(moved, schedule.refinement, ())),)
 
 
 def resolve(
-    schedule: Schedule, model: ReflectanceModel, known: set[str], observations: int = 0
+    schedule: Schedule, model: ReflectanceModel, fixed: set[str], observations: int = 0
 ) -> tuple[Resolved, ...]:
-    """Return what a model's unknown parameters leave to be done: the survey, all stages, the polish, the prior.
+    """Return what a model's unknown parameters leave to be done: the prefit, all stages, the refinement, the prior.
 
-    observations: how many there are; a survey needs some. Raises InputError.
+    observations: how many there are; a prefit needs some. Raises InputError.
     """
     names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
     asked = {name for stage in schedule.stages for name in stage.search}
@@ -177,24 +184,24 @@ def resolve(
     resolved: list[Resolved] = []
     found: set[str] = set()
     normal = next(p for p in model.parameters if p.is_normal)
-    surveyed = (
-        schedule.survey.iterations > 0
-        and observations >= schedule.survey.observations
-        and normal.name not in known
+    prefit_fitness = (
+        schedule.prefit.iterations > 0
+        and observations >= schedule.prefit.observations
+        and normal.name not in fixed
         and any(_is_asked(normal, stage, asked) for stage in schedule.stages)
     )
-    if surveyed:
-        resolved.append(_resolve_survey(schedule.survey))
+    if prefit_fitness:
+        resolved.append(_resolve_prefit(schedule.prefit))
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
-            wanted = [p for p in model.parameters if p.name not in known and _is_asked(p, stage, asked)]
+            wanted = [p for p in model.parameters if p.name not in fixed and _is_asked(p, stage, asked)]
             found |= {p.name for p in wanted}
-            wanted = [p for p in wanted if not (surveyed and p is normal)]
+            wanted = [p for p in wanted if not (prefit_fitness and p is normal)]
             if not wanted or stage.iterations == 0:
                 continue
             closed = {p.name for p in wanted if p.kind == "linear" and p.name in model.bases}
             closed = closed if schedule.swarm.linear == "solve" else set()
-            result = ResolvedStage(
+            result = ResolvedSwarm(
                 tuple(p for p in wanted if p.name not in closed),
                 stage.iterations,
                 cycle,
@@ -208,9 +215,9 @@ def resolve(
             resolved.append(result)
     if found:
         parameters = tuple(p for p in model.parameters if p.name in found)
-        resolved += _resolve_polish(schedule.polish, model, parameters)
-        if surveyed:
-            resolved += _resolve_polish_of_the_rest(schedule.polish, model, parameters)
+        resolved += _resolve_refinement(schedule.refinement, model, parameters)
+        if prefit_fitness:
+            resolved += _resolve_refinement_of_the_rest(schedule.refinement, model, parameters)
         resolved += _resolve_materials(schedule, parameters)
         resolved += _resolve_prior(schedule, parameters)
     if not resolved:

@@ -89,17 +89,17 @@ class Fitness:
 
 
 @dataclass(frozen=True)
-class Polish:
+class Refinement:
     """Levenberg–Marquardt after the stages, of all that they search together (Marquardt 1963), on the same fitness.
 
-    iterations: steps from the best that was found, 0 for no polish at all. starts: whether to begin from the model's
+    iterations: steps from the best that was found, 0 for no refinement at all. starts: whether to begin from the model's
     starts too; start_iterations: steps from each of them, and from the stages' estimate beside them. rounds: how often
-    every texel then tries what its neighbours have found; round_iterations: steps after each. daring: a neighbour's
-    material is polished where its fitness is under so many times the texel's own. votes: what the searched numbers of
-    the texels around count (shaders/refine/votes.glsl): a material that many have is polished too, and kept where noise
+    every texel then tries what its neighbours have found; round_iterations: steps after each. accept_ratio: a neighbour's
+    material is refined where its fitness is under so many times the texel's own. votes: what the searched numbers of
+    the texels around count (shaders/refine/votes.glsl): a material that many have is refined too, and kept where noise
     explains what it fits worse; 0 where the samples alone decide. damping: the first λ, of the diagonal of JᵀJ. A
-    texel is done once two steps gain less than the fraction ``gain`` of its fitness, or move nothing by more than the
-    fraction smallest_step of its range. central: differences to both sides instead of one. widening: from the model's
+    texel is done once two steps gain less than the fraction ftol of its fitness, or move nothing by more than the
+    fraction xtol of its range. central: differences to both sides instead of one. widening: from the model's
     starts δ is so many times as wide at first, and falls to its own (graduated non-convexity; Blake & Zisserman 1987,
     Visual Reconstruction): a lobe that is far off must not pass for an outlier.
     """
@@ -109,31 +109,31 @@ class Polish:
     start_iterations: int = 5
     rounds: int = 1
     round_iterations: int = 8
-    daring: float = 1.0
+    accept_ratio: float = 1.0
     votes: float = 0.0
     damping: float = 0.01
-    gain: float = 1e-5
-    smallest_step: float = 1e-5
+    ftol: float = 1e-5
+    xtol: float = 1e-5
     central: bool = False
     widening: float = 1.0
 
 
 @dataclass(frozen=True)
-class Survey:
+class Prefit:
     """Normals first, on grey samples, by a model of few assumptions (shaders/prefit/falloff_lobe.toml).
 
-    iterations: of its swarms, which move as a whole; 0 for no survey. polish_iterations: Levenberg–Marquardt steps
+    iterations: of its swarms, which move as a whole; 0 for no prefit. refinement_iterations: Levenberg–Marquardt steps
     after them. shadow: samples under this fraction of a texel's scale weigh nothing. observations: with fewer it is
-    left out. trust: where the model that is asked for fits worse than the survey's by more than this factor, its polish
-    must not turn the survey's normal.
+    left out. acceptance_ratio: where the model that is asked for fits worse than the prefit's by more than this factor, its refinement
+    must not turn the prefit's normal.
     """
 
     iterations: int = 0
-    polish_iterations: int = 5
+    refinement_iterations: int = 5
     shadow: float = 0.3
     observations: int = 10
-    judge_delta: float = 0.0125
-    trust: float = 1.2
+    acceptance_delta: float = 0.0125
+    acceptance_ratio: float = 1.2
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ class Materials:
     """Materials that texels share, wherever on the surface they lie: a mixture of Gaussians over a sample of them.
 
     rounds: how often every texel tries them, 0 for none of this: with its own normal at first, from then on with that
-    which mirrors its brightest sample; iterations: Levenberg–Marquardt steps after each, the polish's widening at
+    which mirrors its brightest sample; iterations: Levenberg–Marquardt steps after each, the refinement's widening at
     first. count: of materials, at most. weight: a material that the whole surface is of counts like so many votes of
-    neighbours (see Polish).
+    neighbours (see Refinement).
     """
 
     rounds: int = 0
@@ -154,10 +154,10 @@ class Materials:
 
 @dataclass(frozen=True)
 class Prior:
-    """What neighbours say of the numbers that a texel's own samples do not tell, after the polish.
+    """What neighbours say of the numbers that a texel's own samples do not tell, after the refinement.
 
     rounds: how often colours and scalars are pooled over neighbours, 0 for no prior; scales: a round reaches 2^scales
-    texels. iterations: Levenberg–Marquardt steps with the prior then, with the polish's damping. likeness: neighbours
+    texels. iterations: Levenberg–Marquardt steps with the prior then, with the refinement's damping. likeness: neighbours
     are alike that differ by this fraction of a scalar's range, or by the fraction likeness_color of a colour. spread:
     numbers of like texels are taken to differ by this fraction of the range or more. noise_freedom: for how many
     samples of a texel's own the neighbours' noise counts with it. share: a texel is left alone of which the prior would
@@ -180,7 +180,7 @@ class Prior:
 class Stage:
     """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one.
 
-    iterations: 0 leaves them to the polish.
+    iterations: 0 leaves them to the refinement.
     """
 
     search: tuple[str, ...]
@@ -191,10 +191,10 @@ class Stage:
 class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
-    threshold: the fitness h at which a swarm stops (0: never before the last iteration). survey: what goes before the
-    stages, which then hold to its normals. polish: what follows them; prior: what follows that. levels: how many sizes
+    threshold: the fitness h at which a swarm stops (0: never before the last iteration). prefit: what goes before the
+    stages, which then hold to its normals. refinement: what follows them; prior: what follows that. levels: how many sizes
     are solved, each half the next, the first guess of which it is (engine/coarse_to_fine.py; 1: the domain alone).
-    level_iterations: the fraction of the survey's and the stages' iterations that all but the coarsest make.
+    level_iterations: the fraction of the prefit's and the stages' iterations that all but the coarsest make.
     """
 
     name: str
@@ -206,8 +206,8 @@ class Schedule:
     threshold: float = 0.0
     levels: int = 1
     level_iterations: float = 0.4
-    survey: Survey = Survey()
-    polish: Polish = Polish()
+    prefit: Prefit = Prefit()
+    refinement: Refinement = Refinement()
     materials: Materials = Materials()
     prior: Prior = Prior()
 
@@ -225,8 +225,8 @@ class Schedule:
     def replaced(self, **changes: Any) -> Schedule:
         """Return a copy with other settings; names of Swarm, Fitness or Schedule fields, checked. Raises InputError.
 
-        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Survey, polish and prior
-        are another's, whole (``polish=``), or their settings by name with ``polish_`` (…) before it.
+        ``iterations`` sets every stage's; ``search`` makes one stage of the names given. Prefit, refinement and prior
+        are another's, whole (``refinement=``), or their settings by name with ``refinement_`` (…) before it.
         """
         result = self
         if (search := changes.pop("search", None)) is not None:
@@ -267,8 +267,8 @@ def refuse_levels(schedule: Schedule) -> None:
 
 
 _OPTIONAL = {
-    "survey": Survey,
-    "polish": Polish,
+    "prefit": Prefit,
+    "refinement": Refinement,
     "materials": Materials,
     "prior": Prior,
 }  # may be absent: there is none then
@@ -294,7 +294,7 @@ def shipped_presets() -> list[str]:
 def load_schedule(name_or_path: str | Path) -> Schedule:
     """Read a shipped preset by name, or a .toml file of one's own by path.
 
-    What each constant means and may be: Swarm, Fitness, Survey, Polish, Prior and SETTINGS, here; where the shipped
+    What each constant means and may be: Swarm, Fitness, Prefit, Refinement, Prior and SETTINGS, here; where the shipped
     values are from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
     """
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
@@ -323,9 +323,9 @@ def _build(kind: type, table: Any, where: str) -> Any:
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
 
 
-def _refuse_unknown(table: dict[str, Any], known: Iterable[str], where: str) -> None:
-    if unknown := sorted(set(table) - set(known)):
-        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(known)}")
+def _refuse_unknown(table: dict[str, Any], allowed: Iterable[str], where: str) -> None:
+    if unknown := sorted(set(table) - set(allowed)):
+        raise InputError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(allowed)}")
 
 
 def _check(schedule: Schedule, where: str = "") -> None:
@@ -340,5 +340,7 @@ def _check(schedule: Schedule, where: str = "") -> None:
     check_values(SETTINGS, schedule.settings(), where)
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
-    if schedule.polish.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
-        raise InputError(f"{where}: no stage has iterations, and there is no [polish] either; give one of them some")
+    if schedule.refinement.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
+        raise InputError(
+            f"{where}: no stage has iterations, and there is no [refinement] either; give one of them some"
+        )

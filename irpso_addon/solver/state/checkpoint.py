@@ -49,7 +49,7 @@ def identity(
     schedule: Schedule,
     seed: int,
     entry: str,
-    known: Mapping[str, np.ndarray] = MappingProxyType({}),
+    fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     samples: int | None = None,
 ) -> dict[str, Any]:
     """Return what must be equal for a checkpoint to be gone on from, as plain data.
@@ -71,7 +71,7 @@ def identity(
         "domain": [*domain.shape, *domain.origin, *domain.halo],
         "observations": [_digest((domain.lights, domain.intensities, domain.views)), f"{samples:016x}"],
         "geometry": _digest(shape),
-        "known": {name: _digest([known[name]]) for name in sorted(known)},
+        "fixed": {name: _digest([fixed[name]]) for name in sorted(fixed)},
         "tiles": None,
     }
 

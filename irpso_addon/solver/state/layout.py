@@ -14,7 +14,7 @@ _MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB))
 
 
 def rows_of(arrays: Mapping[str, np.ndarray], size: tuple[int, int], tiles: int, texels: int) -> dict[str, np.ndarray]:
-    """Return (T, tiles or 1, C) float32 of each of a state's arrays: T packed texels, row by row, then the annex's.
+    """Return (T, tiles or 1, C) float32 of each of a state's arrays: T packed texels, row by row, then the ghosts's.
 
     size: (w, h) of the packed grid. tiles: of the particles' atlas. texels: T.
     """

@@ -23,26 +23,26 @@ def level_size(lent: Mapping[str, Any], defines: Mapping[str, int]) -> tuple[int
 class Packing:
     """Which place of a packed grid holds which texel of a domain, row by row.
 
-    solved: (H, W) bool. seams: of the domain, whose annex comes after its texels. width, height: of the packed grid;
-    its last places may be empty: count are held. A domain that is solved everywhere, and has no annex, is its own
+    solved: (H, W) bool. seams: of the domain, whose ghosts comes after its texels. width, height: of the packed grid;
+    its last places may be empty: count are held. A domain that is solved everywhere, and has no ghosts, is its own
     packing.
     """
 
     def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
         self.shape, self.seams = solved.shape, seams
         self._rows, self._columns = np.nonzero(solved)
-        self.annex = 0 if seams is None else len(seams.annex)
-        self.count = count = len(self._rows) + self.annex
-        self._whole = bool(solved.all()) and not self.annex
+        self.ghosts = 0 if seams is None else len(seams.ghosts)
+        self.count = count = len(self._rows) + self.ghosts
+        self._whole = bool(solved.all()) and not self.ghosts
         self.width = solved.shape[1] if self._whole else max(1, math.isqrt(max(count - 1, 0)) + 1)
         self.height = max(1, -(-count // self.width))
 
-    def pack(self, array: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+    def pack(self, array: np.ndarray, ghosts: np.ndarray | float = 0.0) -> np.ndarray:
         """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself.
 
-        annex: (M, …) of the annex's texels, or what broadcasts to it.
+        ghosts: (M, …) of the ghosts's texels, or what broadcasts to it.
         """
-        return array if self._whole else self._grid(array[self._rows, self._columns], annex)
+        return array if self._whole else self._grid(array[self._rows, self._columns], ghosts)
 
     def pack_layers(self, array: np.ndarray) -> np.ndarray:
         """Return (K, h, w, C) of (K, H, W, C), a copy."""
@@ -79,9 +79,9 @@ class Packing:
         for channel, of in ((2, seams.chart), (3, seams.island)):
             places[:, channel] = of[self._rows, self._columns]
         height, width = self.shape
-        numbers = np.full(height * width + self.annex, -1)
+        numbers = np.full(height * width + self.ghosts, -1)
         numbers[self._rows * width + self._columns] = np.arange(len(self._rows))
-        numbers[height * width :] = len(self._rows) + np.arange(self.annex)
+        numbers[height * width :] = len(self._rows) + np.arange(self.ghosts)
         target = numbers[seams.target]
         held = np.flatnonzero(target >= 0)
         place, target = seams.place[held] + seams.reach, target[held]
@@ -100,7 +100,7 @@ class Packing:
         packed.reshape(-1, 4)[flat[begins], 3] = np.flatnonzero(begins)
         return np.concatenate([self._grid(places, -1)[None], chains]), packed
 
-    def _grid(self, values: np.ndarray, annex: np.ndarray | float = 0.0) -> np.ndarray:
+    def _grid(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> np.ndarray:
         rest = np.zeros((self.width * self.height - len(self._rows), *values.shape[1:]), values.dtype)
-        rest[: self.annex] = annex
+        rest[: self.ghosts] = ghosts
         return np.concatenate([values, rest]).reshape(self.height, self.width, *values.shape[1:])

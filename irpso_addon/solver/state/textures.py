@@ -12,7 +12,7 @@ from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...gpu import context, textures
 from ...reflectance.model import ReflectanceModel
-from ..kernels.encoding import Codec
+from ..kernels.encoding import Encoding
 from .packing import Packing
 
 UNFIT = 1e30  # as in shaders/fitness/unfit.glsl: the fitness of what was never evaluated
@@ -64,8 +64,8 @@ def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | floa
 def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
     """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
     bake, seams = domain.bake, domain.seams
-    normal = packing.pack(bake.normal, 0.0 if seams is None else seams.annex_normal)
-    tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.annex_tangent)
+    normal = packing.pack(bake.normal, 0.0 if seams is None else seams.ghost_normal)
+    tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.ghost_tangent)
     position, state = packing.pack(bake.position), packed_states(domain, packing)
     places, packed = packing.arrays()
     geometry = geometry_layers(position, normal, tangent, state, scale)
@@ -118,7 +118,7 @@ def texel_states(domain: Domain) -> np.ndarray:
 
 
 def packed_states(domain: Domain, packing: Packing) -> np.ndarray:
-    """Return (h, w) float32 states of packed texels: those of an annex are solved by other tiles."""
+    """Return (h, w) float32 states of packed texels: those of an ghosts are solved by other tiles."""
     return packing.pack(texel_states(domain), HALO)
 
 
@@ -180,37 +180,37 @@ def plan_atlas(width: int, height: int, tiles: int, limit: int) -> Atlas:
     return min(fitting, key=lambda a: max(a.across * width, a.down * height))
 
 
-class MadeInSteps:
+class IncrementalAllocation:
     """Textures that are made one after the other: a large one alone can take a software renderer 0.1 s."""
 
     def __init__(self) -> None:
-        self._making = self._make()
+        self._steps = self._make()
 
     def make(self) -> Iterator[None]:
         """Make those that are not there yet; yields after each."""
-        for _ in self._making:  # not yield from: who leaves off here must not end the making
+        for _ in self._steps:  # not yield from: who leaves off here must not end the making
             yield
 
     def ensure(self) -> None:
         """Make all that are not there yet."""
-        for _ in self._making:
+        for _ in self._steps:
             pass
 
     def stop(self) -> None:
         """Make no more of them: a generator that waits keeps all alive that it was to fill."""
-        self._making.close()
+        self._steps.close()
 
     def _make(self) -> Iterator[None]:
         raise NotImplementedError
 
 
-class SwarmTextures(MadeInSteps):
+class SwarmTextures(IncrementalAllocation):
     """All that the swarms of one stage remember: particles in atlases, candidates and global bests over W×H."""
 
-    def __init__(self, width: int, height: int, particles: int, codec: Codec):
+    def __init__(self, width: int, height: int, particles: int, encoding: Encoding):
         super().__init__()
-        self.atlas = plan_atlas(width, height, particles * codec.blocks, context.max_texture_size())
-        self.blocks = codec.blocks
+        self.atlas = plan_atlas(width, height, particles * encoding.blocks, context.max_texture_size())
+        self.blocks = encoding.blocks
         self._small = width, height
 
     def _make(self) -> Iterator[None]:

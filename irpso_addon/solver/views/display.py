@@ -65,10 +65,10 @@ class Display:
     recovery in tiles, which has no picture of the whole.
     """
 
-    def __init__(self, recovery: Recovery | Pyramid, known: Collection[str] = ()):
+    def __init__(self, recovery: Recovery | Pyramid, fixed: Collection[str] = ()):
         if not hasattr(recovery, "view"):
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
-        self._recovery, self._known = recovery, frozenset(known)
+        self._recovery, self._fixed = recovery, frozenset(fixed)
         domain = recovery.domain
         self._defines = kernel_defines(domain)
         self._size: tuple[int, int] | None = None

@@ -15,10 +15,10 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ..engine.coarse_to_fine import Pyramid
 from ..engine.recovery import Recovery
 from ..kernels import kernels
-from ..phases.prefit import RunningSurvey
-from ..phases.sequential_swarm import RunningStage
-from ..phases.synchronous_swarm import RunningGenerations
-from ..settings.resolve import survey_model
+from ..phases.prefit import PrefitPhase
+from ..phases.sequential_swarm import SequentialSwarmPhase
+from ..phases.synchronous_swarm import SynchronousSwarmPhase
+from ..settings.resolve import prefit_model
 from ..state.packing import level_size
 from ..state.textures import UNFIT, kernel_defines
 
@@ -139,13 +139,15 @@ def read_texel(recovery: Recovery | Pyramid, row: int, column: int) -> TexelStat
         probe.close()
 
 
-def running_swarm(recovery: Recovery | Pyramid) -> tuple[RunningStage | RunningGenerations, ReflectanceModel] | None:
+def running_swarm(
+    recovery: Recovery | Pyramid,
+) -> tuple[SequentialSwarmPhase | SynchronousSwarmPhase, ReflectanceModel] | None:
     """Return the phase whose swarms are searching and the model that they search, None where none are."""
     live = recovery._live if isinstance(recovery, Pyramid) else recovery
     phase, model = live._phase, live.model
-    if isinstance(phase, RunningSurvey):
-        phase, model = phase._inner, survey_model()
-    searches = isinstance(phase, RunningStage | RunningGenerations) and phase.codec.dimensions > 0
+    if isinstance(phase, PrefitPhase):
+        phase, model = phase._inner, prefit_model()
+    searches = isinstance(phase, SequentialSwarmPhase | SynchronousSwarmPhase) and phase.encoding.dimensions > 0
     # Between two stages the first one's textures are gone already.
     return (phase, model) if searches and _remembered(phase) is not None else None
 
@@ -154,14 +156,17 @@ class _SwarmProbe:
     """The pass that gathers the swarm of a texel of one phase."""
 
     def __init__(
-        self, phase: RunningStage | RunningGenerations, model: ReflectanceModel, domain_defines: dict[str, int]
+        self,
+        phase: SequentialSwarmPhase | SynchronousSwarmPhase,
+        model: ReflectanceModel,
+        domain_defines: dict[str, int],
     ):
         self.phase, self._model = phase, model
         self._held = _remembered(phase)
-        codec = phase.codec
+        encoding = phase.encoding
         defines = {
             **domain_defines,
-            **codec.defines,
+            **encoding.defines,
             **kernels.estimate_defines(model),
             **kernels.schedule_defines(phase.schedule),
             "PARTICLES": phase.particles,
@@ -169,10 +174,10 @@ class _SwarmProbe:
         }
         samplers = {
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
-            **{f"u_best_{b}": kernels.FLOAT_2D for b in range(codec.blocks)},
+            **{f"u_best_{b}": kernels.FLOAT_2D for b in range(encoding.blocks)},
             **kernels.estimate_samplers(model), **kernels.PACKING,
         }  # fmt: skip
-        given = {**kernels.model_includes(model), "codec.glsl": codec.source}
+        given = {**kernels.model_includes(model), "codec.glsl": encoding.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}
         self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, given))
         self._target = textures.empty(max(phase.particles, 3), _ROWS)
@@ -211,12 +216,14 @@ def component_names(parameter: Parameter) -> list[str]:
     return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
 
 
-def _remembered(phase: RunningStage | RunningGenerations) -> Any:
+def _remembered(phase: SequentialSwarmPhase | SynchronousSwarmPhase) -> Any:
     """Return the textures of a phase's swarms, None once it is closed."""
-    return phase.swarm if isinstance(phase, RunningStage) else phase.textures
+    return phase.swarm if isinstance(phase, SequentialSwarmPhase) else phase.textures
 
 
-def _searched(phase: RunningStage | RunningGenerations, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:
+def _searched(
+    phase: SequentialSwarmPhase | SynchronousSwarmPhase, model: ReflectanceModel
+) -> tuple[list[int], tuple[str, ...]]:
     """Return the places and names of the components that a phase searches."""
     chosen: list[int] = []
     names: list[str] = []

@@ -23,11 +23,11 @@ _PLACE = {
 }
 
 
-def display_of(recovery: AnyRecovery, known: Collection[str] = ()) -> Display | TiledDisplay:
+def display_of(recovery: AnyRecovery, fixed: Collection[str] = ()) -> Display | TiledDisplay:
     """Return what makes pictures of a recovery. known: as for a Display."""
     if isinstance(recovery, TiledRecovery):
-        return TiledDisplay(recovery, known)
-    return Display(recovery, known)
+        return TiledDisplay(recovery, fixed)
+    return Display(recovery, fixed)
 
 
 def texel_probe_of(recovery: AnyRecovery) -> TexelProbe | TiledTexelProbe:
@@ -42,8 +42,8 @@ class TiledDisplay:
     device; where tiles take turns, one shows what it had found when it was there last, and nothing before that.
     """
 
-    def __init__(self, recovery: TiledRecovery, known: Collection[str] = ()):
-        self._recovery, self._known = recovery, frozenset(known)
+    def __init__(self, recovery: TiledRecovery, fixed: Collection[str] = ()):
+        self._recovery, self._fixed = recovery, frozenset(fixed)
         self._displays: dict[TileRecovery, Display] = {}
         self._pictures: OrderedDict[Shown, Any] = OrderedDict()
         self._lay = Pass(
@@ -75,7 +75,7 @@ class TiledDisplay:
         self._pictures.clear()
 
     def _display(self, tile: TileRecovery) -> Display:
-        return Display(tile, self._known)
+        return Display(tile, self._fixed)
 
     def _kept(self, shown: Shown) -> Any:
         if shown not in self._pictures:

@@ -96,11 +96,11 @@ def _idle() -> float | None:
         _end()
         return None
     if not _stage.running.active:
-        if _stage.is_home():
+        if _stage.in_own_context():
             if _guarded(_stage.running, _stage.update):
                 redraw()
         else:
-            redraw(_stage.home_window)  # drawing a window makes its context current, until another is drawn
+            redraw(_stage.own_window)  # drawing a window makes its context current, until another is drawn
         if _guarded(_stage.running, _stage.wants_redraw):
             redraw()
     return _IDLE_SECONDS

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...core.errors import InputError
-from ...gpu.home import Home
+from ...gpu.context_guard import ContextGuard
 from ...gpu.viewport import Drawing, Surface
 from ...solver.views.display import Shown
 from ...solver.views.texel_probe import TexelProbe
@@ -43,8 +43,8 @@ class Stage:
     def __init__(self, running: Session, home_scene: int):
         self.running, self.home_scene = running, home_scene
         self.drawing = Drawing()
-        self.home_window = 0  # the address of the window in whose context the session works
-        self._home: Home | None = None
+        self.own_window = 0  # the address of the window in whose context the session works
+        self._guard: ContextGuard | None = None
         self._of: object = None  # the recovery that surface, pictures and reader are of
         self._surface: Surface | None = None
         self._corners: np.ndarray | None = None
@@ -60,11 +60,11 @@ class Stage:
         """Return whether pictures are to be drawn anew, by the preferences' display rate."""
         if self._of is not self.running.recovery:
             return True
-        return self.is_home() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
+        return self.in_own_context() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
 
-    def is_home(self) -> bool:
+    def in_own_context(self) -> bool:
         """Return whether the recovery may be touched: the context is current in which it works."""
-        return self._home is not None and self._home.here()
+        return self._guard is not None and self._guard.holds()
 
     def update(self) -> bool:
         """Bring pictures, curves and trails up to date; return whether there is something new to draw."""
@@ -166,8 +166,8 @@ class Stage:
 
     def _begin(self) -> None:
         self._forget()
-        self._of, self._home = self.running.recovery, Home()
-        self.home_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
+        self._of, self._guard = self.running.recovery, ContextGuard()
+        self.own_window = bpy.context.window.as_pointer() if bpy.context.window is not None else 0
         self._surface = surface.make_surface(self.running)
         self._reader = texel_probe_of(self.running.recovery)
 

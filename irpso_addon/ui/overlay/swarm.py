@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.encode import encode_normal, srgb_from_linear
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...solver.settings.resolve import survey_model
+from ...solver.settings.resolve import prefit_model
 from ...solver.views.texel_probe import Particles, component_names
 from .layout import Rectangle
 from .paint import DIM, HALO, SMALL, Painter
@@ -183,14 +183,14 @@ def _rims(colors: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _survey() -> ReflectanceModel:
-    return survey_model()
+def _prefit() -> ReflectanceModel:
+    return prefit_model()
 
 
 def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
-    """Return the range of a component; a survey searches parameters of a model of its own."""
+    """Return the range of a component; a prefit searches parameters of a model of its own."""
     parameter, _, part = name.partition(".")
-    for known in (*model.parameters, *_survey().parameters):
+    for known in (*model.parameters, *_prefit().parameters):
         if known.name == parameter:
             return (0.0, 1.0) if known.is_normal and part == "z" else known.range  # it faces the viewer
     return 0.0, 1.0

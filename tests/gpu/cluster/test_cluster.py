@@ -30,13 +30,13 @@ STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, 
 # Python runs it at its start: rank 1 fails when the swarms have been placed and moved once.
 FAILING = """
 import os
-from irpso_addon.solver.phases.sequential_swarm import RunningStage
-advance = RunningStage.advance
+from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
+advance = SequentialSwarmPhase.advance
 def failing(self, *arguments):
     if os.environ.get("OMPI_COMM_WORLD_RANK") == "1" and self.iteration == 1:
         raise RuntimeError("a driver's own words")
     return advance(self, *arguments)
-RunningStage.advance = failing
+SequentialSwarmPhase.advance = failing
 """
 
 

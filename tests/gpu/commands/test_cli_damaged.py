@@ -134,6 +134,6 @@ def test_one_or_two_lights_are_enough_where_the_normal_is_given(tmp_path, count)
     words = ["recover", card, *OPTIONS, "-o", tmp_path / "out", "--quiet"]
     code, _, err = run_cli(*words)
     assert code == 2 and f"has {count} light{'s' * (count > 1)}; a normal needs at least three; or give" in err
-    assert run_cli(*words, "--known", "normal=0,0,1")[0] == 0
+    assert run_cli(*words, "--fixed", "normal=0,0,1")[0] == 0
     found = cli_maker.read_map(tmp_path / "out" / "base_color.exr")
     np.testing.assert_allclose(found, values["base_color"], atol=2e-3)

@@ -67,7 +67,7 @@ def ball(tmp_path_factory):
         "--size", f"{PIXELS}x{PIXELS}", "--lights", folder / "lights.txt", "-o", folder / "capture", "--json",
     )  # fmt: skip
     assert (code, err) == (0, "") and json.loads(out.splitlines()[-1])["images"] == 48
-    recover_ball(folder, "out", "--known", "specular=0.5", "--iterations", 1500)
+    recover_ball(folder, "out", "--fixed", "specular=0.5", "--iterations", 1500)
     return folder, values
 
 
@@ -112,8 +112,8 @@ def test_a_known_normal_map_of_a_mesh_leaves_albedo_and_roughness_to_be_found(ba
     folder, values = ball
     normal = values["normal"].astype(np.float32)
     write_exr(folder / "normal.exr", {"": {c: normal[..., i] for i, c in enumerate("RGB")}})
-    known = ["--known", f"normal={folder / 'normal.exr'}", "--known", "specular=0.5"]
-    recover_ball(folder, "known", *known, "--iterations", 1000)
+    fixed = ["--fixed", f"normal={folder / 'normal.exr'}", "--fixed", "specular=0.5"]
+    recover_ball(folder, "known", *fixed, "--iterations", 1000)
     found = read_maps(folder / "known", load_model("principled"))
     seen = seen_texels(folder / "known")
     color = 100 * np.abs(found["base_color"] - values["base_color"]).mean(axis=-1)[seen]

@@ -52,9 +52,9 @@ def recovered(tmp_path_factory):
         out = folder / f"{name} out"
         options = ["--iterations", ITERATIONS[name], "--seed", 5, "-o", out, "--json"]
         if name in KNOWN:
-            known = values[KNOWN[name]].astype(np.float32)
-            write_exr(folder / "known.exr", {"": {c: known[..., i] for i, c in enumerate("RGB")}})
-            options += ["--known", f"{KNOWN[name]}={folder / 'known.exr'}"]
+            fixed = values[KNOWN[name]].astype(np.float32)
+            write_exr(folder / "known.exr", {"": {c: fixed[..., i] for i, c in enumerate("RGB")}})
+            options += ["--fixed", f"{KNOWN[name]}={folder / 'known.exr'}"]
         code, answer, err = run_cli("recover", capture, "--model", model, *options)
         assert (code, err) == (0, "")
         return values, out, json.loads(answer.splitlines()[-1])
@@ -201,7 +201,7 @@ def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
     out = tmp_path / "out"
     # Matt by order: what it relights lacks all highlights.
     code, answer, _ = run_cli(
-        "recover", folder, "--known", "specular=0", "--known", "roughness=1", "--hold-out", "auto", "-o", out, "--json"
+        "recover", folder, "--fixed", "specular=0", "--fixed", "roughness=1", "--hold-out", "auto", "-o", out, "--json"
     )
     answer = json.loads(answer.splitlines()[-1])
     assert code == 0
@@ -228,7 +228,7 @@ def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
 def test_what_is_known_is_not_searched(recovered, tmp_path):
     values, out, _ = recovered("principled")
     code, _, _ = run_cli(
-        "recover", out.parent / "principled", "--known", f"normal={out / 'normal.exr'}", "--known", "specular=0.25",
+        "recover", out.parent / "principled", "--fixed", f"normal={out / 'normal.exr'}", "--fixed", "specular=0.25",
         "--iterations", 20, "-o", tmp_path / "out", "--quiet",
     )  # fmt: skip
     assert code == 0

@@ -18,7 +18,7 @@ from tests.builders.command_line import angle, read_map, run_cli
 SIDE = 16  # texels along a tile
 PIXELS = (96, 48)
 MODEL = ("--model", "lambert")
-QUICK = ("--set", "survey_iterations=0", "--set", "polish_iterations=0", "--set", "prior_rounds=0")
+QUICK = ("--set", "prefit_iterations=0", "--set", "refinement_iterations=0", "--set", "prior_rounds=0")
 SLOTS = ("Skin", "Cloth")
 TILES = (1001, 1011)
 # The lower left corners of the two islands' squares, and how wide those are.
@@ -145,9 +145,9 @@ def read_map_part(path, name):
 
 def test_what_is_recovered_is_the_truth_and_the_report_says_so(folder):
     found = read_maps(folder / "out udim", load_model("lambert"), TILES)
-    known = truth()
+    fixed = truth()
     inside = np.concatenate([read_map_part(folder / "out udim" / f"maps.{n}.exr", "coverage") for n in TILES], 1) > 0
-    error = angle(found["normal"], known["normal"])[inside]
+    error = angle(found["normal"], fixed["normal"])[inside]
     said = [
         json.loads((folder / out / "report.json").read_text())["ground_truth"] for out in ("out udim", "out single")
     ]
@@ -157,11 +157,11 @@ def test_what_is_recovered_is_the_truth_and_the_report_says_so(folder):
 
 def test_known_maps_are_read_from_the_files_of_their_tiles(folder):
     recover(
-        folder, "udim", "known", "--resolution", SIDE, "--known",
+        folder, "udim", "known", "--resolution", SIDE, "--fixed",
         f"normal={folder / 'out udim'}/normal.<UDIM>.exr",
     )  # fmt: skip
-    found, known = (read_maps(folder / out, load_model("lambert"), TILES) for out in ("known", "out udim"))
-    assert angle(found["normal"], known["normal"]).max() < 0.05
+    found, fixed = (read_maps(folder / out, load_model("lambert"), TILES) for out in ("known", "out udim"))
+    assert angle(found["normal"], fixed["normal"]).max() < 0.05
     assert np.abs(found["base_color"] - truth()["base_color"]).mean() < 0.02
 
 
@@ -277,7 +277,7 @@ def test_what_is_not_asked_for_has_no_texels_but_hides_what_lies_behind(folder, 
         (("--slots", "each", "--resume"), "--resume: of each slot; resume the one that was interrupted"),
         (("--slots", "Hair"), "--slots Hair: there is no slot 'Hair'; the slots are 0 'Skin', 1 'Cloth'"),
         (("--ground-truth", "{truth}/maps.exr"), "is one picture, the UV map has the UDIM tiles 1001, 1011"),
-        (("--known", "normal={truth}/maps.1002.<UDIM>.exr"), "has no file for UDIM tile 1001 (2 of 2 are missing)"),
+        (("--fixed", "normal={truth}/maps.1002.<UDIM>.exr"), "has no file for UDIM tile 1001 (2 of 2 are missing)"),
         (("--resolution", "16384x16", "--slots", "1,0"), None),
     ],
 )

@@ -19,10 +19,10 @@ LAMBERT = load_model("lambert")
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 recover = pytest.fixture(recoveries)
 STANDARD = load_schedule("standard").replaced(
-    survey_iterations=3, survey_polish_iterations=2, iterations=3, polish_iterations=3, polish_start_iterations=1,
-    polish_round_iterations=2, prior_iterations=2, prior_scales=2,
+    prefit_iterations=3, prefit_refinement_iterations=2, iterations=3, refinement_iterations=3, refinement_start_iterations=1,
+    refinement_round_iterations=2, prior_iterations=2, prior_scales=2,
 )  # fmt: skip
-# Every kind of phase: one particle an iteration, in two stages; swarms as a whole, the survey, the polish, the prior.
+# Every kind of phase: one particle an iteration, in two stages; swarms as a whole, the prefit, the refinement, the prior.
 RUNS = {
     "one": (TWO_LOBES, SHORT.replaced(iterations=8, particles=5, seed="lambert", seeded=0.5)),
     "standard": (TWO_LOBES, STANDARD),
@@ -199,7 +199,7 @@ def test_stages_that_are_finished_are_not_made_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
     first.step(iterations=5 + 2)
     assert first.progress.stage == 1
-    second = first.changed(STANDARD.replaced(survey_iterations=50, iterations=20))
+    second = first.changed(STANDARD.replaced(prefit_iterations=50, iterations=20))
     assert (second.progress.stage, second.progress.iteration) == (1, 2)
     assert second.step(iterations=18).stage == 2
     second.close()
@@ -219,7 +219,7 @@ def test_stages_that_are_finished_are_not_made_again(recover):
 def test_swarms_that_begin_anew_begin_at_what_has_been_found(recover, change):
     domain, truth = subject(model=TWO_LOBES.name, observations=12)
     schedule = SHORT.replaced(iterations=40, seed="lambert", seeded=0.5, particles=6)
-    first = recover(domain, TWO_LOBES, schedule, known={"base_color": truth["base_color"]})
+    first = recover(domain, TWO_LOBES, schedule, fixed={"base_color": truth["base_color"]})
     first.step(iterations=30)
     before = float64_error(domain, TWO_LOBES, first.maps().values)[domain.solvable]
     second = first.changed(schedule.replaced(**change))

@@ -9,7 +9,7 @@ import pytest
 from irpso_addon.exports import openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
 from irpso_addon.geometry.height import Height
-from irpso_addon.results.extra_maps import height_map
+from irpso_addon.results.derived_map import height_map
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli

@@ -12,7 +12,7 @@ from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.core.png import encode_png
 from irpso_addon.geometry import bake, spaces
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.results.extra_maps import normal_maps
+from irpso_addon.results.derived_map import normal_maps
 from irpso_addon.results.maps import Maps
 from tests.builders.command_line import angle
 from tests.oracles.cycles_passes import normals_of, rendered_passes

@@ -16,10 +16,10 @@ from irpso_addon.results.map_tables import map_tables, map_values
 from irpso_addon.results.maps import Maps
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.phases.synchronous_swarm import RunningGenerations
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
-from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.settings.schedule import Refinement, load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from irpso_addon.solver.views.forward import Renderer
@@ -55,7 +55,7 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     subject = sheet(turn)
     domain = observed(subject, holes=0.1)
     schedule = load_schedule("standard").replaced(
-        neighbourhood=2 * REACH + 1, normal=search, search=["normal"], linear="search", survey_iterations=0, c3=0.3
+        neighbourhood=2 * REACH + 1, normal=search, search=["normal"], linear="search", prefit_iterations=0, c3=0.3
     )
     stage = resolve(schedule, LAMBERT, set())[0]
     packing = Packing(domain.solvable, domain.seams)
@@ -64,7 +64,7 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     estimates = Estimates(LAMBERT, {name: packing.pack(value) for name, value in values.items()})
     problem = oracle.Problem(domain, LAMBERT, stage, schedule, values, np.ones(domain.shape), 1)
     g = np.random.default_rng(5).uniform(0.2, 0.8, (*domain.shape, 4))
-    phase = RunningGenerations(stage, LAMBERT, schedule, 1, held, estimates, "fragment")
+    phase = SynchronousSwarmPhase(stage, LAMBERT, schedule, 1, held, estimates, "fragment")
     phase.textures.ensure()
     phase.textures.bests[0] = textures.upload(packing.pack(g))
     inputs = {**phase.textures.read_bindings(), **estimates.bindings(), **held.textures}
@@ -113,10 +113,10 @@ def whole_of(domain, model, schedule):
 
 def tiled(domain, model, schedule, boxes, on_device=None):
     """Return a recovery of it in tiles, which see each other across the cut."""
-    halo = recovery_need(model, schedule, (), domain.observations).reach
+    halo = recovery_cost(model, schedule, (), domain.observations).reach
     options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
     recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
-    assert sum(len(part.domain.seams.annex) for part in recovery._tiles) > 8
+    assert sum(len(part.domain.seams.ghosts) for part in recovery._tiles) > 8
     return recovery
 
 
@@ -136,8 +136,8 @@ def test_tiles_that_take_turns_and_stop_midway_see_the_bests_across_a_cut(tmp_pa
 
 def test_tiles_spread_and_pool_across_a_cut_as_the_whole_does():
     schedule = load_schedule("standard").replaced(
-        iterations=2, c3=0.3, survey_iterations=0, prior_rounds=2, prior_scales=2,
-        polish=Polish(iterations=2, starts=False, rounds=1, round_iterations=1),
+        iterations=2, c3=0.3, prefit_iterations=0, prior_rounds=2, prior_scales=2,
+        refinement=Refinement(iterations=2, starts=False, rounds=1, round_iterations=1),
     )  # fmt: skip
     domain = observed(sheet("mirrored and turned"), holes=0.1, model="cook_torrance_two_lobe")
     whole = whole_of(domain, TWO_LOBES, schedule)

@@ -11,7 +11,7 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.kernels import copy_pass
-from irpso_addon.solver.phases.sequential_swarm import RunningStage
+from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -152,7 +152,7 @@ def choices(request):
         scale = np.ones((64, 64), np.float32)
         on_gpu = DomainTextures(domain, Packing(domain.solvable), domain.stack, scale)
         estimates, resolved = Estimates(model, shapes), resolve(schedule, model, set())[0]
-        stage = RunningStage(resolved, model, schedule, seed, on_gpu, estimates, "fragment")
+        stage = SequentialSwarmPhase(resolved, model, schedule, seed, on_gpu, estimates, "fragment")
         stage.iteration = 0
         moved = []
         for _ in range(24):

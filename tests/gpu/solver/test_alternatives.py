@@ -50,12 +50,12 @@ def rendered(domain, name, values, noise):
     return replace(domain, stack=stack)
 
 
-def alternatives(domain, model, values, scale, known=(), fitness=STANDARD.fitness):
+def alternatives(domain, model, values, scale, fixed=(), fitness=STANDARD.fitness):
     """What the pass says, name → (H, W, 1), NaN where nothing is solved."""
     pack = Packing(domain.solvable)
     uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), pack.pack(scale.astype(np.float32)))
     estimates = Estimates(model, {name: pack.pack(value) for name, value in values.items()})
-    work = Alternatives(model, known, fitness, uploaded.defines)
+    work = Alternatives(model, fixed, fitness, uploaded.defines)
     for _ in work.measuring(uploaded, estimates, False, Bands(), 0.25):
         pass
     found = work.read()
@@ -64,7 +64,7 @@ def alternatives(domain, model, values, scale, known=(), fitness=STANDARD.fitnes
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "domain"),
+    ("name", "fixed", "domain"),
     [
         ("metallic_roughness", (), {"observations": 16}),
         ("metallic_roughness", ("metallic", "base_color"), {"observations": 6}),
@@ -74,12 +74,12 @@ def alternatives(domain, model, values, scale, known=(), fitness=STANDARD.fitnes
     ],
     ids=["default", "known", "mesh", "two-lobes", "coat"],
 )
-def test_alternatives_are_as_much_worse_as_float64_says(name, known, domain):
+def test_alternatives_are_as_much_worse_as_float64_says(name, fixed, domain):
     model = load_model(name)
     values, scale = random_values(model, SHAPE), np.random.default_rng(6).uniform(0.3, 0.8, SHAPE)
     domain = rendered(make_domain(*SHAPE, **domain), name, values, 0.02)
-    got = alternatives(domain, model, values, scale, known)
-    expected = alternatives_oracle.worse(domain, model, values, STANDARD, scale, known)
+    got = alternatives(domain, model, values, scale, fixed)
+    expected = alternatives_oracle.worse(domain, model, values, STANDARD, scale, fixed)
     assert set(got) == set(expected) and expected
     told = domain.solvable
     for number, wanted in expected.items():
@@ -137,8 +137,8 @@ def polished():
         domain, stack=np.ones_like(domain.stack), lights=np.pad(lights, ((0, 0), (0, 1))).astype(np.float32)
     )
     domain = rendered(domain, "metallic_roughness", values, 0.01)
-    known = {"metallic": values["metallic"].astype(np.float32)}
-    with Recovery(domain, load_model("metallic_roughness"), STANDARD, known=known) as recovery:
+    fixed = {"metallic": values["metallic"].astype(np.float32)}
+    with Recovery(domain, load_model("metallic_roughness"), STANDARD, fixed=fixed) as recovery:
         recovery.step()
         assert recovery.maps(confidence=False).alternatives is None
         yield recovery.maps(), hidden

@@ -65,14 +65,14 @@ def observed(model, domain, values, noise, seed=0):
     return Subject(model, replace(domain, stack=stack), values)
 
 
-def deviations(subject, known=(), values=None, seconds=0.25, fitness=UNIFORM):
+def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
     """What the pass says, name → (H, W, components) over the domain, NaN where nothing is solved."""
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
     uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), scale)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
-    work = Confidence(subject.model, known, fitness, uploaded.defines)
+    work = Confidence(subject.model, fixed, fitness, uploaded.defines)
     found = work.deviations(uploaded, estimates, False, Bands(), seconds)
     work.close()
     return {name: pack.unpack(value, np.nan) for name, value in found.items()}
@@ -84,7 +84,7 @@ def width(p):
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "domain"),
+    ("name", "fixed", "domain"),
     [
         ("lambert", (), {}),
         ("lambert", (), MESH),
@@ -97,18 +97,18 @@ def width(p):
         ("principled_two_lobe", ("normal",), {"observations": 60}),
     ],
 )
-def test_deviations_are_those_of_float64_where_the_samples_determine_everything(name, known, domain):
+def test_deviations_are_those_of_float64_where_the_samples_determine_everything(name, fixed, domain):
     subject = make_subject(name, **domain)
-    got = deviations(subject, known)
-    matrix, variance = oracle.normal_matrix(subject.domain, subject.model, subject.values, known)
-    expected = oracle.deviations(subject.model, matrix, variance, known)
-    rows = [p for p in subject.model.parameters if p.name not in known]
+    got = deviations(subject, fixed)
+    matrix, variance = oracle.normal_matrix(subject.domain, subject.model, subject.values, fixed)
+    expected = oracle.deviations(subject.model, matrix, variance, fixed)
+    rows = [p for p in subject.model.parameters if p.name not in fixed]
     # 0.4: from σ = 1 range on an unknown is taken for undetermined, and changes what the others have.
     determined = np.all([(expected[p.name] < 0.4 * width(p)).all(axis=-1) for p in rows], axis=0)
     determined &= subject.domain.solvable
     assert determined.sum() > 35
     for p in subject.model.parameters:
-        if p.name in known:
+        if p.name in fixed:
             assert (got[p.name][subject.domain.solvable] == 0).all()
             continue
         ratio = got[p.name][determined] / expected[p.name][determined]
@@ -155,12 +155,12 @@ def test_no_deviation_exceeds_its_range_and_all_are_finite():
 def test_deviations_at_the_ends_of_a_range_come_from_inside(name, end):
     model = load_model("principled")
     changes = {"base_color": 0.4, "roughness": 0.4, "specular": 0.5, name: model.parameter(name).range[end]}
-    known = ("roughness",) if changes["specular"] == 0 else ()  # there is no highlight to see it by
+    fixed = ("roughness",) if changes["specular"] == 0 else ()  # there is no highlight to see it by
     subject = make_subject("principled", observations=80, changes=changes, holes=False)
-    got = deviations(subject, known)
-    matrix, variance = oracle.normal_matrix(subject.domain, model, subject.values, known)
-    expected = oracle.deviations(model, matrix, variance, known)
-    for found in {"base_color", "normal", "roughness", "specular"} - set(known):
+    got = deviations(subject, fixed)
+    matrix, variance = oracle.normal_matrix(subject.domain, model, subject.values, fixed)
+    expected = oracle.deviations(model, matrix, variance, fixed)
+    for found in {"base_color", "normal", "roughness", "specular"} - set(fixed):
         determined = expected[found] < 0.4
         assert determined.mean() > 0.5, found
         assert (np.abs(got[found] / expected[found] - 1)[determined] < 0.03).mean() > 0.97, found
@@ -183,7 +183,7 @@ def test_two_lobes_of_one_width_leave_both_widths_and_their_weight_open():
 def test_a_lobe_without_weight_has_an_open_width(w, absent, present):
     subject = make_subject(TWO_LOBES, observations=80, changes={"r1": 0.15, "r2": 0.35, "w": w}, holes=False)
     got = deviations(subject)
-    alone = deviations(subject, known=(absent,))
+    alone = deviations(subject, fixed=(absent,))
     assert np.allclose(got[absent], 0.75)
     for name in ("base_color", "normal", present, "w"):
         assert np.allclose(got[name], alone[name], rtol=0.01), name
@@ -305,9 +305,9 @@ def test_refits_to_noise_that_is_really_there_scatter_as_the_deviations_say(name
 
 def test_a_recovery_gives_the_deviations_of_its_maps_and_zero_for_what_was_known():
     subject = make_subject("lambert", (9, 11), observations=30)
-    known = {"base_color": subject.values["base_color"].astype(np.float32)}
+    fixed = {"base_color": subject.values["base_color"].astype(np.float32)}
     schedule = load_schedule("swarm").replaced(search=("normal",), iterations=60, loss="l2")
-    with Recovery(subject.domain, subject.model, schedule, known=known) as recovery:
+    with Recovery(subject.domain, subject.model, schedule, fixed=fixed) as recovery:
         recovery.step()
         maps = recovery.maps()
         assert recovery.maps(confidence=False).confidence is None
@@ -316,6 +316,6 @@ def test_a_recovery_gives_the_deviations_of_its_maps_and_zero_for_what_was_known
     assert (maps.confidence["base_color"] == 0).all() and (maps.confidence["normal"][~covered] == 0).all()
     values = {name: v.astype(np.float64) for name, v in maps.values.items()}
     expected = oracle.deviations(
-        subject.model, *oracle.normal_matrix(subject.domain, subject.model, values, known), known
+        subject.model, *oracle.normal_matrix(subject.domain, subject.model, values, fixed), fixed
     )
     assert np.allclose(maps.confidence["normal"][covered], expected["normal"][covered], rtol=0.02)

@@ -142,9 +142,9 @@ def test_a_number_that_is_not_known_is_half_transparent_where_that_is_asked(runn
 
 def test_known_parameters_have_no_deviation(recover, show):
     domain, truth = subject(model=TWO_LOBES.name)
-    recovery = recover(domain, TWO_LOBES, known={"normal": truth["normal"]})
+    recovery = recover(domain, TWO_LOBES, fixed={"normal": truth["normal"]})
     maps = recovery.maps()
-    display = show(recovery, known=["normal"])
+    display = show(recovery, fixed=["normal"])
     picture = seen(display, "confidence", "r1", limit=0.5)
     wanted = false_color(maps.confidence["r1"][..., 0], 0.5)
     np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)

@@ -18,7 +18,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles import synchronous_swarm as oracle
 from tests.oracles.swarm import delta_of
 
-SURVEY = str(SHADERS / "prefit" / "falloff_lobe.toml")
+PREFIT = str(SHADERS / "prefit" / "falloff_lobe.toml")
 TWO_LOBES = "cook_torrance_two_lobe"
 ONE = {"particles": 1, "particles_per_dimension": 0.0, "c3": 0.0, "seed": "random"}
 SHAPE = (6, 9)
@@ -40,7 +40,7 @@ def blinn_phong(root, tmp_path_factory):
 @pytest.fixture
 def path_of(blinn_phong):
     """Return what load_model takes for a model's name in these tests."""
-    return lambda name: {"blinn_phong": blinn_phong, "falloff_lobe": SURVEY}.get(name, name)
+    return lambda name: {"blinn_phong": blinn_phong, "falloff_lobe": PREFIT}.get(name, name)
 
 
 def scipys(problem, a, right, counted):
@@ -109,7 +109,7 @@ def test_a_weight_that_no_observation_shows_stays_at_its_lowest(bench, blinn_pho
 @pytest.mark.parametrize("held", ["base_color", "strength"])
 def test_a_linear_parameter_that_is_not_solved_enters_the_rest(bench, blinn_phong, held):
     case = Case(f"held-{held}", shape=SHAPE, model=blinn_phong, domain={"observations": 24},
-                settings=ONE | {"loss": "l2"}, known=frozenset({held}))  # fmt: skip
+                settings=ONE | {"loss": "l2"}, fixed=frozenset({held}))  # fmt: skip
     b = bench(case)
     found, wanted, excess = compared(b)
     assert [p.name for p in b.stage.stage.solved] == [{"base_color": "strength", "strength": "base_color"}[held]]
@@ -119,7 +119,7 @@ def test_a_linear_parameter_that_is_not_solved_enters_the_rest(bench, blinn_phon
 
 def test_the_weight_of_the_lobes_is_known_and_the_base_is_solved_beside_it(bench):
     case = Case("known-w", shape=SHAPE, model=TWO_LOBES, domain={"observations": 24}, settings=ONE | {"loss": "l2"},
-                known=frozenset({"w"}))  # fmt: skip
+                fixed=frozenset({"w"}))  # fmt: skip
     found, wanted, excess = compared(bench(case))
     assert found.shape[1] == 3 and excess.max() < 1e-5
     np.testing.assert_allclose(found, wanted, atol=1e-4, rtol=1e-3)
@@ -135,7 +135,7 @@ def test_more_weights_than_eight_are_refused(tmp_path):
         bases + "vec3 reflectance(Material s, vec3 l, vec3 v) { return s.c0 + s.c1 + s.c2; }\n"
     )
     model = load_model(tmp_path / "many.toml")
-    stage = resolve(load_schedule("standard").replaced(survey_iterations=0), model, set())[0]
+    stage = resolve(load_schedule("standard").replaced(prefit_iterations=0), model, set())[0]
     with pytest.raises(InputError, match=r"9 linear components, at most 8 .*; give some as known, or search them"):
         linear_weights(model, stage.solved)
     assert linear_weights(model, stage.solved[:2]).components == 6
@@ -161,11 +161,11 @@ def test_reweighting_from_the_best_finds_the_albedo_under_cast_shadow(recover, n
     stack[..., 3] = 1
     domain = replace(domain, stack=stack)
     schedule = load_schedule("standard").replaced(
-        update="all", linear="solve", iterations=10, shadow=0.0, polish_iterations=0, survey_iterations=0,
+        update="all", linear="solve", iterations=10, shadow=0.0, refinement_iterations=0, prefit_iterations=0,
         prior_rounds=0, particles=1, particles_per_dimension=0.0, seed="random",
     )  # fmt: skip
-    known = {n: v for n, v in truth.items() if model.parameter(n).kind == "search"}
-    recovery = recover(domain, model, schedule, known=known)
+    fixed = {n: v for n, v in truth.items() if model.parameter(n).kind == "search"}
+    recovery = recover(domain, model, schedule, fixed=fixed)
     error = []
     for _ in range(10):
         recovery.step(iterations=1)

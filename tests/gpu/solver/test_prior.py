@@ -10,8 +10,8 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.phases.spatial_prior import RunningPrior
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import Prior, load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -27,12 +27,12 @@ recover = pytest.fixture(recoveries)
 
 
 def schedule_of(swarm=8, loss="robust", **settings):
-    """Few iterations of swarms and polish, and a prior."""
+    """Few iterations of swarms and refinement, and a prior."""
     schedule = load_schedule("standard").replaced(
         iterations=swarm,
-        polish_iterations=3,
-        polish_rounds=0,
-        survey_iterations=0,
+        refinement_iterations=3,
+        refinement_rounds=0,
+        prefit_iterations=0,
         loss=loss,
         shadow=0.0,
         materials_rounds=0,
@@ -50,7 +50,7 @@ class Bench:
         self.uploaded = DomainTextures(domain, self.pack, self.pack.pack_layers(domain.stack), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = resolve(schedule, model, set())[-1]
-        self.prior = RunningPrior(resolved, model, schedule, self.uploaded, self.estimates, entry)
+        self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)
         self.bands = Bands()
 
     def run(self, iterations=None):
@@ -285,8 +285,8 @@ def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover
         run.step()
         bits.append(bits_of(run.maps(confidence=False)))
     assert bits[0] == bits[1]
-    assert resolve(schedule_of(), load_model("lambert"), set())[-1].title == "polish"
-    assert resolve(schedule_of(), TWO_LOBES, {"r1", "r2", "w"})[-1].title == "polish"
+    assert resolve(schedule_of(), load_model("lambert"), set())[-1].title == "refinement"
+    assert resolve(schedule_of(), TWO_LOBES, {"r1", "r2", "w"})[-1].title == "refinement"
 
 
 @pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
@@ -333,7 +333,7 @@ def test_slices_looks_between_and_checkpoints_change_nothing(recover, tmp_path):
         assert bits_of(second.maps()) == wanted
 
 
-def test_a_look_before_the_end_shows_what_the_polish_has_found(recover):
+def test_a_look_before_the_end_shows_what_the_refinement_has_found(recover):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
     without = recover(domain, TWO_LOBES, schedule_of(rounds=0))
     without.step()
@@ -373,7 +373,7 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, 
 
 def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover):
     schedule = schedule_of().replaced(iterations=0)
-    need = recovery_need(TWO_LOBES, schedule, (), 12).phases[-1]
+    cost = recovery_cost(TWO_LOBES, schedule, (), 12).phases[-1]
     domain, truth, _ = smooth(9, 11, 12)
     taken = []
     original = textures._texture
@@ -384,11 +384,11 @@ def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover
 
     bench = Bench(TWO_LOBES, domain, truth, schedule)
     monkeypatch.setattr(textures, "_texture", counted)
-    again = RunningPrior(resolve(schedule, TWO_LOBES, set())[-1], TWO_LOBES, schedule, bench.uploaded, bench.estimates,
+    again = SpatialPriorPhase(resolve(schedule, TWO_LOBES, set())[-1], TWO_LOBES, schedule, bench.uploaded, bench.estimates,
                          "fragment")  # fmt: skip
     again.textures.ensure()
-    assert sum(taken) == 99 * need.textures
-    assert sum(array.nbytes for array in again.state().values()) == 99 * need.kept
+    assert sum(taken) == 99 * cost.textures
+    assert sum(array.nbytes for array in again.state().values()) == 99 * cost.kept
     reaches, renders = [], 0
     while not again.done:
         reaches.append(again.reach)
@@ -396,9 +396,9 @@ def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover
         for _ in again.advance(Bands(), 0.25):
             pass
     assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == (
-        need.reach,
-        need.exchanges,
-        need.evaluations,
+        cost.reach,
+        cost.exchanges,
+        cost.evaluations,
     )
     again.close()
     bench.prior.close()

@@ -23,8 +23,8 @@ PRESETS = {
 }
 
 
-def found(domain, schedule, known=None, drive=lambda run: run.step()):
-    with Pyramid(domain, LAMBERT, schedule, 1, known, "fragment") as run:
+def found(domain, schedule, fixed=None, drive=lambda run: run.step()):
+    with Pyramid(domain, LAMBERT, schedule, 1, fixed, "fragment") as run:
         drive(run)
         assert run.progress.done and run.progress.fraction == 1
         return run.maps(), run.progress
@@ -175,7 +175,7 @@ def test_maps_of_a_coarse_level_have_the_size_of_the_domain(turned):
 def test_what_is_known_is_known_at_every_level(turned):
     domain, truth = turned
     schedule = PRESETS["swarm"].replaced(levels=3, iterations=40)
-    maps, _ = found(domain, schedule, known={"normal": truth["normal"]})
+    maps, _ = found(domain, schedule, fixed={"normal": truth["normal"]})
     assert maps.values["normal"][domain.solvable].tobytes() == truth["normal"][domain.solvable].tobytes()
     assert np.median(np.abs(maps.values["base_color"] - truth["base_color"])[domain.solvable]) < 5e-3
 
@@ -187,9 +187,9 @@ def test_finer_levels_are_shorter_and_begin_at_what_was_given():
     for level in finer:
         assert level.swarm.seed == "given" and level.levels == 1
         assert [s.iterations for s in level.stages] == [round(s.iterations / 2) for s in schedule.stages]
-        assert level.survey.iterations == round(schedule.survey.iterations / 2)
+        assert level.prefit.iterations == round(schedule.prefit.iterations / 2)
         assert level.swarm.seed_spread < schedule.swarm.seed_spread
-        assert level.polish == schedule.polish and level.fitness == schedule.fitness
+        assert level.refinement == schedule.refinement and level.fitness == schedule.fitness
 
 
 def test_levels_and_tiles_are_refused_together():

@@ -228,9 +228,9 @@ def test_a_refused_checkpoint_leaves_the_run_as_it_was(whole, recover, tmp_path)
     other.save(path)
     with pytest.raises(InputError, match="geometry differ"):
         recovery.load(path)
-    other = recover(domain, schedule=schedule, known={"base_color": np.array([0.5, 0.5, 0.5])})
+    other = recover(domain, schedule=schedule, fixed={"base_color": np.array([0.5, 0.5, 0.5])})
     other.save(path)
-    with pytest.raises(InputError, match="known differ"):
+    with pytest.raises(InputError, match="fixed differ"):
         recovery.load(path)
     recovery.step()
     assert bits_of(recovery.maps()) == wanted

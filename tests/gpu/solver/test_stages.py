@@ -100,7 +100,7 @@ def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
 def test_known_maps_are_held_exactly_and_the_rest_is_found(recover):
     domain, truth = subject(observations=12)
     schedule = load_schedule("swarm").replaced(iterations=700, seed="random")
-    recovery = recover(domain, schedule=schedule, known={"normal": truth["normal"]})
+    recovery = recover(domain, schedule=schedule, fixed={"normal": truth["normal"]})
     assert recovery.progress.title == "base_color"
     recovery.step()
     maps = recovery.maps()
@@ -108,20 +108,20 @@ def test_known_maps_are_held_exactly_and_the_rest_is_found(recover):
     np.testing.assert_array_equal(maps.values["normal"][seen], truth["normal"][seen])
     error = np.abs(maps.values["base_color"] - truth["base_color"])[seen]
     assert np.median(error) < 1e-3
-    np.testing.assert_array_equal(recover(domain, known={"normal": truth["normal"]}).maps().values["normal"][seen],
+    np.testing.assert_array_equal(recover(domain, fixed={"normal": truth["normal"]}).maps().values["normal"][seen],
                                   truth["normal"][seen])  # fmt: skip
 
 
 def test_a_known_value_may_be_one_for_all_texels(recover):
     domain, _ = subject()
-    recovery = recover(domain, known={"base_color": np.array([0.1, 0.2, 0.3])})
+    recovery = recover(domain, fixed={"base_color": np.array([0.1, 0.2, 0.3])})
     recovery.step()
     maps = recovery.maps()
     assert (maps.values["base_color"][maps.covered] == np.float32([0.1, 0.2, 0.3])).all()
 
 
 @pytest.mark.parametrize(
-    ("known", "word"),
+    ("fixed", "word"),
     [
         ({"normal": np.zeros((3, 3, 3))}, "resample"),
         ({"normal": np.zeros(2)}, "resample"),
@@ -130,9 +130,9 @@ def test_a_known_value_may_be_one_for_all_texels(recover):
         ({"normal": np.zeros(3), "base_color": np.zeros(3)}, "nothing is left to find"),
     ],
 )
-def test_known_maps_that_do_not_fit_are_refused(recover, known, word):
+def test_known_maps_that_do_not_fit_are_refused(recover, fixed, word):
     with pytest.raises(InputError, match=word) as caught:
-        recover(subject()[0], known=known)
+        recover(subject()[0], fixed=fixed)
     assert "\n" not in str(caught.value)
 
 
@@ -152,7 +152,7 @@ def test_cycles_of_stages_improve_on_the_estimates_of_the_one_before(recover):
 def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
     domain, _ = subject(holes=False)
     schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
-    recovery = recover(domain, schedule=schedule, known={"normal": np.array([0, 0, 1.0])})
+    recovery = recover(domain, schedule=schedule, fixed={"normal": np.array([0, 0, 1.0])})
     recovery.step(iterations=60)
     before = recovery._phase.global_fitness(), recovery.halo()
     reached = before[0] <= 0.08
@@ -208,7 +208,7 @@ def test_looking_at_maps_often_keeps_nothing(recover):
         recovery.step(iterations=1)
         recovery.maps()
         recovery.halo()
-    assert len(recovery._findings._residual._framebuffers) == 1
+    assert len(recovery._diagnostics._residual._framebuffers) == 1
     assert len(recovery._phase.reader._copy._framebuffers) <= 2
 
 
@@ -219,14 +219,14 @@ def test_looking_at_maps_often_keeps_nothing(recover):
 def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search):
     domain, _ = subject(7, 5, "cook_torrance_two_lobe", observations=12)
     recovery = recover(domain, TWO_LOBES, SHORT.replaced(search=search, iterations=60, walls="reflect", v_max=1.0))
-    at = recovery._phase.codec.defines
+    at = recovery._phase.encoding.defines
     for steps in (0, 1, 1, 5, 40):
         recovery.step(iterations=steps)
         stage = recovery._phase
         tiles = {name: stage.reader.read(texture) for name, texture in stage.swarm.remembered.items()}
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):
-            x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.codec.blocks)
+            x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.encoding.blocks)
             assert (x[..., at["LOBE_FIRST"]] <= x[..., at["LOBE_SECOND"]]).all()
             assert x.min() >= 0 and x.max() <= 1
     maps = recovery.maps()
@@ -239,7 +239,7 @@ def test_exchanging_the_lobes_leaves_the_render_as_it_was(recover):
     exchanged = {**noise, "r1": noise["r2"], "r2": noise["r1"], "w": 1 - noise["w"]}
     residuals = []
     for values in (noise, exchanged):
-        known = {name: value for name, value in values.items() if name != "normal"}
-        residuals.append(recover(domain, TWO_LOBES, SHORT, known=known | {"r1": values["r1"]}).maps().residual)
+        fixed = {name: value for name, value in values.items() if name != "normal"}
+        residuals.append(recover(domain, TWO_LOBES, SHORT, fixed=fixed | {"r1": values["r1"]}).maps().residual)
     np.testing.assert_allclose(*residuals, rtol=1e-5, atol=1e-6)
     assert residuals[0][domain.solvable].min() > 1e-3

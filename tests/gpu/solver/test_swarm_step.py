@@ -10,7 +10,7 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.phases.sequential_swarm import RunningStage, particle_count
+from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase, particle_count
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -105,7 +105,7 @@ class Bench:
         self.packing = pack = Packing(self.domain.solvable)
         self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in estimates.items()})
-        self.stage = RunningStage(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
+        self.stage = SequentialSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))
         self.problem = oracle.Problem(
             self.domain, self.model, stage, self.schedule, estimates, scale.astype(np.float64), count, seed
@@ -129,7 +129,7 @@ class Bench:
 
     def give(self, state: oracle.State) -> None:
         """Make ``state`` the state on the GPU."""
-        atlas, blocks = self.stage.swarm.atlas, self.stage.codec.blocks
+        atlas, blocks = self.stage.swarm.atlas, self.stage.encoding.blocks
         particles = {
             "position": state.x,
             "velocity": state.v,
@@ -154,7 +154,7 @@ class Bench:
         }
         x, v, p = (np.stack([pack.unpack(one) for one in a]) for a in atlases.values())
         fitness = numbers.from_atlas(arrays["fitness"], *sizes, 1)[..., 0]
-        g = np.concatenate([arrays[f"global_best_{b}"] for b in range(stage.codec.blocks)], axis=-1)
+        g = np.concatenate([arrays[f"global_best_{b}"] for b in range(stage.encoding.blocks)], axis=-1)
         fitness = np.stack([pack.unpack(one, oracle.UNFIT) for one in fitness])
         g_fitness = pack.unpack(arrays["global_fitness"][..., 0], oracle.UNFIT)
         return oracle.State(x, v, p, fitness, pack.unpack(g), g_fitness)

@@ -7,14 +7,14 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
-from irpso_addon.solver.settings.resolve import resolve, survey_model
+from irpso_addon.solver.settings.resolve import prefit_model, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
 from irpso_addon.solver.views import texel_probe
 from irpso_addon.solver.views.texel_probe import TexelProbe, read_texel
 from tests.builders.domains import SHORT, recoveries, subject
 from tests.oracles import random_numbers as numbers
-from tests.oracles.synchronous_swarm import Generations
+from tests.oracles.synchronous_swarm import SynchronousSwarm
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 PRINCIPLED = load_model("principled")
@@ -48,7 +48,7 @@ def decoded(recovery, stage, model, estimates):
     packing, scale = recovery._packing, prepare(domain, recovery.model, schedule).scale
     height, width = packing.height, packing.width
     phase, _ = texel_probe.running_swarm(recovery)
-    problem = Generations(domain, model, stage, schedule, estimates, scale, phase.particles)
+    problem = SynchronousSwarm(domain, model, stage, schedule, estimates, scale, phase.particles)
 
     def place(name):
         found = numbers.from_atlas(arrays[f"phase_{name}"], phase.particles, height, width, problem.columns)
@@ -147,14 +147,14 @@ def test_every_phase_of_standard_is_read(recover, probe):
             lies = [textures.download(lent[f"u_estimate_{i}"])[at[1], at[0]] for i in range(2)]
         np.testing.assert_array_equal(np.concatenate(list(state.values.values())), np.concatenate(lies))
         names.setdefault(title, set()).add(state.particles and state.particles.names)
-    searched = tuple(p.name for p in survey_model().parameters if p.kind == "search" and not p.is_normal)
-    survey = next(iter(names["survey of the normals"] - {None}))
-    assert set(searched) | {"normal.x", "normal.y", "normal.z"} == set(survey)
-    assert names["polish"] == {None}
+    searched = tuple(p.name for p in prefit_model().parameters if p.kind == "search" and not p.is_normal)
+    prefit = next(iter(names["prefit of the normals"] - {None}))
+    assert set(searched) | {"normal.x", "normal.y", "normal.z"} == set(prefit)
+    assert names["refinement"] == {None}
     swarms = [title for title in names if "base_color" in title]
     for name, value in state.values.items():
         np.testing.assert_array_equal(value, recovery.maps(confidence=False).values[name][3, 2])
-    # The survey has found the normals, and the albedo is solved in closed form.
+    # The prefit has found the normals, and the albedo is solved in closed form.
     assert names[swarms[0]] - {None} == {("roughness", "specular")}
 
 

@@ -10,10 +10,10 @@ from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
-from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.settings.schedule import Refinement, load_schedule
 from irpso_addon.solver.state.checkpoint import tiles_of
 from tests.builders.domains import SHORT, subject
 
@@ -30,14 +30,14 @@ SCHEDULES = {
     "standard": load_schedule("standard").replaced(iterations=8, materials_rounds=0, prior_rounds=0),
     "materials": load_schedule("standard").replaced(
         iterations=2,
-        survey_iterations=0,
+        prefit_iterations=0,
         prior_rounds=0,
-        polish_iterations=2,
-        polish_rounds=0,
+        refinement_iterations=2,
+        refinement_rounds=0,
         materials_iterations=3,
     ),
-    "polish": load_schedule("standard").replaced(
-        iterations=6, materials_rounds=0, prior_rounds=0, polish=Polish(iterations=3, rounds=2)
+    "refinement": load_schedule("standard").replaced(
+        iterations=6, materials_rounds=0, prior_rounds=0, refinement=Refinement(iterations=3, rounds=2)
     ),
 }
 
@@ -95,11 +95,11 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
 def test_a_prior_that_looks_far_beyond_its_tile_is_that_of_the_whole(card, resident):
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
     schedule = load_schedule("standard").replaced(iterations=2, prior_rounds=2, prior_scales=2)
-    need = recovery_need(TWO_LOBES, schedule, (), 12)
-    assert need.reach == 4
+    cost = recovery_cost(TWO_LOBES, schedule, (), 12)
+    assert cost.reach == 4
     wanted, progress = whole_of(domain, schedule)
     boxes = FEW if resident else [(0, 0, 9, 13), (9, 0, 8, 13)]
-    with tiled(domain, schedule, boxes, halo=need.reach, resident=resident) as recovery:
+    with tiled(domain, schedule, boxes, halo=cost.reach, resident=resident) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
 
@@ -220,9 +220,9 @@ def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
 
 def test_known_maps_are_cut_with_their_tiles():
     domain, truth = subject(card=False)
-    known = {"normal": truth["normal"]}
-    wanted, _ = whole_of(domain, SHORT, model=LAMBERT, known=known)
-    with tiled(domain, SHORT, model=LAMBERT, known=known) as recovery:
+    fixed = {"normal": truth["normal"]}
+    wanted, _ = whole_of(domain, SHORT, model=LAMBERT, fixed=fixed)
+    with tiled(domain, SHORT, model=LAMBERT, fixed=fixed) as recovery:
         recovery.step()
         assert everything(recovery.maps()) == wanted
 
@@ -271,19 +271,19 @@ def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, dev
     with Recovery(domain, model, schedule, 1, entry=entry) as recovery:
         recovery.step()
         recovery.maps()
-    need = recovery_need(model, schedule, (), 12, compute=entry == "compute")
+    cost = recovery_cost(model, schedule, (), 12, compute=entry == "compute")
     # Compute dispatches are read back through copies, which were not asked for here.
-    copies = 306 * 16 * (1 + max(phase.atlas for phase in need.phases)) if need.compute else 0
+    copies = 306 * 16 * (1 + max(phase.atlas for phase in cost.phases)) if cost.compute else 0
     taken = device()
-    assert taken <= device_bytes(300, 400, need) <= 1.05 * taken + copies
+    assert taken <= device_bytes(300, 400, cost) <= 1.05 * taken + copies
 
 
 @pytest.mark.parametrize("preset, budget", [("swarm", 3 << 20), ("standard", 5 << 19)])
 def test_tiles_that_take_turns_take_no_more_than_the_plan_says(preset, budget, device):
     domain, _ = subject(40, 40, holes=False, observations=12)
     schedule = load_schedule(preset).replaced(iterations=6)
-    need = recovery_need(LAMBERT, schedule, (), 12)
-    plan = plan_recovery(domain.solvable, need, Memory(budget, 4 << 30), Limits(texture=150_000))
+    cost = recovery_cost(LAMBERT, schedule, (), 12)
+    plan = plan_recovery(domain.solvable, cost, Memory(budget, 4 << 30), Limits(texture=150_000))
     assert len(plan.tiles) > plan.on_device > 1
     with tiled(domain, schedule, plan.boxes, halo=plan.halo, model=LAMBERT, on_device=plan.on_device) as recovery:
         recovery.step()

@@ -130,8 +130,8 @@ def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):
     from irpso_addon.ui.export import IRPSO_OT_export
 
     drawn = Drawn()
-    known = bpy.ops.irpso.export.get_rna_type()
-    IRPSO_OT_export.draw(SimpleNamespace(layout=drawn, format=kind, bl_rna=known), bpy.context)
+    fixed = bpy.ops.irpso.export.get_rna_type()
+    IRPSO_OT_export.draw(SimpleNamespace(layout=drawn, format=kind, bl_rna=fixed), bpy.context)
     assert drawn.notes["props"] == ["format", *options]
 
 

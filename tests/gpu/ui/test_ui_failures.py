@@ -44,7 +44,7 @@ def test_a_check_that_fails_ends_and_is_told_in_the_panel(scene, tmp_path, monke
 @pytest.mark.parametrize("name", ["_idle", "_draw_view", "_draw_pixels", "_draw_image", "_follow"])
 def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
-    stage = SimpleNamespace(running=running, home_window=0, **dict.fromkeys(("is_home", "is_due"), lambda: True),
+    stage = SimpleNamespace(running=running, own_window=0, **dict.fromkeys(("in_own_context", "is_due"), lambda: True),
                             **dict.fromkeys(("update", "wants_redraw", "close"), broken))  # fmt: skip
     monkeypatch.setattr(handlers, "_stage", stage)
     monkeypatch.setattr(handlers, "_failed", None)

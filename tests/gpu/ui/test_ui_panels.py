@@ -171,7 +171,7 @@ def test_every_setting_of_the_search_is_somewhere_in_the_panels(settings):
 def test_settings_that_do_nothing_are_not_shown(settings):
     settings.schedule.preset = "paper"
     found = drawn().props
-    assert "polish_iterations" in found and "polish_rounds" not in found
+    assert "refinement_iterations" in found and "refinement_rounds" not in found
     assert "prior_rounds" in found and "prior_scales" not in found
     assert "loss" in found and "delta" not in found
     assert "level_iterations" not in found and "seeded" not in found

@@ -73,7 +73,7 @@ def test_a_shipped_preset_left_alone_is_the_schedule_of_its_file_in_every_bit(na
     settings().preset = "swarm" if name != "swarm" else "paper"
     settings().preset = name
     found = dataclasses.asdict(schedule())
-    for part in ("swarm", "fitness", "survey", "polish", "prior"):
+    for part in ("swarm", "fitness", "prefit", "refinement", "prior"):
         if part in table:
             assert bits(found[part]) == bits(table[part])
     assert bits(list(found["stages"])) == bits(table["stage"])
@@ -96,11 +96,11 @@ def test_every_setting_of_a_schedule_is_a_property_that_shows_the_value_in_effec
     assert settings().iterations == 1000
 
 
-@pytest.mark.parametrize("name", ["inertia", "delta", "polish_gain", "prior_likeness", "c3"])
+@pytest.mark.parametrize("name", ["inertia", "delta", "refinement_ftol", "prior_likeness", "c3"])
 def test_a_number_that_is_typed_reaches_the_schedule_as_it_was_typed(name):
     for typed in (0.07, 0.1, 0.3, 0.025, 1e-05, 0.123456):
         setattr(settings(), name, typed)
-        part, _, field = name.rpartition("_") if name.startswith(("polish", "prior")) else ("", "", name)
+        part, _, field = name.rpartition("_") if name.startswith(("refinement", "prior")) else ("", "", name)
         groups = [getattr(schedule(), part)] if part else [schedule().swarm, schedule().fitness]
         assert [getattr(group, field) for group in groups if hasattr(group, field)] == [typed]
 

@@ -140,7 +140,7 @@ def test_photographs_that_have_changed_are_told_in_words_of_the_panel(stored, pl
     running = session.current()
     while running.active:
         running.tick(0.05)
-    assert "is of another recovery: known differs; forget it, and recover anew" in running.failure
+    assert "is of another recovery: fixed differs; forget it, and recover anew" in running.failure
     assert "--" not in running.failure and stored.path.exists()
 
 

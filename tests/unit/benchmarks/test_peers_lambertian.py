@@ -90,9 +90,9 @@ def test_sparse_bayesian_updates_are_those_of_the_full_matrices():
 def test_the_low_rank_part_restores_a_matrix_of_rank_three_with_gaps_and_spikes():
     rng = np.random.default_rng(0)
     truth = rng.random((50, 3)) @ rng.random((3, 400))
-    known = rng.random(truth.shape) > 0.15
+    fixed = rng.random(truth.shape) > 0.15
     spoiled = truth + np.where(rng.random(truth.shape) < 0.05, rng.uniform(1, 4, truth.shape), 0)
-    found = lambertian._low_rank_part(spoiled, known, 1.0, 1e-7, 1000)
+    found = lambertian._low_rank_part(spoiled, fixed, 1.0, 1e-7, 1000)
     assert np.abs(found - truth).max() < 1e-3
 
 

@@ -6,7 +6,7 @@ from test_poses import CENTRE, HEIGHT, POINTS, ROTATION, SEEN, WIDTH, colmap, qu
 
 from irpso_addon.capture import Camera, Capture, CaptureError, Light, Observation, read_capture, write_capture
 from irpso_addon.capture.inspect.report import inspect_capture
-from irpso_addon.capture.read import read_draft
+from irpso_addon.capture.read import read_spec
 from tests.builders.captures import chunk, decode_png, write_png
 
 LENS = "OPENCV 64 48 50 51 33.05 23.625 -0.11 0.06 0.004 -0.003"
@@ -74,10 +74,10 @@ def test_a_photograph_on_its_side_and_at_half_the_size_has_its_camera_turned_and
     tiff = b"II*\0\x08\0\0\0\x01\0" + b"\x12\x01\x03\0\x01\0\0\0\x06\0\0\0" + b"\0\0\0\0"  # orientation 6
     write_png(scan / "IMG_1.png", np.full((24, 32, 3), 90), extra=chunk(b"eXIf", tiff))
     stored = read(scan, ['image = "IMG_2.png"\ncamera = "IMG_1.png"']).cameras[0]
-    shown = read_draft(scan / "capture.toml").views  # drafts make no camera before the sizes are known
+    shown = read_spec(scan / "capture.toml").views  # specs make no camera before the sizes are known
     assert len(shown) == 1 and shown[0].placed
     (scan / "capture.toml").write_text(f'cameras = "colmap"\n[[observation]]\nimage = "IMG_1.png"\n{LIT}')
-    (view,) = read_draft(scan / "capture.toml").views
+    (view,) = read_spec(scan / "capture.toml").views
     turned = view.make(24, 32)
     points = SEEN @ ROTATION + CENTRE
     x, y = stored.project(points)[0].T
@@ -122,7 +122,7 @@ def test_a_file_of_cameras_that_is_missing_or_a_matrix_without_one_is_told(tmp_p
     ):
         (tmp_path / "capture.toml").write_text(f"{top}\n{rest}")
         with pytest.raises(CaptureError, match=words):
-            read_draft(tmp_path)
+            read_spec(tmp_path)
 
 
 def test_a_full_size_model_says_the_same_through_the_table(tmp_path):

@@ -5,8 +5,7 @@ import pytest
 
 from irpso_addon.capture import read_capture, write_exr
 from irpso_addon.capture.camera import Camera
-from irpso_addon.capture.inspect import checks
-from irpso_addon.capture.inspect import sufficiency as enough
+from irpso_addon.capture.inspect import checks, sufficiency
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
@@ -99,7 +98,7 @@ DISTANT = [Light(tuple(light)) for light in RINGS.tolist()]
     ],
 )
 def test_lights_that_leave_the_normal_open_everywhere_are_told_from_those_that_do_not(lights, code):
-    lack = enough.no_normal(lights)
+    lack = sufficiency.no_normal(lights)
     assert (lack and lack.code) == code
     # By its definition: the directions from points drawn at random, of full rank at one of them or at none.
     ranks = []
@@ -132,13 +131,13 @@ def even_lights(count, degrees=73.0, across=1.0, seed=0):
 def test_the_half_angle_of_a_cap_of_lights_is_found_wherever_it_points(degrees):
     lights = even_lights(2000, degrees)
     turn, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
-    assert enough.half_angle(lights @ turn) == pytest.approx(degrees, rel=0.01)
+    assert sufficiency.half_angle(lights @ turn) == pytest.approx(degrees, rel=0.01)
 
 
 def test_the_spread_across_a_fan_is_its_width_over_its_length():
     # Cosines of two directions squeezed apart: standard deviations .5 and .1 about an axis of 1.
-    assert enough.spread_across(even_lights(5000, 60, 0.2)) == pytest.approx(0.2, rel=0.03)
-    assert enough.spread_across(even_lights(5000, 60)) == pytest.approx(1, rel=0.03)
+    assert sufficiency.spread_across(even_lights(5000, 60, 0.2)) == pytest.approx(0.2, rel=0.03)
+    assert sufficiency.spread_across(even_lights(5000, 60)) == pytest.approx(1, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +152,7 @@ def test_the_spread_across_a_fan_is_its_width_over_its_length():
 )
 def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(count, short, said):
     lights = even_lights(count)
-    found = {ask: list(enough.shortfalls(ask, count, lights)) for ask in enough.ASKS}
+    found = {ask: list(sufficiency.shortfalls(ask, count, lights)) for ask in sufficiency.ASKS}
     assert {ask for ask, lacks in found.items() if lacks} == set(short)
     assert all(lack.code == "few" for lacks in found.values() for lack in lacks)
     assert said in "\n".join(lack.message for lacks in found.values() for lack in lacks)
@@ -164,9 +163,9 @@ def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(co
     [(73, 1, set()), (46, 1, set()), (33, 1, {"narrow"}), (12, 1, {"narrow"}), (73, 0.25, {"flat"})],
 )
 def test_lights_are_told_to_be_narrow_or_flat_for_two_lobes(degrees, across, codes):
-    lacks = list(enough.shortfalls("two lobes", 200, even_lights(200, degrees, across)))
+    lacks = list(sufficiency.shortfalls("two lobes", 200, even_lights(200, degrees, across)))
     assert {lack.code for lack in lacks} == codes
-    assert not list(enough.shortfalls("normals", 200, even_lights(200, degrees, across)))
+    assert not list(sufficiency.shortfalls("normals", 200, even_lights(200, degrees, across)))
     if degrees == 33:
         assert "within about 33°" in lacks[0].message and "within 30° 17%" in lacks[0].message
 

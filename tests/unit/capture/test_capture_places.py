@@ -12,7 +12,7 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.places import camera_problems, lens_problems
-from irpso_addon.capture.read import read_capture, read_draft
+from irpso_addon.capture.read import read_capture, read_spec
 from irpso_addon.capture.types import Light
 from irpso_addon.capture.write import write_capture
 from irpso_addon.cluster.agreement import _digest_of_capture
@@ -66,7 +66,7 @@ def test_a_distance_that_is_none_is_refused_in_one_line(tmp_path, value):
     table = write_near_card(tmp_path / "card") / "capture.toml"
     table.write_text(table.read_text().replace("card_distance = 420.0", f"card_distance = {value}"))
     with pytest.raises(InputError, match=r"capture.toml: card_distance must be a number above 0, as in card_d[^\n]*$"):
-        read_draft(table)
+        read_spec(table)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
@@ -78,9 +78,9 @@ def test_a_capture_made_in_python_has_a_distance_above_0_or_none(value):
 def test_the_distance_comes_back_with_a_written_capture_and_stays_in_a_calibrated_table(tmp_path):
     folder = write_near_card(tmp_path / "card")
     assert read_capture(folder).card_distance == DISTANCE
-    draft = read_draft(folder)
-    (tmp_path / "new.toml").write_text(calibrated_table(draft, {}, {0: Light((0.0, 0.0, 1.0))}, tmp_path))
-    assert read_draft(tmp_path / "new.toml").card_distance == DISTANCE
+    spec = read_spec(folder)
+    (tmp_path / "new.toml").write_text(calibrated_table(spec, {}, {0: Light((0.0, 0.0, 1.0))}, tmp_path))
+    assert read_spec(tmp_path / "new.toml").card_distance == DISTANCE
 
 
 def test_inspect_says_how_large_the_card_is_and_that_its_distance_is_missing(tmp_path):
@@ -183,13 +183,13 @@ def balls(tmp_path_factory):
     return folder, asked
 
 
-def calibrated(balls, draft, radius=None, **asked):
-    return run_steps(calibrate_steps(draft, balls[1], Request("matte", "near", **asked), radius=radius))
+def calibrated(balls, spec, radius=None, **asked):
+    return run_steps(calibrate_steps(spec, balls[1], Request("matte", "near", **asked), radius=radius))
 
 
 def test_calibration_tells_how_far_a_card_is_that_the_balls_lie_on(balls):
-    draft = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
-    found = calibrated(balls, draft, radius=10.0)
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    found = calibrated(balls, spec, radius=10.0)
     assert found.card_distance == pytest.approx(DISTANCE, rel=0.01)
     assert report_of(found)["card_distance"] == pytest.approx(found.card_distance)
 
@@ -203,13 +203,13 @@ def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
 
 
 def test_places_in_radii_do_not_go_into_a_capture_with_lengths_of_its_own(balls):
-    draft = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
     with pytest.raises(InputError, match="has card_distance, in a unit .*; give --radius in it, or --lights distant"):
-        calibrated(balls, replace(draft, card_distance=DISTANCE))
-    calibrated(balls, replace(draft, card_distance=DISTANCE), radius=10.0)
+        calibrated(balls, replace(spec, card_distance=DISTANCE))
+    calibrated(balls, replace(spec, card_distance=DISTANCE), radius=10.0)
 
 
 def test_the_width_that_places_of_lamps_are_counted_in_is_written(balls, tmp_path):
     table = tmp_path / "capture.toml"
     table.write_text(written_table(calibrated(balls, read_photographs(balls[0])), tmp_path, {}))
-    assert "world_width = 2" in table.read_text() and read_draft(table).views[0].lens
+    assert "world_width = 2" in table.read_text() and read_spec(table).views[0].lens

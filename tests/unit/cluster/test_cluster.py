@@ -17,13 +17,13 @@ from irpso_addon.core.errors import GpuUnavailableError, InputError
 from irpso_addon.geometry.domain import subset
 from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.halo import meeting, place_of
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.engine.halo import overlap, place_of
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import make_domain
 
-NEED = recovery_need(load_model("lambert"), load_schedule("swarm"), (), 12)
+NEED = recovery_cost(load_model("lambert"), load_schedule("swarm"), (), 12)
 
 
 class Told(Ranks):
@@ -88,7 +88,7 @@ def test_as_much_of_a_halo_is_told_as_is_read(reach):
         wanted[y0 : y0 + height, x0 : x0 + width] = False
         heard = set()
         for other, box in enumerate(boxes):
-            found = None if other == reader else meeting(places[other], places[reader], reader, reach)
+            found = None if other == reader else overlap(places[other], places[reader], reader, reach)
             if found is None:
                 continue
             theirs = numbers[window(domain, box)][found.here]

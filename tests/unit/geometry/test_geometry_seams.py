@@ -11,7 +11,7 @@ from irpso_addon.geometry.seams.edges import seam_edges
 from irpso_addon.geometry.seams.seams import seams_of
 from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Borders, plan_recovery
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -183,9 +183,9 @@ def test_a_tile_sees_across_seams_what_the_whole_does(turn):
                 target = part.seams.target[entry[0]]
                 if target >= high * wide:
                     k, met = target - high * wide, met + 1
-                    assert tuple(part.seams.annex[k]) == wanted
-                    np.testing.assert_array_equal(part.seams.annex_normal[k], whole.bake.normal[wanted[1], wanted[0]])
-                    np.testing.assert_array_equal(part.seams.annex_tangent[k], whole.bake.tangent[wanted[1], wanted[0]])
+                    assert tuple(part.seams.ghosts[k]) == wanted
+                    np.testing.assert_array_equal(part.seams.ghost_normal[k], whole.bake.normal[wanted[1], wanted[0]])
+                    np.testing.assert_array_equal(part.seams.ghost_tangent[k], whole.bake.tangent[wanted[1], wanted[0]])
                 else:
                     assert (target % wide + part.origin[0], target // wide + part.origin[1]) == wanted
     assert met > 5
@@ -198,7 +198,7 @@ def test_a_plan_leaves_room_for_what_seams_take(preset, model, reach, most):
     domain = sheet("mirrored and turned").domain()
     edges = domain.seams.edges.some(domain.seams.edges.other >= 0)
     borders = Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
-    need = recovery_need(load_model(model), load_schedule(preset), (), 8)
+    need = recovery_cost(load_model(model), load_schedule(preset), (), 8)
     assert need.reach == reach
     boxes = [(0, 0, 20, 50), (20, 0, 42, 50)]
     for chosen in (boxes, [(0, 0, 62, 50)]):

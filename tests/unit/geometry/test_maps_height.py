@@ -10,7 +10,7 @@ from scipy.sparse.linalg import spsolve
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry import height, relief
-from irpso_addon.results.extra_maps import height_map
+from irpso_addon.results.derived_map import height_map
 from tests.oracles import geometry as geometry_oracle
 
 

@@ -14,14 +14,14 @@ from irpso_addon.reflectance.model import load_model, shipped_models
 from irpso_addon.solver.engine.alternatives import Alternatives
 from irpso_addon.solver.engine.confidence import Confidence
 from irpso_addon.solver.kernels import kernels
-from irpso_addon.solver.kernels import refinement as polish_kernels
+from irpso_addon.solver.kernels import refinement as refinement_kernels
 from irpso_addon.solver.kernels import spatial_prior as prior_kernels
-from irpso_addon.solver.kernels import synchronous_swarm as generation_kernels
-from irpso_addon.solver.kernels.encoding import build_codec
+from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
+from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
-from irpso_addon.solver.phases import prefit as survey
+from irpso_addon.solver.phases import prefit as prefit
 from irpso_addon.solver.phases.sequential_swarm import particle_count
-from irpso_addon.solver.settings.resolve import ResolvedPolish, ResolvedPrior, ResolvedSurvey, resolve, survey_model
+from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedPrior, ResolvedRefinement, prefit_model, resolve
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 from irpso_addon.solver.views import display
 
@@ -34,7 +34,7 @@ VARIANTS = {
     "all at once, solved": {"update": "all", "linear": "solve", "particles": 16, "particles_per_dimension": 0.0},
 }
 TOO_MANY_TO_SEARCH = ("anisotropic", "clear_coat")  # where base colour and normal are searched with all the rest
-ONE_STAGE = ("constriction", "swarm")  # presets that do so: no survey finds normals before
+ONE_STAGE = ("constriction", "swarm")  # presets that do so: no prefit finds normals before
 DOMAIN = {"SEAMS": 16}  # a mesh under near lights: nothing is left out
 
 
@@ -53,26 +53,26 @@ def made(monkeypatch):
 
 def make_passes(resolved, model, schedule):
     """Make the passes of one phase."""
-    if isinstance(resolved, ResolvedPolish):
-        polish_kernels.build_polish_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
+    if isinstance(resolved, ResolvedRefinement):
+        refinement_kernels.build_refinement_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrior):
         prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
-    elif isinstance(resolved, ResolvedSurvey):
-        for part in (resolved.stage, resolved.polish):
-            make_passes(part, survey_model(), schedule)
-        survey._adopt_pass(model, DOMAIN)
-        survey._measure_pass(survey_model(), schedule, DOMAIN)
-        survey._judge_pass(model, schedule, DOMAIN)
+    elif isinstance(resolved, ResolvedPrefit):
+        for part in (resolved.stage, resolved.refinement):
+            make_passes(part, prefit_model(), schedule)
+        prefit._adopt_pass(model, DOMAIN)
+        prefit._measure_pass(prefit_model(), schedule, DOMAIN)
+        prefit._acceptance_pass(model, schedule, DOMAIN)
     else:
-        codec = build_codec(model, resolved, schedule.swarm.normal)
+        codec = build_encoding(model, resolved, schedule.swarm.normal)
         particles = particle_count(schedule, codec.dimensions)
         if schedule.swarm.update == "all":
             linear = linear_weights(model, resolved.solved)
-            generation_kernels.build_generation_passes(
+            synchronous_swarm_kernels.build_synchronous_swarm_passes(
                 model, codec, linear, schedule, particles, 4, DOMAIN, "fragment"
             )  # fmt: skip
         else:
-            kernels.build_stage_passes(model, codec, schedule, particles, 4, DOMAIN, "fragment")
+            kernels.build_sequential_swarm_passes(model, codec, schedule, particles, 4, DOMAIN, "fragment")
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Starts in a model's table: where a polish begins besides the estimate."""
+"""Starts in a model's table: where a refinement begins besides the estimate."""
 
 import pytest
 

@@ -172,7 +172,7 @@ def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
         ({"schedule": load_schedule("paper")}, r"preset differs \(in the preset .*stages"),
         ({"schedule": load_schedule("swarm").replaced(c1=1.3)}, r"preset differs \(in the preset c1\); start without"),
         ({"model": load_model("principled")}, "model, parameters, shader"),
-        ({"known": KNOWN}, "known"),
+        ({"fixed": KNOWN}, "fixed"),
     ],
 )
 def test_other_settings_are_another_recovery_and_are_named(tmp_path, change, what):
@@ -199,10 +199,10 @@ def test_a_changed_line_in_a_file_that_a_models_shader_includes_is_another_recov
 
 def test_other_known_maps_are_another_recovery(tmp_path):
     path = tmp_path / "run.irpso"
-    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS, known=KNOWN), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
-    checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, known=KNOWN))
-    with pytest.raises(InputError, match="known differ"):
-        checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, known={"normal": KNOWN["normal"] + 1}))
+    checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS, fixed=KNOWN), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
+    checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, fixed=KNOWN))
+    with pytest.raises(InputError, match="fixed differ"):
+        checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS, fixed={"normal": KNOWN["normal"] + 1}))
 
 
 def test_a_tile_elsewhere_is_another_recovery(tmp_path):

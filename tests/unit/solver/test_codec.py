@@ -8,24 +8,24 @@ import pytest
 
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.solver.kernels.encoding import build_codec
+from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 
 
-def codec_of(search, model=TWO_LOBES, normal="hemisphere"):
+def encoding_of(search, model=TWO_LOBES, normal="hemisphere"):
     """Return the codec of a stage that searches ``search``."""
     schedule = load_schedule("swarm").replaced(search=search, normal=normal)
-    return build_codec(model, resolve(schedule, model, set())[0], normal)
+    return build_encoding(model, resolve(schedule, model, set())[0], normal)
 
 
-def functions_of(codec):
+def functions_of(encoding):
     """Return decode(x, reach, s) and encode(s, reach) as Python functions: assignments are alike in both languages."""
 
     def body(name):
-        lines = re.search(rf"void {name}\(.*?\) {{\n(.*?)\n}}", codec.source, re.S).group(1).splitlines()
+        lines = re.search(rf"void {name}\(.*?\) {{\n(.*?)\n}}", encoding.source, re.S).group(1).splitlines()
         lines = [re.sub(r"^(vec\d|float) ", "", line.strip().rstrip(";")) for line in lines]
         return "\n".join(line for line in lines if not line.startswith("for"))
 
@@ -68,15 +68,15 @@ SEARCHES = [
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
 def test_a_place_has_as_many_numbers_as_the_stage_searches(search, normal, n):
-    codec = codec_of(search, normal=normal)
-    assert codec.dimensions == codec.defines["DIMENSIONS"] == n
-    assert codec.blocks == codec.defines["BLOCKS"] == (1 if n <= 4 else 2)
+    encoding = encoding_of(search, normal=normal)
+    assert encoding.dimensions == encoding.defines["DIMENSIONS"] == n
+    assert encoding.blocks == encoding.defines["BLOCKS"] == (1 if n <= 4 else 2)
 
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
 @pytest.mark.parametrize("reach", [1.0, 0.25])
 def test_a_place_decodes_into_the_ranges_of_the_table_and_encodes_back(search, normal, n, reach):
-    decode, encode = functions_of(codec_of(search, normal=normal))
+    decode, encode = functions_of(encoding_of(search, normal=normal))
     x = [float(v) for v in np.random.default_rng(n).uniform(0, 1, 8)]
     s = material()
     decode(x, reach, s)
@@ -99,30 +99,30 @@ def test_a_place_decodes_into_the_ranges_of_the_table_and_encodes_back(search, n
 
 
 def test_what_lies_out_of_range_is_encoded_on_the_wall():
-    _, encode = functions_of(codec_of(["specular"]))
+    _, encode = functions_of(encoding_of(["specular"]))
     s = material()
     s.r1 = -1.0
     assert encode(s, 1.0)[:3] == [0.0, 1.0, 1.0]
 
 
 def test_the_normal_is_found_where_the_kernels_are_told():
-    assert codec_of(["all"]).defines["NORMAL_SIZE"] == 2 and codec_of(["all"]).defines["NORMAL_AT"] == 3
-    assert codec_of(["normal"], normal="cartesian").defines["NORMAL_SIZE"] == 3
-    assert codec_of(["diffuse"]).defines["NORMAL_SIZE"] == 0
+    assert encoding_of(["all"]).defines["NORMAL_SIZE"] == 2 and encoding_of(["all"]).defines["NORMAL_AT"] == 3
+    assert encoding_of(["normal"], normal="cartesian").defines["NORMAL_SIZE"] == 3
+    assert encoding_of(["diffuse"]).defines["NORMAL_SIZE"] == 0
 
 
 def test_lobes_are_kept_in_order_only_where_all_of_them_move():
     lobes = ("LOBE_FIRST", "LOBE_SECOND", "LOBE_WEIGHT")
-    assert [codec_of(["all"]).defines[name] for name in lobes] == [5, 6, 7]
-    assert [codec_of(["specular"]).defines[name] for name in lobes] == [0, 1, 2]
+    assert [encoding_of(["all"]).defines[name] for name in lobes] == [5, 6, 7]
+    assert [encoding_of(["specular"]).defines[name] for name in lobes] == [0, 1, 2]
     for search in (["r1", "r2"], ["r1", "w"], ["diffuse"]):
-        assert not set(lobes) & set(codec_of(search).defines)
+        assert not set(lobes) & set(encoding_of(search).defines)
 
 
 def test_lobes_without_a_weight_are_kept_in_order_too():
     parameters = (Parameter("normal", 3, is_normal=True, stage="normal"), Parameter("a"), Parameter("b"))
     model = ReflectanceModel("mine", "mine", PRESETS / "none.glsl", parameters, ordered=("a", "b"))
-    defines = codec_of(["a", "b"], model).defines
+    defines = encoding_of(["a", "b"], model).defines
     assert (defines["LOBE_FIRST"], defines["LOBE_SECOND"]) == (0, 1) and "LOBE_WEIGHT" not in defines
 
 
@@ -131,8 +131,8 @@ def test_a_parameter_of_four_components_is_four_dimensions():
         Parameter("normal", 3, is_normal=True, stage="normal"), Parameter("odd", 4, (-1.0, 3.0), (0.0,) * 4, "search")
     )  # fmt: skip
     model = ReflectanceModel("mine", "mine", PRESETS / "none.glsl", parameters)
-    codec = codec_of(["all"], model)
-    decode, _ = functions_of(codec)
+    encoding = encoding_of(["all"], model)
+    decode, _ = functions_of(encoding)
     s = SimpleNamespace(normal=None, odd=[0.0] * 4)
     decode([0.5, 0.5, 0.0, 0.25, 0.5, 1.0, 0, 0], 1.0, s)
-    assert s.odd == [-1, 0, 1, 3] and codec.dimensions == 6
+    assert s.odd == [-1, 0, 1, 3] and encoding.dimensions == 6

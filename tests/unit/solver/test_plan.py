@@ -9,7 +9,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import mapped_array
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
-from irpso_addon.solver.planning.cost import recovery_need
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory, amount, free_memory, machine_memory, parse_memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -19,8 +19,8 @@ PLENTY = Memory(1 << 50, 1 << 50)
 SWARM = load_schedule("swarm").replaced(particles=9, particles_per_dimension=0.0, iterations=60, c3_until=0.25)
 
 
-def need_of(observations=100, **options):
-    return recovery_need(load_model("lambert"), SWARM, (), observations, **options)
+def cost_of(observations=100, **options):
+    return recovery_cost(load_model("lambert"), SWARM, (), observations, **options)
 
 
 def disc(size, radius):
@@ -33,26 +33,26 @@ def disc(size, radius):
 
 def test_the_bytes_of_a_texel_are_those_counted_by_hand():
     # lambert: 6 components in two RGBA textures; base colour 3 + normal on the hemisphere 2 = 5 dimensions, two blocks.
-    need = need_of(100)
+    cost = cost_of(100)
     stack, geometry = 100 * 16, 4 * 16
     estimates, deviations, residual = 2 * 2 * 16, 2 * 16, 16
     atlas = 20 * (16 + 16 + 16 + 4)  # 9 particles · 2 blocks in an atlas of 5 × 4 tiles
     bests, candidates = 2 * 16 + 4, 4 * 16 + 16
     texel = stack + geometry + estimates + deviations + residual + atlas + bests + candidates
     # 256 covered texels lie in 16 × 16 places; the rectangle of 400 has 8 bytes each, the table of lights 48 a light.
-    assert device_bytes(256, 400, need) == 256 * texel + 400 * 8 + 100 * 48
-    assert need.kept == atlas + bests + 2 * 16
+    assert device_bytes(256, 400, cost) == 256 * texel + 400 * 8 + 100 * 48
+    assert cost.kept == atlas + bests + 2 * 16
     # 257 texels need a grid of 17 × 16.
-    assert device_bytes(257, 400, need) == 272 * texel + 400 * 8 + 100 * 48
+    assert device_bytes(257, 400, cost) == 272 * texel + 400 * 8 + 100 * 48
 
 
 def test_evaluations_and_exchanges_are_counted_over_all_iterations():
-    need = need_of()
+    cost = cost_of()
     # The neighbour term of 60 iterations lasts 15 of them (0 … 14); neighbours are tried at 9, 19, 29, 39, 49, 59.
-    assert (need.reach, need.exchanges, need.evaluations) == (1, 15 + 5, 9 + 60)
-    wide = recovery_need(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
+    assert (cost.reach, cost.exchanges, cost.evaluations) == (1, 15 + 5, 9 + 60)
+    wide = recovery_cost(load_model("lambert"), SWARM.replaced(neighbourhood=7, c3_until=0.0), (), 100)
     assert (wide.reach, wide.exchanges) == (3, 60)
-    alone = recovery_need(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
+    alone = recovery_cost(load_model("lambert"), SWARM.replaced(c3=0.0, neighbour_every=0), (), 100)
     assert (alone.reach, alone.exchanges) == (0, 0)
 
 
@@ -60,110 +60,110 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
 
 
 def test_what_fits_is_one_tile():
-    plan = plan_recovery(disc(64, 30), need_of(), PLENTY)
+    plan = plan_recovery(disc(64, 30), cost_of(), PLENTY)
     assert (plan.boxes, plan.halo, plan.resident, plan.passes) == ([(0, 0, 64, 64)], 0, True, 1)
     assert (plan.stack_on, plan.state_on, plan.scratch) == ("memory", "memory", 0)
-    assert plan.device == device_bytes(int(disc(64, 30).sum()), 64 * 64, need_of())
+    assert plan.device == device_bytes(int(disc(64, 30).sum()), 64 * 64, cost_of())
     assert plan.evaluations == 69 * disc(64, 30).sum()
 
 
 @pytest.mark.parametrize("covered", [disc(96, 40), np.random.default_rng(1).random((70, 50)) < 0.3, np.eye(80) > 0])
 @pytest.mark.parametrize("device", [6 * M, 2 * M, M // 2])
 def test_tiles_hold_every_covered_texel_once_and_fit(covered, device):
-    need = need_of(20)
-    plan = plan_recovery(covered, need, Memory(device, G))
+    cost = cost_of(20)
+    plan = plan_recovery(covered, cost, Memory(device, G))
     count = np.zeros(covered.shape, int)
     for x0, y0, width, height in plan.boxes:
         count[y0 : y0 + height, x0 : x0 + width] += 1
         part = covered[max(0, y0 - 1) : y0 + height + 1, max(0, x0 - 1) : x0 + width + 1]
-        assert device_bytes(int(part.sum()), part.size, need) <= device
+        assert device_bytes(int(part.sum()), part.size, cost) <= device
     assert (count[covered] == 1).all() and count.max() <= 1
     assert plan.device <= device
     assert sum(tile.texels for tile in plan.tiles) == plan.texels == covered.sum()
 
 
 def test_tiles_are_about_even_and_hardly_more_than_are_needed():
-    covered, need = disc(512, 250), need_of()
-    plan = plan_recovery(covered, need, Memory(64 * M, 64 * G))
+    covered, cost = disc(512, 250), cost_of()
+    plan = plan_recovery(covered, cost, Memory(64 * M, 64 * G))
     texels = [tile.texels for tile in plan.tiles]
     assert max(texels) <= 1.05 * min(texels)
     # What a tile that comes back has taken along lies on the device twice for a moment.
-    together = device_bytes(int(covered.sum()), covered.size, need) + need.kept * covered.sum()
+    together = device_bytes(int(covered.sum()), covered.size, cost) + cost.kept * covered.sum()
     assert len(texels) <= 1.15 * together / (64 * M) + 1
     restored = max(tile.restored for tile in plan.tiles)
     assert plan.device == max(tile.device for tile in plan.tiles) + restored <= 64 * M
-    assert plan.halo == 1 and not plan.resident and plan.passes == 1 + need.exchanges
+    assert plan.halo == 1 and not plan.resident and plan.passes == 1 + cost.exchanges
 
 
 def test_a_texture_that_is_too_large_makes_tiles_that_stay_on_the_device():
-    covered, need = np.ones((100, 100), bool), need_of()
-    plan = plan_recovery(covered, need, PLENTY, Limits(texture=100 * 100 * 16 * 100 // 3))
+    covered, cost = np.ones((100, 100), bool), cost_of()
+    plan = plan_recovery(covered, cost, PLENTY, Limits(texture=100 * 100 * 16 * 100 // 3))
     assert len(plan.boxes) == 4 and plan.resident and plan.passes == 1
     assert all(tile.texels + 4 * 51 <= 100 * 100 / 3 + 204 for tile in plan.tiles)
     # An atlas of 18 tiles lies 5 × 4: the side of a texture allows a fifth of it for each.
-    narrow = plan_recovery(covered, need, PLENTY, Limits(side=300))
+    narrow = plan_recovery(covered, cost, PLENTY, Limits(side=300))
     assert all(5 * np.ceil(np.sqrt(tile.texels)) <= 300 for tile in narrow.tiles) and len(narrow.tiles) >= 3
 
 
 def test_a_lone_tile_that_is_not_the_whole_domain_has_a_halo():
     covered = np.zeros((200, 200), bool)
     covered[10:40, 20:50] = True
-    need = need_of()
-    plan = plan_recovery(covered, need, PLENTY, Limits(side=190))
+    cost = cost_of()
+    plan = plan_recovery(covered, cost, PLENTY, Limits(side=190))
     assert [tuple(box) for box in plan.boxes] == [(20, 10, 30, 30)]
-    assert plan.halo == need.reach > 0
+    assert plan.halo == cost.reach > 0
 
 
 def test_more_observations_than_a_texture_has_layers_are_refused():
     with pytest.raises(InputError, match="2049 observations exceed this GPU's textures of 2048 layers; hold some out"):
-        plan_recovery(disc(8, 4), need_of(2049), PLENTY)
+        plan_recovery(disc(8, 4), cost_of(2049), PLENTY)
 
 
 def test_a_device_that_is_too_small_for_the_smallest_tile_is_named_with_the_remedy():
     with pytest.raises(
         InputError, match=r"--memory device=50.0 KiB \(--memory\): a tile of . × . texels .* allow more"
     ):
-        plan_recovery(disc(64, 30), need_of(), Memory(50 << 10, G))
+        plan_recovery(disc(64, 30), cost_of(), Memory(50 << 10, G))
 
 
 def test_a_host_that_is_too_small_is_named_with_the_remedy():
     with pytest.raises(InputError, match=r"--memory host=100 MiB .* are needed even with the images in a scratch file"):
-        plan_recovery(disc(64, 30), need_of(), Memory(G, 100 * M))
+        plan_recovery(disc(64, 30), cost_of(), Memory(G, 100 * M))
 
 
 def test_a_domain_without_a_covered_texel_is_refused():
     with pytest.raises(InputError, match="no texel is covered"):
-        plan_recovery(np.zeros((4, 4), bool), need_of(), PLENTY)
+        plan_recovery(np.zeros((4, 4), bool), cost_of(), PLENTY)
 
 
 # ---- memory and scratch --------------------------------------------------------------------------------------------
 
 
 def test_the_sample_stack_leaves_the_memory_first_then_the_state_of_waiting_tiles():
-    covered, need = disc(1024, 500), need_of()
+    covered, cost = disc(1024, 500), cost_of()
     stack = 1024 * 1024 * 100 * 16
-    plans = [plan_recovery(covered, need, Memory(256 * M, host)) for host in (8 * G, 3 * G, 5 * G // 4)]
+    plans = [plan_recovery(covered, cost, Memory(256 * M, host)) for host in (8 * G, 3 * G, 5 * G // 4)]
     assert [(p.stack_on, p.state_on) for p in plans] == [("memory", "memory"), ("scratch", "memory"), ("scratch",) * 2]
     assert [p.scratch for p in plans[:2]] == [0, stack]
     assert plans[0].host - plans[1].host == stack
     state = plans[2].scratch - stack
-    assert need.kept * covered.sum() <= state <= 1.01 * need.kept * covered.sum()
+    assert cost.kept * covered.sum() <= state <= 1.01 * cost.kept * covered.sum()
     assert all(plan.host <= plan.memory.host for plan in plans)
 
 
 def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
-    plain, held = (plan_recovery(disc(64, 30), need_of(100, held_out=n), PLENTY) for n in (0, 10))
+    plain, held = (plan_recovery(disc(64, 30), cost_of(100, held_out=n), PLENTY) for n in (0, 10))
     assert plain.host - held.host == pytest.approx(disc(64, 30).sum() * 10 * 16, rel=0.02)  # the tile's copy alone
     assert plain.device > held.device
     assert (plain.observations, held.observations) == (100, 90)
 
 
 def test_a_stack_that_lies_somewhere_stays_there():
-    assert plan_recovery(disc(64, 30), need_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
+    assert plan_recovery(disc(64, 30), cost_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
 
 
 def test_a_plan_is_plain_data_and_lines_for_people():
-    plan = plan_recovery(disc(512, 250), need_of(), Memory(64 * M, 64 * G))
+    plan = plan_recovery(disc(512, 250), cost_of(), Memory(64 * M, 64 * G))
     assert json.loads(json.dumps(plan.as_dict()))["texels"] == plan.texels
     text = "\n".join(plan.lines())
     for word in ("512 × 512", "100 observations", "halo", "64.0 MiB", "64.0 GiB", "scratch file  none", "evaluations"):

@@ -6,7 +6,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.progress import Progress, TimeLeft
 from irpso_addon.solver.phases.sequential_swarm import particle_count
 from irpso_addon.solver.planning.cost import work_of
-from irpso_addon.solver.settings.resolve import ResolvedStage, ResolvedSurvey, resolve
+from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedSwarm, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 
 
@@ -24,7 +24,7 @@ def at(fraction, stage=0, end=1.0):
 def test_every_iteration_is_counted_and_so_is_every_placing(preset):
     for stage, work in zip(*works(preset), strict=True):
         placings = len(work) - stage.iterations
-        assert min(work) > 0 and (placings > 0) == isinstance(stage, ResolvedStage | ResolvedSurvey)
+        assert min(work) > 0 and (placings > 0) == isinstance(stage, ResolvedSwarm | ResolvedPrefit)
 
 
 def test_placing_counts_as_many_renders_as_there_are_particles():
@@ -32,8 +32,8 @@ def test_placing_counts_as_many_renders_as_there_are_particles():
     schedule = load_schedule("swarm")
     particles = particle_count(schedule, stage.dimensions(schedule.swarm.normal))
     assert particles > 1 and work == (10.0,) * (particles + stage.iterations)
-    survey, swarm = works("standard")[1][:2]
-    assert swarm[0] == swarm[1] and survey[0] == survey[1]  # all are placed at once, and all are moved
+    prefit, swarm = works("standard")[1][:2]
+    assert swarm[0] == swarm[1] and prefit[0] == prefit[1]  # all are placed at once, and all are moved
 
 
 def test_the_time_left_is_the_rest_of_the_work_at_the_pace_so_far():

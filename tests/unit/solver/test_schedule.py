@@ -9,15 +9,15 @@ from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.phases.refinement import tracks_of
 from irpso_addon.solver.phases.sequential_swarm import neighbour_constant, particle_count
-from irpso_addon.solver.settings.resolve import ResolvedPolish, resolve
+from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve
 from irpso_addon.solver.settings.schedule import Stage, load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
 
 
-def titles(schedule, model="cook_torrance_two_lobe", known=()):
+def titles(schedule, model="cook_torrance_two_lobe", fixed=()):
     """Return what every stage of the first cycle searches."""
-    return [stage.title for stage in resolve(schedule, load_model(model), set(known)) if stage.cycle == 0]
+    return [stage.title for stage in resolve(schedule, load_model(model), set(fixed)) if stage.cycle == 0]
 
 
 @pytest.mark.parametrize("name", ["paper", "swarm", "constriction", "standard"])
@@ -151,8 +151,8 @@ def test_a_free_search_is_one_stage_as_long_as_the_longest():
 
 def test_known_parameters_are_not_searched_and_empty_stages_fall_away():
     paper = load_schedule("paper")
-    assert titles(paper, known=["normal", "base_color"]) == ["r1 + r2 + w"]
-    assert titles(paper, known=["r1"]) == ["base_color", "normal", "r2 + w"]
+    assert titles(paper, fixed=["normal", "base_color"]) == ["r1 + r2 + w"]
+    assert titles(paper, fixed=["r1"]) == ["base_color", "normal", "r2 + w"]
     assert titles(paper, model="lambert") == ["base_color", "normal"]
 
 
@@ -202,60 +202,68 @@ def test_the_neighbour_term_fades_to_nothing_or_stays():
     assert [neighbour_constant(constant, t, 100) for t in (0, 99)] == [0.1, 0.1]
 
 
-# ---- the polish --------------------------------------------------------------------------------------------------
+# ---- the refinement --------------------------------------------------------------------------------------------------
 
 
-def with_polish(tmp_path, text):
+def with_refinement(tmp_path, text):
     path = tmp_path / "mine.toml"
     path.write_text(SWARM + "\n" + text)
     return path
 
 
-POLISH = """[polish]
+REFINEMENT = """[refinement]
 iterations = 20
 starts = true
 start_iterations = 5
 rounds = 2
 round_iterations = 4
-daring = 1.0
+accept_ratio = 1.0
 votes = 1.0
 damping = 0.01
-gain = 1e-5
-smallest_step = 1e-5
+ftol = 1e-5
+xtol = 1e-5
 central = false
 widening = 30.0
 """
 
 
-def test_a_preset_without_a_polish_has_none():
-    assert load_schedule("paper").polish.iterations == 0
+def test_a_preset_without_a_refinement_has_none():
+    assert load_schedule("paper").refinement.iterations == 0
     stages = resolve(load_schedule("swarm"), load_model("principled"), set())
-    assert [stage.title for stage in stages if isinstance(stage, ResolvedPolish)] == []
+    assert [stage.title for stage in stages if isinstance(stage, ResolvedRefinement)] == []
 
 
-def test_a_polish_comes_last_and_counts_all_its_steps(tmp_path):
-    stages = resolve(load_schedule(with_polish(tmp_path, POLISH)), load_model("principled"), {"base_color"})
-    polish = stages[-1]
-    assert isinstance(polish, ResolvedPolish) and polish.title == "polish"
-    assert [p.name for p in polish.parameters] == ["normal", "roughness", "specular"]
+def test_a_refinement_comes_last_and_counts_all_its_steps(tmp_path):
+    stages = resolve(load_schedule(with_refinement(tmp_path, REFINEMENT)), load_model("principled"), {"base_color"})
+    refinement = stages[-1]
+    assert isinstance(refinement, ResolvedRefinement) and refinement.title == "refinement"
+    assert [p.name for p in refinement.parameters] == ["normal", "roughness", "specular"]
     # Five steps from the estimate and from each of three starts, twenty from the best, four after each of two rounds.
-    assert polish.iterations == 5 * 4 + 20 + 2 * 4
-    assert sum(track.iterations for track in tracks_of(polish.polish, len(polish.starts))) == polish.iterations
+    assert refinement.iterations == 5 * 4 + 20 + 2 * 4
+    assert (
+        sum(track.iterations for track in tracks_of(refinement.refinement, len(refinement.starts)))
+        == refinement.iterations
+    )
 
 
 def test_starts_tell_only_of_what_is_searched(tmp_path):
-    schedule = load_schedule(with_polish(tmp_path, POLISH))
+    schedule = load_schedule(with_refinement(tmp_path, REFINEMENT))
     only = resolve(schedule.replaced(search=["normal", "roughness"]), load_model("principled"), set())[-1]
     assert [dict(start) for start in only.starts] == [{"roughness": (r,)} for r in (0.15, 0.4, 0.8)]
     assert resolve(schedule.replaced(search=["normal"]), load_model("principled"), set())[-1].starts == ()
     assert resolve(schedule, load_model("lambert"), set())[-1].iterations == 20 + 2 * 4
-    assert resolve(schedule.replaced(polish_starts=False), load_model("principled"), set())[-1].iterations == 20 + 2 * 4
+    assert (
+        resolve(schedule.replaced(refinement_starts=False), load_model("principled"), set())[-1].iterations
+        == 20 + 2 * 4
+    )
 
 
-def test_a_schedule_may_be_a_polish_and_nothing_else():
-    alone = load_schedule("swarm").replaced(iterations=0, polish_iterations=7, polish_rounds=0, polish_starts=False)
+def test_a_schedule_may_be_a_refinement_and_nothing_else():
+    alone = load_schedule("swarm").replaced(
+        iterations=0, refinement_iterations=7, refinement_rounds=0, refinement_starts=False
+    )
     stages = resolve(alone, load_model("lambert"), set())
-    assert [(stage.title, stage.iterations) for stage in stages] == [("polish", 7)]
+    assert [(stage.title, stage.iterations) for stage in stages] == [("refinement", 7)]
     with pytest.raises(InputError, match="no stage has iterations"):
         load_schedule("swarm").replaced(iterations=0)
 
@@ -263,22 +271,22 @@ def test_a_schedule_may_be_a_polish_and_nothing_else():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"polish_iterations": -1}, "polish_iterations must be a whole number from 0, not -1"),
-        ({"polish_rounds": 1.5}, "polish_rounds must be a whole number from 0"),
-        ({"polish_start_iterations": 0}, "polish_start_iterations must be a whole number from 1"),
-        ({"polish_starts": 1}, "polish_starts must be true or false, not 1"),
-        ({"polish_damping": 0.0}, "polish_damping must be above 0"),
-        ({"polish_gain": "much"}, "polish_gain must be a number from 0"),
-        ({"polish_steps": 3}, "there is no setting 'polish_steps'"),
+        ({"refinement_iterations": -1}, "refinement_iterations must be a whole number from 0, not -1"),
+        ({"refinement_rounds": 1.5}, "refinement_rounds must be a whole number from 0"),
+        ({"refinement_start_iterations": 0}, "refinement_start_iterations must be a whole number from 1"),
+        ({"refinement_starts": 1}, "refinement_starts must be true or false, not 1"),
+        ({"refinement_damping": 0.0}, "refinement_damping must be above 0"),
+        ({"refinement_ftol": "much"}, "refinement_ftol must be a number from 0"),
+        ({"refinement_steps": 3}, "there is no setting 'refinement_steps'"),
     ],
 )
-def test_a_polish_that_cannot_be_is_refused(settings, message):
+def test_a_refinement_that_cannot_be_is_refused(settings, message):
     with pytest.raises(InputError, match=message):
         load_schedule("swarm").replaced(**settings)
 
 
-def test_a_polish_of_a_preset_is_set_whole(tmp_path):
-    with pytest.raises(InputError, match=r"\[polish\]: 'gain' is not set"):
-        load_schedule(with_polish(tmp_path, POLISH.replace("gain = 1e-5\n", "")))
-    with pytest.raises(InputError, match=r"\[polish\]: unknown key 'steps'"):
-        load_schedule(with_polish(tmp_path, POLISH + "steps = 3\n"))
+def test_a_refinement_of_a_preset_is_set_whole(tmp_path):
+    with pytest.raises(InputError, match=r"\[refinement\]: 'ftol' is not set"):
+        load_schedule(with_refinement(tmp_path, REFINEMENT.replace("ftol = 1e-5\n", "")))
+    with pytest.raises(InputError, match=r"\[refinement\]: unknown key 'steps'"):
+        load_schedule(with_refinement(tmp_path, REFINEMENT + "steps = 3\n"))

@@ -1,4 +1,4 @@
-"""The standard schedule: swarms that move as a whole, weights in closed form, and the survey before them."""
+"""The standard schedule: swarms that move as a whole, weights in closed form, and the prefit before them."""
 
 import dataclasses
 import json
@@ -13,9 +13,9 @@ from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
 from irpso_addon.solver.phases.sequential_swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedMaterials,
-    ResolvedPolish,
-    ResolvedStage,
-    ResolvedSurvey,
+    ResolvedPrefit,
+    ResolvedRefinement,
+    ResolvedSwarm,
     resolve,
 )
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
@@ -32,13 +32,13 @@ def unlike(value):
     return value + 2 if isinstance(value, int) else value / 2
 
 
-def test_the_standard_preset_moves_whole_swarms_solves_surveys_and_polishes():
+def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
     standard = load_schedule("standard")
     assert "standard" in shipped_presets() and standard.name == "standard"
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
     assert [type(stage) for stage in stages] == [
-        ResolvedSurvey, ResolvedStage, ResolvedPolish, ResolvedPolish, ResolvedMaterials,
+        ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement, ResolvedMaterials,
     ]  # fmt: skip
     assert [p.name for p in stages[1].parameters] == ["roughness", "specular"]
     assert [p.name for p in stages[1].solved] == ["base_color"]
@@ -50,7 +50,7 @@ def test_every_constant_of_the_standard_preset_is_read_from_its_file(tmp_path):
     table = tomllib.loads(text)
     standard = load_schedule("standard")
     parts = [name for name, value in table.items() if isinstance(value, dict)]
-    assert {"swarm", "fitness", "survey", "polish"} <= set(parts)
+    assert {"swarm", "fitness", "prefit", "refinement"} <= set(parts)
     for part in parts:
         values = dataclasses.asdict(getattr(standard, part))
         assert values == table[part], part
@@ -84,7 +84,7 @@ def test_a_particle_at_a_time_cannot_solve_weights():
 
 
 def test_linear_parameters_leave_the_search_where_they_are_solved():
-    solved = load_schedule("standard").replaced(survey_iterations=0)
+    solved = load_schedule("standard").replaced(prefit_iterations=0)
     for model, searched, closed in (
         ("lambert", ["normal"], ["base_color"]),
         ("cook_torrance_two_lobe", ["normal", "r1", "r2"], ["base_color", "w"]),
@@ -92,27 +92,27 @@ def test_linear_parameters_leave_the_search_where_they_are_solved():
         stage = resolve(solved, load_model(model), set())[0]
         assert [p.name for p in stage.parameters] == searched and [p.name for p in stage.solved] == closed
         assert stage.title == " + ".join(searched + closed)
-    known = resolve(solved, load_model("cook_torrance_two_lobe"), {"w", "normal"})[0]
-    assert [p.name for p in known.parameters] == ["r1", "r2"] and [p.name for p in known.solved] == ["base_color"]
+    fixed = resolve(solved, load_model("cook_torrance_two_lobe"), {"w", "normal"})[0]
+    assert [p.name for p in fixed.parameters] == ["r1", "r2"] and [p.name for p in fixed.solved] == ["base_color"]
     nothing = resolve(solved, load_model("lambert"), {"normal"})[0]
     assert nothing.parameters == () and nothing.dimensions("hemisphere") == 0
 
 
-def test_a_preset_without_a_survey_has_none():
-    assert load_schedule("swarm").survey.iterations == 0
+def test_a_preset_without_a_prefit_has_none():
+    assert load_schedule("swarm").prefit.iterations == 0
     for observations in (0, 100):
         stages = resolve(load_schedule("swarm"), load_model("principled"), set(), observations)
-        assert not any(isinstance(stage, ResolvedSurvey) for stage in stages)
+        assert not any(isinstance(stage, ResolvedPrefit) for stage in stages)
 
 
-def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_the_polish():
+def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_the_refinement():
     standard = load_schedule("standard").replaced(
-        survey_iterations=7, survey_polish_iterations=4, cycles=2, prior_rounds=0
+        prefit_iterations=7, prefit_refinement_iterations=4, cycles=2, prior_rounds=0
     )
-    stages = resolve(standard, load_model("principled"), set(), observations=standard.survey.observations)
+    stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.observations)
     assert [stage.title for stage in stages] == [
-        "survey of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "polish",
-        "polish, normals held", "shared materials",
+        "prefit of the normals", "roughness + specular + base_color", "roughness + specular + base_color", "refinement",
+        "refinement, normals held", "shared materials",
     ]  # fmt: skip
     assert stages[0].iterations == 11
     assert [p.name for p in stages[-3].parameters] == ["base_color", "normal", "roughness", "specular"]
@@ -120,64 +120,68 @@ def test_a_survey_comes_first_and_takes_the_normal_from_the_stages_but_not_from_
     assert stages[-2].iterations == 5 + 2 * 4 and stages[-2].starts == ()
     assert [p.name for p in stages[-1].parameters] == ["base_color", "normal", "roughness", "specular"]
     matt = resolve(standard, load_model("lambert"), set(), observations=50)
-    assert [stage.title for stage in matt][-2:] == ["base_color", "polish"]
+    assert [stage.title for stage in matt][-2:] == ["base_color", "refinement"]
     alone = resolve(standard.replaced(search=["normal"]), load_model("lambert"), set(), observations=50)
-    assert [stage.title for stage in alone] == ["survey of the normals", "polish"]
+    assert [stage.title for stage in alone] == ["prefit of the normals", "refinement"]
 
 
 @pytest.mark.parametrize(
-    ("settings", "known", "observations"),
+    ("settings", "fixed", "observations"),
     [({}, set(), 9), ({}, {"normal"}, 50), ({"search": ["base_color"]}, set(), 50),
-     ({"survey_iterations": 0}, set(), 50), ({"survey_observations": 51}, set(), 50)],
+     ({"prefit_iterations": 0}, set(), 50), ({"prefit_observations": 51}, set(), 50)],
 )  # fmt: skip
-def test_a_survey_needs_observations_and_a_normal_to_find(settings, known, observations):
+def test_a_prefit_needs_observations_and_a_normal_to_find(settings, fixed, observations):
     schedule = load_schedule("standard").replaced(**settings)
-    stages = resolve(schedule, load_model("principled"), known, observations)
-    assert not any(isinstance(stage, ResolvedSurvey) for stage in stages)
+    stages = resolve(schedule, load_model("principled"), fixed, observations)
+    assert not any(isinstance(stage, ResolvedPrefit) for stage in stages)
 
 
-BAD_SURVEYS = {
-    "survey_iterations": [-1, 1.5, "10", True],
-    "survey_polish_iterations": [-1, 2.5, None],
-    "survey_observations": [-1, 9.5, "many"],
-    "survey_shadow": [-0.1, "dark", float("nan"), True],
-    "survey_judge_delta": [-1, "x", float("inf")],
-    "survey_trust": [-1, "x", None],
+BAD_PREFITS = {
+    "prefit_iterations": [-1, 1.5, "10", True],
+    "prefit_refinement_iterations": [-1, 2.5, None],
+    "prefit_observations": [-1, 9.5, "many"],
+    "prefit_shadow": [-0.1, "dark", float("nan"), True],
+    "prefit_acceptance_delta": [-1, "x", float("inf")],
+    "prefit_acceptance_ratio": [-1, "x", None],
     "update": ["two", 1],
     "linear": ["closed", True],
     "linear_reach": [-1, "far"],
     "neighbour_every": [-1, "often"],
-    "survey_lobes": [2],
+    "prefit_lobes": [2],
 }
 
 
-@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in BAD_SURVEYS.items() for v in values])
-def test_a_survey_that_cannot_be_is_refused_in_one_line(name, value):
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in BAD_PREFITS.items() for v in values])
+def test_a_prefit_that_cannot_be_is_refused_in_one_line(name, value):
     with pytest.raises(InputError) as caught:
         load_schedule("standard").replaced(**{name: value})
     assert name in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_settings_of_the_survey_are_replaced_by_name_and_whole():
+def test_settings_of_the_prefit_are_replaced_by_name_and_whole():
     before = load_schedule("standard")
-    after = before.replaced(survey_iterations=3, survey_shadow=0.5, shadow=0.1, polish_iterations=2)
-    assert (after.survey.iterations, after.survey.shadow, after.survey.trust) == (3, 0.5, before.survey.trust)
-    assert (after.fitness.shadow, after.polish.iterations) == (0.1, 2)
-    assert before.replaced(survey=after.survey) == before.replaced(survey_iterations=3, survey_shadow=0.5)
+    after = before.replaced(prefit_iterations=3, prefit_shadow=0.5, shadow=0.1, refinement_iterations=2)
+    assert (after.prefit.iterations, after.prefit.shadow, after.prefit.acceptance_ratio) == (
+        3,
+        0.5,
+        before.prefit.acceptance_ratio,
+    )
+    assert (after.fitness.shadow, after.refinement.iterations) == (0.1, 2)
+    assert before.replaced(prefit=after.prefit) == before.replaced(prefit_iterations=3, prefit_shadow=0.5)
 
 
-def test_a_survey_of_a_preset_is_set_whole(tmp_path):
+def test_a_prefit_of_a_preset_is_set_whole(tmp_path):
     text = (PRESETS / "standard.toml").read_text(encoding="utf-8")
     path = tmp_path / "mine.toml"
-    path.write_text(text.replace("trust = 1.2\n", ""), encoding="utf-8")
-    with pytest.raises(InputError, match=r"\[survey\]: 'trust' is not set"):
+    path.write_text(text.replace("acceptance_ratio = 1.2\n", ""), encoding="utf-8")
+    with pytest.raises(InputError, match=r"\[prefit\]: 'acceptance_ratio' is not set"):
         load_schedule(path)
-    path.write_text(text.replace("trust = 1.2\n", "trust = 1.2\nlobes = 2\n"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"\[survey\]: unknown key 'lobes'"):
+    path.write_text(text.replace("acceptance_ratio = 1.2\n", "acceptance_ratio = 1.2\nlobes = 2\n"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"\[prefit\]: unknown key 'lobes'"):
         load_schedule(path)
 
 
-@pytest.mark.parametrize("part", ["survey", "polish", "prior"])
+@pytest.mark.parametrize("part", ["prefit", "refinement", "prior"])
 @pytest.mark.parametrize("value", [0, False])
 def test_a_part_that_is_switched_off_by_its_name_is_refused_with_the_setting_to_use(part, value):
     with pytest.raises(InputError, match=rf"{part} has settings of its own, as in {part}_\w+=0"):
@@ -185,5 +189,5 @@ def test_a_part_that_is_switched_off_by_its_name_is_refused_with_the_setting_to_
 
 
 def test_a_judge_that_takes_no_error_for_none_is_refused():
-    with pytest.raises(InputError, match="survey_judge_delta must be above 0"):
-        load_schedule("standard").replaced(survey_judge_delta=0)
+    with pytest.raises(InputError, match="prefit_acceptance_delta must be above 0"):
+        load_schedule("standard").replaced(prefit_acceptance_delta=0)

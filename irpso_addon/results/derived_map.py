@@ -13,7 +13,7 @@ NORMAL_SPACES = ("object", "world", "directx")
 
 
 @dataclass(frozen=True)
-class ExtraMap:
+class DerivedMap:
     """One map besides those of the model.
 
     name: its file stem. values: (H, W, C) float32, row 0 at the bottom, as the EXR has them. encoded: the same in 0…1,
@@ -27,7 +27,9 @@ class ExtraMap:
     exr: bool = True
 
 
-def normal_maps(spaces: dict[str, np.ndarray], covered: np.ndarray, margin: np.ndarray | None = None) -> list[ExtraMap]:
+def normal_maps(
+    spaces: dict[str, np.ndarray], covered: np.ndarray, margin: np.ndarray | None = None
+) -> list[DerivedMap]:
     """Return normal maps of other spaces, "object", "world" or "directx" → (H, W, 3) unit vectors, XYZ.
 
     For "directx" the vectors are those of the tangent-space map; its PNG has green turned over, and it has no EXR,
@@ -40,15 +42,15 @@ def normal_maps(spaces: dict[str, np.ndarray], covered: np.ndarray, margin: np.n
         values = fill_margin(vectors, covered, far=flat, given=margin if space == "directx" else None)
         if space == "directx":
             encoded = encode_normal(values * np.float32([1, -1, 1]))
-            made.append(ExtraMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
+            made.append(DerivedMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
         else:
-            made.append(ExtraMap(f"normal_{space}", values, encode_normal(values), f"0.5 * n + 0.5, {space} space"))
+            made.append(DerivedMap(f"normal_{space}", values, encode_normal(values), f"0.5 * n + 0.5, {space} space"))
     return made
 
 
-def height_map(height: Height) -> ExtraMap:
+def height_map(height: Height) -> DerivedMap:
     """Return the map of a relief: the numbers themselves as EXR, the fraction of its ``scale`` as PNG."""
     values = fill_margin(height.values[..., None], height.covered, far=(0.0,))
     encoded = np.clip(values / height.scale + height.midlevel, 0, 1)
     text = f"(height in {height.unit}) / {height.scale:.9g} + {height.midlevel:.9g}"
-    return ExtraMap("height", values, encoded, text)
+    return DerivedMap("height", values, encoded, text)

@@ -1,4 +1,4 @@
-"""The polish: its steps against float64, its optima against scipy, bounds, neighbours, and what never changes."""
+"""The refinement: its steps against float64, its optima against scipy, bounds, neighbours, and what never changes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +12,9 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.refinement import SPREAD_REACH
-from irpso_addon.solver.phases.refinement import RunningPolish, Track
-from irpso_addon.solver.settings.resolve import ResolvedPolish
-from irpso_addon.solver.settings.schedule import Polish, load_schedule
+from irpso_addon.solver.phases.refinement import RefinementPhase, Track
+from irpso_addon.solver.settings.resolve import ResolvedRefinement
+from irpso_addon.solver.settings.schedule import Refinement, load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, unit
@@ -24,19 +24,19 @@ from tests.oracles.swarm import direction_to, frames, turned
 
 MODELS = Path(__file__).parents[1] / "models"
 WARD = str(MODELS / "ward.toml")
-SETTINGS = Polish(iterations=1, starts=False, rounds=0, central=True)
+SETTINGS = Refinement(iterations=1, starts=False, rounds=0, central=True)
 DELTA = 0.05
 recover = pytest.fixture(recoveries)
 
 
 def schedule_of(loss="robust", **settings):
-    """A schedule that is a polish and nothing else."""
-    polish = replace(SETTINGS, **settings)
-    return load_schedule("swarm").replaced(iterations=0, loss=loss, delta=DELTA, shadow=0.0, polish=polish)
+    """A schedule that is a refinement and nothing else."""
+    refinement = replace(SETTINGS, **settings)
+    return load_schedule("swarm").replaced(iterations=0, loss=loss, delta=DELTA, shadow=0.0, refinement=refinement)
 
 
 class Bench:
-    """A polish of a domain from given values, on the GPU. scale: of every texel."""
+    """A refinement of a domain from given values, on the GPU. scale: of every texel."""
 
     def __init__(self, model, domain, values, schedule, starts=(), entry="fragment", scale=1.0):
         context.ensure()
@@ -45,26 +45,26 @@ class Bench:
         scales = pack.pack(np.full(domain.shape, scale, np.float32))
         uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), scales)
         self.estimates = Estimates(model, {name: pack.pack(np.float32(v)) for name, v in values.items()})
-        resolved = ResolvedPolish(model.parameters, schedule.polish, starts)
-        self.polish = RunningPolish(resolved, model, schedule, uploaded, self.estimates, entry)
+        resolved = ResolvedRefinement(model.parameters, schedule.refinement, starts)
+        self.refinement = RefinementPhase(resolved, model, schedule, uploaded, self.estimates, entry)
         self.bands = Bands()
 
     def run(self, iterations=None):
         """Make some iterations, or all; return what was found, name → (H, W, components)."""
-        while not self.polish.done and (iterations is None or self.polish.iteration < iterations):
-            for _ in self.polish.advance(self.bands, 0.25):
+        while not self.refinement.done and (iterations is None or self.refinement.iteration < iterations):
+            for _ in self.refinement.advance(self.bands, 0.25):
                 pass
-        self.polish.resolve()
+        self.refinement.resolve()
         values = self.estimates.values()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in values.items()}
 
     def close(self):
-        self.polish.close()
+        self.refinement.close()
 
 
 @pytest.fixture
-def polish():
-    """Return what a polish of values ends at."""
+def refinement():
+    """Return what a refinement of values ends at."""
     made = []
 
     def make(*arguments, **settings):
@@ -134,14 +134,14 @@ STEPS += [("lambert", "l1", False)]
 
 
 @pytest.mark.parametrize(("name", "loss", "central"), STEPS)
-def test_a_step_is_that_of_float64(polish, name, loss, central):
+def test_a_step_is_that_of_float64(refinement, name, loss, central):
     model, shape = load_model(name), (5, 7)
     truth = materials(model, shape)
     start = near(model, truth, 0.02)
     domain = observed(model, truth, shape, noise=0.005, shadow=0.0 if loss == "l2" else 0.1, bounds=1.0, colored=True)
     damping = 0.1
-    schedule = schedule_of(loss, damping=damping, central=central, gain=0.0)  # the optimum's own shaders
-    found = polish(model, domain, start, schedule, scale=0.7).run()
+    schedule = schedule_of(loss, damping=damping, central=central, ftol=0.0)  # the optimum's own shaders
+    found = refinement(model, domain, start, schedule, scale=0.7).run()
     wrong = []
     for row, column in np.ndindex(shape):
         texel = Texel(model, domain, row, column, loss, DELTA, 0.7)
@@ -169,12 +169,12 @@ def test_a_step_is_that_of_float64(polish, name, loss, central):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("central", [True, False])
-def test_the_optimum_is_that_of_scipy(polish, name, central):
+def test_the_optimum_is_that_of_scipy(refinement, name, central):
     model, shape = load_model(name), (2, 5)
     truth = materials(model, shape, seed=4)
     start = near(model, truth, 0.05)
     domain = observed(model, truth, shape, noise=0.01, shadow=0.15, bounds=1.0)
-    found = polish(model, domain, start, schedule_of(iterations=60, central=central, gain=0.0)).run()
+    found = refinement(model, domain, start, schedule_of(iterations=60, central=central, ftol=0.0)).run()
     for row, column in np.ndindex(shape):
         texel = Texel(model, domain, row, column, "robust", DELTA, 1.0)
         origin = at(start, row, column)
@@ -200,14 +200,14 @@ def test_the_optimum_is_that_of_scipy(polish, name, central):
         assert texel.cost(at(found, row, column)) < 1.001 * wanted
 
 
-def test_no_number_leaves_its_range_and_the_optimum_on_it_is_scipys(polish):
+def test_no_number_leaves_its_range_and_the_optimum_on_it_is_scipys(refinement):
     model, shape = load_model("principled"), (4, 6)
     truth = materials(model, shape, seed=4)
     start = near(model, truth, 0.1)
     outside = {**truth, "specular": truth["specular"] * 0 + 1.1}
     outside["base_color"] = np.maximum(truth["base_color"], (1.1, 0, 0))
     domain = observed(model, outside, shape, noise=0.003)
-    found = polish(model, domain, start, schedule_of("l2", iterations=60)).run()
+    found = refinement(model, domain, start, schedule_of("l2", iterations=60)).run()
     ends = 0
     for p in model.parameters:
         assert (found[p.name] >= np.float32(p.range[0])).all() and (found[p.name] <= np.float32(p.range[1])).all()
@@ -230,13 +230,13 @@ def test_no_number_leaves_its_range_and_the_optimum_on_it_is_scipys(polish):
         assert texel.cost(at(found, row, column)) < 1.001 * wanted
 
 
-def test_lobes_end_in_rising_order_with_their_weight(polish):
+def test_lobes_end_in_rising_order_with_their_weight(refinement):
     model, shape = load_model("cook_torrance_two_lobe"), (3, 5)
     truth = materials(model, shape)
     start = near(model, truth, 0.02)
     swapped = {**start, "r1": start["r2"], "r2": start["r1"], "w": 1 - start["w"]}
     domain = observed(model, truth, shape, observations=60)
-    found = polish(model, domain, swapped, schedule_of("l2", iterations=30)).run()
+    found = refinement(model, domain, swapped, schedule_of("l2", iterations=30)).run()
     assert (found["r1"] <= found["r2"]).all()
     for p in model.parameters:
         np.testing.assert_allclose(found[p.name], truth[p.name], atol=0.01 * (p.range[1] - p.range[0]))
@@ -245,17 +245,17 @@ def test_lobes_end_in_rising_order_with_their_weight(polish):
 # ---- what costs nothing, what helps ------------------------------------------------------------------------------
 
 
-def test_a_texel_that_is_done_costs_nothing(polish):
+def test_a_texel_that_is_done_costs_nothing(refinement):
     model, shape = load_model("lambert"), (5, 6)
     truth = materials(model, shape)
-    bench = polish(model, observed(model, truth, shape), truth, schedule_of("l2", iterations=20))
-    assert bench.polish.evaluations == 1 + 2 * 2 + 1 + 3
+    bench = refinement(model, observed(model, truth, shape), truth, schedule_of("l2", iterations=20))
+    assert bench.refinement.evaluations == 1 + 2 * 2 + 1 + 3
     bench.run()
-    spent = bench.polish.spent() / 30
-    assert 2 * bench.polish.evaluations <= spent <= 5 * bench.polish.evaluations
+    spent = bench.refinement.spent() / 30
+    assert 2 * bench.refinement.evaluations <= spent <= 5 * bench.refinement.evaluations
 
 
-def test_starts_free_a_texel_from_a_wrong_optimum(polish):
+def test_starts_free_a_texel_from_a_wrong_optimum(refinement):
     model, shape = load_model("cook_torrance_two_lobe"), (6, 6)
     truth = materials(model, shape)
     # One lobe of two widths: the second may be anything where the first has all the weight.
@@ -264,7 +264,7 @@ def test_starts_free_a_texel_from_a_wrong_optimum(polish):
     right = []
     for starts in ((), model.starts):
         schedule = schedule_of(iterations=25, starts=True, start_iterations=6)
-        found = polish(model, domain, start, schedule, starts=starts).run()
+        found = refinement(model, domain, start, schedule, starts=starts).run()
         right.append(np.mean([np.abs(found[n] - truth[n]).max(axis=-1) < 0.01 for n in ("r1", "r2", "w")]))
     assert right[1] > 0.95 and right[1] > right[0] + 0.1, right
 
@@ -281,18 +281,18 @@ def gold(shape):
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("card", [True, False])
-def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(polish, card, entry):
+def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(refinement, card, entry):
     model, shape = load_model("metallic_roughness"), (3, 4)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=30, **({} if card else {"card": False, "near": True}))
     domain.stack[..., 3] = np.abs(domain.stack[..., 3])
     schedule = schedule_of(starts=True, start_iterations=1)
-    bench = polish(model, domain, truth, schedule, starts=((("normal", ()),),), entry=entry)
-    for _ in bench.polish._open(bench.bands):
+    bench = refinement(model, domain, truth, schedule, starts=((("normal", ()),),), entry=entry)
+    for _ in bench.refinement._open(bench.bands):
         pass
-    for _ in bench.polish._begin(Track(0, 1), bench.bands, 0.25):
+    for _ in bench.refinement._begin(Track(0, 1), bench.bands, 0.25):
         pass
-    packed = np.concatenate([textures.download(t) for t in bench.polish.work[:-1]], axis=-1)
+    packed = np.concatenate([textures.download(t) for t in bench.refinement.work[:-1]], axis=-1)
     at = model.offset("normal")
     found = bench.pack.unpack(packed[..., at : at + 3], np.nan)
     position, frame = domain.bake.position.astype(np.float64), frames(domain.bake)
@@ -307,7 +307,7 @@ def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(polish, 
     np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
-def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wide_delta(polish):
+def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wide_delta(refinement):
     model, shape = load_model("metallic_roughness"), (8, 8)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=24, noise=0.003)
@@ -319,14 +319,14 @@ def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wi
     right = []
     for starts, widening in (((), 1.0), (model.starts, 1.0), (model.starts, 30.0)):
         schedule = schedule_of(iterations=10, starts=True, start_iterations=5, widening=widening, central=False)
-        found = polish(model, domain, start, schedule, starts=starts, scale=0.1).run()
+        found = refinement(model, domain, start, schedule, starts=starts, scale=0.1).run()
         right.append(float((found["metallic"] > 0.9).mean()))
     assert right[0] < 0.1 < right[1] < right[2] - 0.05 and right[2] > 0.8, right
 
 
 @pytest.mark.parametrize("card", [True, False])
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_texel_takes_what_a_neighbour_has_found(polish, card, entry):
+def test_a_texel_takes_what_a_neighbour_has_found(refinement, card, entry):
     model, shape = load_model("lambert"), (4, 5)
     truth = {
         name: np.broadcast_to(v[:1, :1], (*shape, v.shape[-1])).copy() for name, v in materials(model, shape).items()
@@ -346,7 +346,7 @@ def test_a_texel_takes_what_a_neighbour_has_found(polish, card, entry):
     start = {name: v.copy() for name, v in truth.items()}
     start["normal"][1, 1], start["base_color"][1, 1] = (-0.6, -0.8, 0.0), 0
     alone, helped = (
-        polish(
+        refinement(
             model, domain, start, schedule_of("l2", iterations=3, rounds=rounds, round_iterations=6), entry=entry
         ).run()
         for rounds in (0, 1)
@@ -370,8 +370,8 @@ def uniform(shape, **changed):
     }
 
 
-def voted(polish, truth, start, votes, entry="fragment", unseen=None):
-    """Polish a start with votes of the neighbours, under 40 lights with noise.
+def voted(refinement, truth, start, votes, entry="fragment", unseen=None):
+    """Refinement a start with votes of the neighbours, under 40 lights with noise.
 
     unseen: (row, column) of a texel that no light near its highlight reaches.
     """
@@ -381,52 +381,52 @@ def voted(polish, truth, start, votes, entry="fragment", unseen=None):
         half = unit(domain.lights[:, :3] + (0, 0, 1))
         domain.stack[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
     schedule = schedule_of(iterations=4, rounds=3, round_iterations=4, votes=votes)
-    return polish(model, domain, start, schedule, entry=entry).run()
+    return refinement(model, domain, start, schedule, entry=entry).run()
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(polish, entry):
+def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(refinement, entry):
     truth = uniform((7, 7))
     start = {name: v.copy() for name, v in truth.items()}
     start["roughness"][3, 3], start["specular"][3, 3] = 0.9, 0.0
-    alone, crowd = (voted(polish, truth, start, votes, entry, (3, 3)) for votes in (0.0, 6.0))
+    alone, crowd = (voted(refinement, truth, start, votes, entry, (3, 3)) for votes in (0.0, 6.0))
     for name, value in (("roughness", 0.3), ("specular", 0.5)):
         assert abs(alone[name][3, 3, 0] - value) > 0.2 > 2 * abs(crowd[name][3, 3, 0] - value)
 
 
-def test_a_texel_of_its_own_material_is_not_outvoted(polish):
+def test_a_texel_of_its_own_material_is_not_outvoted(refinement):
     truth = uniform((7, 7))
     truth["roughness"][3, 3], truth["specular"][3, 3] = 0.7, 1.0
-    found = voted(polish, truth, truth, 6.0)
+    found = voted(refinement, truth, truth, 6.0)
     assert found["roughness"][3, 3, 0] == pytest.approx(0.7, abs=0.05)
     assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.05
 
 
-def test_a_line_and_a_checker_one_texel_wide_survive_the_votes(polish):
+def test_a_line_and_a_checker_one_texel_wide_survive_the_votes(refinement):
     rows, columns = np.indices((8, 8))
     for other in (rows == 3, (rows + columns) % 2 == 0):
         truth = uniform((8, 8))
         truth["roughness"][other] = 0.6
-        found = voted(polish, truth, truth, 6.0)
+        found = voted(refinement, truth, truth, 6.0)
         assert np.abs(found["roughness"] - truth["roughness"]).max() < 0.06
 
 
 # ---- what never changes ------------------------------------------------------------------------------------------
 
 
-def test_fragment_and_compute_make_the_same_step(polish):
+def test_fragment_and_compute_make_the_same_step(refinement):
     model, shape = load_model("principled"), (5, 7)
     truth = materials(model, shape)
     domain = observed(model, truth, shape, noise=0.01)
     start = near(model, truth, 0.03)
     one, other = (
-        polish(model, domain, start, schedule_of(damping=0.1), entry=e).run() for e in ("fragment", "compute")
+        refinement(model, domain, start, schedule_of(damping=0.1), entry=e).run() for e in ("fragment", "compute")
     )
     for name in one:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-4, atol=1e-5)
 
 
-WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2, "daring": 1.5,
+WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2, "accept_ratio": 1.5,
          "votes": 1.0}  # fmt: skip
 
 
@@ -444,7 +444,7 @@ def lobes():
 def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
-        iterations=3, particles=4, seed="random", polish=replace(SETTINGS, **WHOLE)
+        iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
     )
     whole = recover(domain, model, schedule, entry=entry)
     assert whole.step().iterations_in_all == 3 + 5 * 2 + 4 + 2 * 2
@@ -467,7 +467,7 @@ def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks)
 def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, entry):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
-        iterations=3, particles=4, seed="random", polish=replace(SETTINGS, **WHOLE)
+        iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
     )
     whole = recover(domain, model, schedule, entry=entry)
     whole.step()
@@ -476,12 +476,12 @@ def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, 
 
 def test_a_known_parameter_and_one_that_no_stage_searches_stay(recover):
     model, domain = lobes()
-    known = {"base_color": np.float32([0.4, 0.5, 0.6])}
-    schedule = load_schedule("swarm").replaced(search=["normal", "diffuse"], iterations=0, polish=SETTINGS)
-    recovery = recover(domain, model, schedule, known=known)
+    fixed = {"base_color": np.float32([0.4, 0.5, 0.6])}
+    schedule = load_schedule("swarm").replaced(search=["normal", "diffuse"], iterations=0, refinement=SETTINGS)
+    recovery = recover(domain, model, schedule, fixed=fixed)
     recovery.step()
     found = recovery.maps().values
-    assert (found["base_color"][domain.solvable] == known["base_color"]).all()
+    assert (found["base_color"][domain.solvable] == fixed["base_color"]).all()
     for name in ("r1", "r2", "w"):
         assert (found[name] == np.float32(model.parameter(name).default)).all()
     assert not (found["normal"][domain.solvable] == (0, 0, 1)).all(axis=-1).any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 
-class Home:
+class ContextGuard:
     """Remembers the context that is current, outside of any drawing.
 
     Textures are shared by all contexts of Blender, frame buffers belong to one: bound in another, OpenGL goes on
@@ -16,7 +16,7 @@ class Home:
     def __init__(self) -> None:
         self._window = active()
 
-    def here(self) -> bool:
+    def holds(self) -> bool:
         """Return whether the same context is current, outside of any drawing."""
         return self._window is not None and active() is self._window
 

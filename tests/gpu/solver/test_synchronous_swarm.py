@@ -37,7 +37,7 @@ CASES = [
     Case("every-number-searched", settings=FEW | {"linear": "search", "c3": 0.3}),
     Case("eight-dimensions-searched-on-a-mesh", model=TWO_LOBES, domain=MESH | {"observations": 12},
          settings=FEW | {"linear": "search", "neighbour_every": 1, "c3": 0.1, "loss": "l1"}),
-    Case("no-dimension-at-all", known=frozenset({"normal"}), settings=FEW),
+    Case("no-dimension-at-all", fixed=frozenset({"normal"}), settings=FEW),
     Case("nothing-but-the-normal", search=("normal",), settings=FEW | {"loss": "l1"}),
     Case("a-threshold-stops-swarms", settings=FEW | {"threshold": 0.1, "loss": "l1"}),
     Case("one-row", shape=(1, 7), domain=MESH, settings=FEW | {"neighbourhood": 5, "c3": 0.3, "neighbour_every": 1}),
@@ -59,7 +59,7 @@ def rounding(fitness):
     return 1e-5 * (1 + np.minimum(fitness, 100))
 
 
-def assert_equal_generations(b, step, places):
+def assert_equal_iterations(b, step, places):
     """Compare all that a swarm remembers; bests only where rounding could not have decided the comparison."""
     found, wanted, moved = b.read(), step.state, step.moved
     clear = step.margin > 2 * rounding(step.fitness)
@@ -92,7 +92,7 @@ def test_a_generation_is_that_of_the_oracle(case, bench):
         before = b.read()
         b.advance()
         step = oracle.generation(b.problem, before, iteration)
-        assert_equal_generations(b, step, TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
+        assert_equal_iterations(b, step, TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
 
 
 @pytest.mark.parametrize("seed", ["random", "lambert"])
@@ -108,7 +108,7 @@ def test_a_swarm_is_placed_where_the_oracle_places_it(name, seed, bench):
     b.advance()
     step = oracle.placed(b.problem, before)
     assert b.stage.iteration == 0
-    assert_equal_generations(b, step, PLACE_TOLERANCE)
+    assert_equal_iterations(b, step, PLACE_TOLERANCE)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The survey: grey samples, normals of surfaces that no model quite tells, the judge of the polish; real captures."""
+"""The prefit: grey samples, normals of surfaces that no model quite tells, the acceptance test of the refinement; real captures."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.kernels import kernels
-from irpso_addon.solver.phases import prefit as survey
-from irpso_addon.solver.phases.prefit import Judge, grey
+from irpso_addon.solver.phases import prefit as prefit
+from irpso_addon.solver.phases.prefit import AcceptanceTest, grey
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import texel_scale
@@ -66,9 +66,9 @@ def card(model, shape=(14, 15), observations=DIRECTIONS, noise=0.0, seed=3, colo
     return replace(made, stack=stack.astype(np.float32)), truth
 
 
-def surveyed(recovery):
-    """Step through the survey alone; return its maps."""
-    while recovery.progress.stage == 0 and recovery.progress.title == "survey of the normals":
+def prefit_fitness(recovery):
+    """Step through the prefit alone; return its maps."""
+    while recovery.progress.stage == 0 and recovery.progress.title == "prefit of the normals":
         recovery.step(iterations=1)
     return recovery.maps(confidence=False)
 
@@ -89,7 +89,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
     scale = np.random.default_rng(2).uniform(0.5, 2, domain.shape).astype(np.float32)
     told = grey(
         DomainTextures(domain, pack, pack.pack_layers(domain.stack), pack.pack(scale)),
-        STANDARD.replaced(survey_shadow=0.4),
+        STANDARD.replaced(prefit_shadow=0.4),
     )
     assert told.brightness == 1
     outputs = tuple(Output(name) for name in ("o_light", "o_intensity", "o_radiance", "o_clipped"))
@@ -127,7 +127,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
     assert dropped > 42  # more than the light that has no channel
 
 
-def test_the_survey_is_blind_to_the_colours_of_lights(recover):
+def test_the_prefit_is_blind_to_the_colours_of_lights(recover):
     rng = np.random.default_rng(4)
     colors = rng.uniform(0.3, 2, (DIRECTIONS, 3))
     colors[5] = (0, 1.2, 0)
@@ -135,7 +135,7 @@ def test_the_survey_is_blind_to_the_colours_of_lights(recover):
     for given in (None, colors):
         # A grey surface: of a coloured one the lights' colours change a texel's scale, and so what is in shadow.
         domain, truth = card("falloff_lobe", colors=given)
-        found.append(surveyed(recover(domain, PRINCIPLED, STANDARD.replaced(survey_polish_iterations=30))))
+        found.append(prefit_fitness(recover(domain, PRINCIPLED, STANDARD.replaced(prefit_refinement_iterations=30))))
         assert degrees(found[-1], truth["normal"]).mean() < 0.02
     apart = degrees(found[0], found[1].values["normal"])
     assert np.quantile(apart, 0.95) < 0.02
@@ -150,11 +150,11 @@ def uneven():
     return card("falloff_lobe", shape=(12, 13), noise=0.001)
 
 
-def test_normals_of_a_base_that_is_not_lambertian_are_the_surveys(recover, uneven):
+def test_normals_of_a_base_that_is_not_lambertian_are_the_prefits(recover, uneven):
     domain, truth = uneven
     errors = []
-    for iterations in (STANDARD.survey.iterations, 0):
-        recovery = recover(domain, PRINCIPLED, STANDARD.replaced(survey_iterations=iterations))
+    for iterations in (STANDARD.prefit.iterations, 0):
+        recovery = recover(domain, PRINCIPLED, STANDARD.replaced(prefit_iterations=iterations))
         recovery.step()
         errors.append(degrees(recovery.maps(confidence=False), truth["normal"]).mean())
     assert errors[0] < 0.3 and errors[1] > 1, errors
@@ -163,23 +163,23 @@ def test_normals_of_a_base_that_is_not_lambertian_are_the_surveys(recover, uneve
 def test_narrow_lights_do_not_tell_a_fall_off_from_a_tilt_so_a_prior_does(recover, monkeypatch):
     lights = dome_lights(12, widest=22)
     errors = []
-    for deviation in (survey._FALLOFF_DEVIATION, 100.0):
-        monkeypatch.setattr(survey, "_FALLOFF_DEVIATION", deviation)
+    for deviation in (prefit._FALLOFF_DEVIATION, 100.0):
+        monkeypatch.setattr(prefit, "_FALLOFF_DEVIATION", deviation)
         domain, truth = card("lambert", shape=(12, 13), observations=12, noise=0.003)
         domain = replace(domain, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))))
         stack = np.ones_like(domain.stack)
         stack[..., :3] = confidence_oracle.radiance(domain, "lambert", truth)
         stack[..., :3] += 0.003 * np.random.default_rng(2).normal(size=stack[..., :3].shape)
-        found = surveyed(recover(replace(domain, stack=stack), PRINCIPLED, STANDARD))
+        found = prefit_fitness(recover(replace(domain, stack=stack), PRINCIPLED, STANDARD))
         errors.append(degrees(found, truth["normal"]).mean())
     assert errors[0] < 0.7 * errors[1], errors
 
 
-def test_of_a_surface_that_the_model_tells_the_survey_spoils_nothing(recover):
+def test_of_a_surface_that_the_model_tells_the_prefit_spoils_nothing(recover):
     domain, truth = card("principled", shape=(12, 13))
     errors = []
-    for iterations in (STANDARD.survey.iterations, 0):
-        recovery = recover(domain, PRINCIPLED, STANDARD.replaced(survey_iterations=iterations))
+    for iterations in (STANDARD.prefit.iterations, 0):
+        recovery = recover(domain, PRINCIPLED, STANDARD.replaced(prefit_iterations=iterations))
         recovery.step()
         maps = recovery.maps(confidence=False)
         errors.append(degrees(maps, truth["normal"]).mean())
@@ -187,33 +187,33 @@ def test_of_a_surface_that_the_model_tells_the_survey_spoils_nothing(recover):
 
 
 @pytest.mark.parametrize(
-    ("settings", "known", "observations"),
-    [({"survey_iterations": 0}, {}, 12), ({}, {}, 9), ({}, {"normal": np.float32([0, 0, 1])}, 12),
+    ("settings", "fixed", "observations"),
+    [({"prefit_iterations": 0}, {}, 12), ({}, {}, 9), ({}, {"normal": np.float32([0, 0, 1])}, 12),
      ({"search": ["base_color"]}, {}, 12)],
     ids=["switched-off", "nine-observations", "known-normal", "a-normal-nobody-asks-for"],
 )  # fmt: skip
-def test_where_there_is_nothing_to_survey_there_is_no_survey(recover, settings, known, observations):
+def test_where_there_is_nothing_to_prefit_there_is_no_prefit(recover, settings, fixed, observations):
     domain, _ = card("principled", shape=(3, 4), observations=observations)
-    titles = [s.title for s in recover(domain, PRINCIPLED, STANDARD.replaced(**settings), known=known)._stages]
-    assert "survey of the normals" not in titles and titles[-1] == "polish"
+    titles = [s.title for s in recover(domain, PRINCIPLED, STANDARD.replaced(**settings), fixed=fixed)._stages]
+    assert "prefit of the normals" not in titles and titles[-1] == "refinement"
     whole, _ = card("principled", shape=(3, 4), observations=12)
     stages = recover(whole, PRINCIPLED, STANDARD)._stages
     assert [s.title for s in stages] == [
-        "survey of the normals", "roughness + specular + base_color", "polish", "polish, normals held"
+        "prefit of the normals", "roughness + specular + base_color", "refinement", "refinement, normals held"
     ]  # fmt: skip
 
 
-# ---- the judge ---------------------------------------------------------------------------------------------------
+# ---- the acceptance test ---------------------------------------------------------------------------------------------------
 
 
 def bounded_misfit(domain, model, values, settings, scale):
-    """(H, W): the mean over grey samples of e² / (1 + e²), e in judge_delta of the scale, in float64."""
+    """(H, W): the mean over grey samples of e² / (1 + e²), e in acceptance_delta of the scale, in float64."""
     grey_of = (domain.stack[..., :3] / domain.intensities[:, None, None]).astype(np.float64).mean(axis=-1)
     white = replace(domain, intensities=np.ones_like(domain.intensities))
     render = confidence_oracle.radiance(white, model, {n: np.float64(v) for n, v in values.items()}).mean(axis=-1)
     weight = domain.stack[..., 3] * (grey_of >= settings.shadow * scale)
     # A highlight may be off in proportion to its brightness (Fitness.highlight_power).
-    e = (render - grey_of) / (settings.judge_delta * np.maximum(scale, grey_of))
+    e = (render - grey_of) / (settings.acceptance_delta * np.maximum(scale, grey_of))
     return (weight * e**2 / (1 + e**2)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
 
 
@@ -227,45 +227,45 @@ def half():
     return replace(told, stack=np.ascontiguousarray(stack)), truth
 
 
-def test_the_judge_takes_the_polish_where_its_model_explains_the_texel_and_else_the_surveys_normal(recover, half):
+def test_the_judge_takes_the_refinement_where_its_model_explains_the_texel_and_else_the_prefits_normal(recover, half):
     domain, truth = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
-    survey = surveyed(recovery).values["normal"]
-    theirs = recovery._packing.unpack(recovery._surveyed)
-    while recovery.progress.title != "polish":
+    prefit = prefit_fitness(recovery).values["normal"]
+    theirs = recovery._packing.unpack(recovery._prefit_fitness)
+    while recovery.progress.title != "refinement":
         recovery.step(iterations=1)
     before = {n: recovery._packing.unpack(v) for n, v in recovery._estimates.values(resolved=False).items()}
     recovery.step(iterations=recovery.progress.iterations - 1)
     phase = recovery._phase
-    phase._judge, judge = None, phase._judge
-    polished = recovery.maps(confidence=False).values
-    phase._judge = judge
+    phase._acceptance, acceptance = None, phase._acceptance
+    refined = recovery.maps(confidence=False).values
+    phase._acceptance = acceptance
     recovery.step(iterations=1)
     found = recovery.maps(confidence=False).values
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
-    ours, _ = bounded_misfit(domain, "principled", found, STANDARD.survey, scale)
-    kept = (found["normal"] == survey).all(axis=-1)
+    ours, _ = bounded_misfit(domain, "principled", found, STANDARD.prefit, scale)
+    kept = (found["normal"] == prefit).all(axis=-1)
     assert kept[:, 6:].mean() > 0.9 and kept[:, :6].mean() < 0.1
     assert degrees(recovery.maps(confidence=False), truth["normal"])[:, :6].mean() < 0.2
-    # Where the normal was let go the model fits nearly as well as the survey's; where it was kept the polish did not.
+    # Where the normal was let go the model fits nearly as well as the prefit's; where it was kept the refinement did not.
     assert (ours <= 1.2 * theirs + 0.005 + 1e-3)[~kept].all()
-    at_the_end, _ = bounded_misfit(domain, "principled", polished, STANDARD.survey, scale)
+    at_the_end, _ = bounded_misfit(domain, "principled", refined, STANDARD.prefit, scale)
     assert (at_the_end > 1.2 * theirs + 0.005)[kept].mean() > 0.9
     for name in found:
         np.testing.assert_array_equal(found[name][kept], before[name][kept])
 
 
-def test_where_the_surveys_normal_is_kept_the_rest_is_the_best_that_goes_with_it(recover, half):
+def test_where_the_prefits_normal_is_kept_the_rest_is_the_best_that_goes_with_it(recover, half):
     domain, _ = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
-    survey = surveyed(recovery).values["normal"]
-    while recovery.progress.title != "polish, normals held":
+    prefit = prefit_fitness(recovery).values["normal"]
+    while recovery.progress.title != "refinement, normals held":
         recovery.step(iterations=1)
     judged = recovery.maps(confidence=False).values
     recovery.step()
     found = recovery.maps(confidence=False).values
     np.testing.assert_array_equal(found["normal"], judged["normal"])
-    kept = np.argwhere((found["normal"] == survey).all(axis=-1))[::4]
+    kept = np.argwhere((found["normal"] == prefit).all(axis=-1))[::4]
     scale = texel_scale(domain, STANDARD.fitness.percentile)
     lit = domain.stack[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None, None]
     domain.stack[..., 3] *= lit >= STANDARD.fitness.shadow * scale
@@ -283,8 +283,8 @@ def test_where_the_surveys_normal_is_kept_the_rest_is_the_best_that_goes_with_it
         starts = [np.array([r, 0.5, *own[1][2:]]) for r in (0.15, 0.4, 0.8)]
         best = min(minimize(loss, x, bounds=bounds, method="L-BFGS-B").fun for x in (*starts, *own))
         costs.append([loss(own[0]) / best, loss(own[1]) / best])
-    judged_cost, found_cost = np.array(costs).T
-    assert np.quantile(found_cost, 0.9) < 1.01 and (judged_cost > 1.02).mean() > 0.3, (judged_cost, found_cost)
+    accepted_cost, found_cost = np.array(costs).T
+    assert np.quantile(found_cost, 0.9) < 1.01 and (accepted_cost > 1.02).mean() > 0.3, (accepted_cost, found_cost)
 
 
 def test_the_judge_compares_what_float64_compares(recover):
@@ -295,17 +295,19 @@ def test_the_judge_compares_what_float64_compares(recover):
     off = {n: np.float32(truth[n]) for n in ("normal", "base_color", "roughness", "specular")}
     off["base_color"] = off["base_color"] * np.linspace(0.9, 1.1, 9, dtype=np.float32)[:, None]
     pack, estimates = recovery._packing, recovery._estimates
-    misfit, _ = bounded_misfit(domain, "principled", off, STANDARD.survey, scale.astype(np.float64))
+    misfit, _ = bounded_misfit(domain, "principled", off, STANDARD.prefit, scale.astype(np.float64))
     flat = np.concatenate([pack.pack(off[p.name]) for p in PRINCIPLED.parameters], axis=-1)
     estimates.resolved = [textures.upload(np.ascontiguousarray(flat[..., 4 * i : 4 * i + 4])) for i in range(2)]
-    limit = (misfit - 0.005) / STANDARD.survey.trust
+    limit = (misfit - 0.005) / STANDARD.prefit.acceptance_ratio
     for factor, taken in ((1.001, True), (0.999, False)):
         work = list(estimates.resolved)
-        judge = Judge(PRINCIPLED, STANDARD, recovery._textures, estimates, pack.pack(np.float32(limit * factor)))
-        for _ in judge.deciding(Bands(), 1.0):
+        acceptance = AcceptanceTest(
+            PRINCIPLED, STANDARD, recovery._textures, estimates, pack.pack(np.float32(limit * factor))
+        )
+        for _ in acceptance.deciding(Bands(), 1.0):
             pass
         result = pack.unpack(estimates.values()["base_color"])
-        judge.close()
+        acceptance.close()
         estimates.resolved = work
         clear = limit > 0.05
         assert clear.mean() > 0.6
@@ -313,7 +315,7 @@ def test_the_judge_compares_what_float64_compares(recover):
         assert (same[clear] == taken).mean() > 0.97
 
 
-def test_with_fewer_samples_than_the_survey_needs_a_texel_is_not_judged(recover, uneven):
+def test_with_fewer_samples_than_the_prefit_needs_a_texel_is_not_judged(recover, uneven):
     domain, _ = uneven
     stack = domain.stack.copy()
     few = np.zeros(domain.shape, bool)
@@ -324,15 +326,15 @@ def test_with_fewer_samples_than_the_survey_needs_a_texel_is_not_judged(recover,
     stack[..., 3] = np.where(few & ~keep, 0, stack[..., 3])
     domain = replace(domain, stack=stack)
     recovery = recover(domain, PRINCIPLED, STANDARD)
-    survey = surveyed(recovery).values["normal"]
-    fitness = recovery._packing.unpack(recovery._surveyed)
+    prefit = prefit_fitness(recovery).values["normal"]
+    fitness = recovery._packing.unpack(recovery._prefit_fitness)
     assert (fitness[few] >= 1e29).all() and (fitness[~few] < 1).all()
     recovery.step()
-    kept = (recovery.maps(confidence=False).values["normal"] == survey).all(axis=-1)
+    kept = (recovery.maps(confidence=False).values["normal"] == prefit).all(axis=-1)
     assert not kept[few].any() and kept[~few].mean() > 0.5
 
 
-def test_how_well_the_survey_fits_is_what_float64_says(recover, uneven):
+def test_how_well_the_prefit_fits_is_what_float64_says(recover, uneven):
     domain, _ = uneven
     recovery = recover(domain, PRINCIPLED, STANDARD)
     while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
@@ -341,7 +343,7 @@ def test_how_well_the_survey_fits_is_what_float64_says(recover, uneven):
     fitness = recovery._packing.unpack(phase.fitness())
     own = {n: recovery._packing.unpack(v) for n, v in phase._own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
-    wanted, samples = bounded_misfit(domain, "falloff_lobe", own, STANDARD.survey, scale)
+    wanted, samples = bounded_misfit(domain, "falloff_lobe", own, STANDARD.prefit, scale)
     assert (samples >= 10).all()
     np.testing.assert_allclose(fitness, wanted, rtol=5e-3, atol=1e-4)
 
@@ -350,7 +352,11 @@ def test_how_well_the_survey_fits_is_what_float64_says(recover, uneven):
 
 
 SHORT = STANDARD.replaced(
-    iterations=2, survey_iterations=3, survey_polish_iterations=3, polish_iterations=2, polish_start_iterations=1
+    iterations=2,
+    prefit_iterations=3,
+    prefit_refinement_iterations=3,
+    refinement_iterations=2,
+    refinement_start_iterations=1,
 )
 
 
@@ -372,7 +378,7 @@ def test_slices_give_the_whole_bit_for_bit(recover, whole):
 
 @pytest.mark.parametrize("stop", [None, 0, 2, 3, 5, 6, 7, 10], ids=lambda n: f"after-{n}")
 def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
-    # Before all; in the survey's swarm, at its end, in its polish, at its end; in the stage; in the judged polish.
+    # Before all; in the prefit's swarm, at its end, in its refinement, at its end; in the stage; in the judged refinement.
     domain, wanted, progress = whole
     first = recover(domain, PRINCIPLED, SHORT)
     if stop is not None:
@@ -386,7 +392,7 @@ def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
     assert bits_of(second.maps(confidence=False)) == wanted and second.progress == progress
 
 
-def test_a_run_that_is_in_the_surveys_polish_goes_back_to_its_swarm(recover, whole, tmp_path):
+def test_a_run_that_is_in_the_prefits_refinement_goes_back_to_its_swarm(recover, whole, tmp_path):
     domain, wanted, _ = whole
     recovery = recover(domain, PRINCIPLED, SHORT)
     recovery.step(iterations=1)
