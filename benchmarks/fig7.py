@@ -239,7 +239,8 @@ def _refinement_lines(refinement: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"{refinement['texels']} texels under {refinement['lights']} lights with noise, Levenberg–Marquardt from the"
         f" Lambertian seed. The first timed step takes {1e3 * seconds[0]:.0f} ms, the last ones {1e3 * last:.0f} ms"
-        f" ({last / seconds[0]:.0%}): a texel is done once two steps gain less than {refinement['gain']:g} of its fitness.",
+        f" ({last / seconds[0]:.0%}): a texel is done once two steps gain less than {refinement['gain']:g} of its"
+        " fitness.",
         "",
         *report.image("fig7_refinement", "Milliseconds a step against the step's number"),
     ]

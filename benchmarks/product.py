@@ -38,7 +38,7 @@ class Run:
 
 
 def schedule_of(name: str) -> Schedule:
-    """Return a preset by name, or ``LM_ALONE``: the refinement of ``standard`` from all its starts, and nothing before."""
+    """Return a preset by name, or ``LM_ALONE``: the refinement of ``standard`` alone, from all its starts."""
     if name != LM_ALONE:
         return load_schedule(name)
     schedule = load_schedule("standard")

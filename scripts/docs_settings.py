@@ -1,4 +1,4 @@
-"""Writes the table of all settings into docs/presets.md, from the words and limits that the panel goes by."""
+"""Writes the table of all settings into docs/presets.md, from their declarations (solver/settings/)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from irpso_addon.solver.settings.limits import Limits  # noqa: E402
-from irpso_addon.solver.settings.schedule import SETTINGS  # noqa: E402
-from irpso_addon.ui.schedule_words import GROUPS, WORDS, Words  # noqa: E402
+from irpso_addon.solver.settings.schedule import GROUPS, SETTINGS  # noqa: E402
+from irpso_addon.solver.settings.setting import Setting  # noqa: E402
 
 PAGE = ROOT / "docs" / "presets.md"
 BEGIN, END = "<!-- settings: scripts/docs_settings.py writes what follows -->", "<!-- end of settings -->"
@@ -22,9 +21,9 @@ def tables() -> str:
     lines = []
     for group, names in GROUPS.items():
         lines += [f"**{group}**", "", "| setting | in files and `--set` | values | meaning |", "|---|---|---|---|"]
-        lines += [
-            f"| {WORDS[n].label} | `{n}` | {_values(SETTINGS[n], WORDS[n])} | {_meaning(WORDS[n])} |" for n in names
-        ]
+        for name in names:
+            one = SETTINGS[name]
+            lines.append(f"| {one.label} | `{name}` | {_values(one)} | {_meaning(one)} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -35,21 +34,23 @@ def page_with_tables(page: str) -> str:
     return f"{before}{BEGIN}\n\n{tables()}\n{END}{rest.split(END)[1]}"
 
 
-def _values(limits: Limits, words: Words) -> str:
-    if limits.choices:
-        return ", ".join(f"`{choice}`" for choice in limits.choices)
-    if limits.kind is bool:
+def _values(setting: Setting) -> str:
+    if setting.choices:
+        return ", ".join(f"`{choice}`" for choice in setting.choices)
+    if setting.kind is bool:
         return "`true`, `false`"
-    low = "above" if limits.above else "from"
-    high = "" if limits.most is None else f" to {limits.most}"
-    kind = "odd, " if limits.odd else "whole, " if limits.kind is int else ""
-    return f"{kind}{low} {limits.least}{high} {_UNITS.get(words.subtype, '')}".rstrip()
+    low = "above" if setting.above else "from"
+    high = "" if setting.most is None else f" to {setting.most}"
+    kind = "odd, " if setting.odd else "whole, " if setting.kind is int else ""
+    return f"{kind}{low} {setting.least}{high} {_UNITS.get(setting.subtype, '')}".rstrip()
 
 
-def _meaning(words: Words) -> str:
-    if not words.choices:
-        return words.tip
-    return f"{words.tip}. " + "; ".join(f"{label}: {tip[0].lower()}{tip[1:]}" for label, tip in words.choices.values())
+def _meaning(setting: Setting) -> str:
+    if not setting.choices:
+        return setting.help
+    return f"{setting.help}. " + "; ".join(
+        f"{label}: {text[0].lower()}{text[1:]}" for label, text in setting.choices.values()
+    )
 
 
 if __name__ == "__main__":

@@ -292,7 +292,7 @@ class Member:
         return numbers
 
     def _texels(self, place: Any) -> np.ndarray:
-        """Return which of the solved texels a rank holds, as its textures do: its own, the halo's, then the ghosts's."""
+        """Return which of the solved texels a rank holds, in the order of its textures: own, halo, ghosts."""
         numbers, texels = self._numbers(), rectangle(place.box, place.halo)
         x, y = place.ghosts.T
         return np.concatenate([numbers[texels][self.domain.solvable[texels]], numbers[y, x]])

@@ -14,8 +14,8 @@ def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 
     """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
 
     The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
-    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the ghosts of its
-    seams. Raises ValueError where the tile leaves the domain.
+    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the ghosts of
+    its seams. Raises ValueError where the tile leaves the domain.
     """
     rows, columns = domain.shape
     if not (width > 0 and height > 0 and halo >= 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..capture.inspect.damage import DAMAGE
+from ..solver.settings.schedule import GROUPS
 from . import drawing, failures, findings, session, upkeep
 from .capture_import import checking
 from .job import missing, subject_object
@@ -13,7 +14,6 @@ from .presets import label_of
 from .restore import draw_unkept
 from .scene_capture import wants_distance
 from .scene_setup import capture_lights
-from .schedule_words import GROUPS
 from .settings import CUSTOM
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning

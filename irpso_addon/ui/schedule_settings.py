@@ -14,10 +14,9 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError
-from ..solver.settings.limits import Limits
 from ..solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from ..solver.settings.setting import Setting
 from .file_paths import absolute
-from .schedule_words import WORDS
 
 FIRST = "standard"  # the preset of a new scene
 _ABOVE = 1e-6  # Blender's limits may themselves be set; this stands for "above zero"
@@ -95,33 +94,32 @@ def schedule_of(settings: ScheduleSettings) -> Schedule:
     return base.replaced(**changes) if changes else base
 
 
-def _property(name: str, limits: Limits, default: Any) -> Any:
-    words = WORDS[name]
-    texts = {"name": words.label, "description": words.tip}
-    if limits.choices:
-        items = [(choice, *words.choices[choice]) for choice in limits.choices]
+def _property(setting: Setting, default: Any) -> Any:
+    texts = {"name": setting.label, "description": setting.help}
+    if setting.choices:
+        items = [(choice, *words) for choice, words in setting.choices.items()]
         return EnumProperty(items=items, default=default, **texts)
-    if limits.kind is bool:
+    if setting.kind is bool:
         return BoolProperty(default=default, **texts)
-    bounds = {"min": limits.least, "soft_min": limits.least}
-    if limits.most is not None:
-        bounds |= {"max": limits.most, "soft_max": limits.most}
-    if words.soft_max is not None:
-        bounds["soft_max"] = words.soft_max
-    if limits.kind is int:
-        if limits.odd:
+    bounds = {"min": setting.least, "soft_min": setting.least}
+    if setting.most is not None:
+        bounds |= {"max": setting.most, "soft_max": setting.most}
+    if setting.soft_max is not None:
+        bounds["soft_max"] = setting.soft_max
+    if setting.kind is int:
+        if setting.odd:
             bounds["update"] = _make_odd
-        return IntProperty(default=default, subtype=words.subtype, **bounds, **texts)
-    if limits.above:
-        bounds |= {"min": limits.least + _ABOVE, "soft_min": limits.least + _ABOVE}
+        return IntProperty(default=default, subtype=setting.subtype, **bounds, **texts)
+    if setting.above:
+        bounds |= {"min": setting.least + _ABOVE, "soft_min": setting.least + _ABOVE}
     return FloatProperty(
-        default=default, subtype=words.subtype, precision=min(words.precision, _DIGITS), step=1, **bounds, **texts
+        default=default, subtype=setting.subtype, precision=min(setting.precision, _DIGITS), step=1, **bounds, **texts
     )
 
 
 def _declare() -> None:
     defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # all are read now: panels open no file
-    declared = {name: _property(name, limits, defaults[name]) for name, limits in SETTINGS.items()}
+    declared = {name: _property(setting, defaults[name]) for name, setting in SETTINGS.items()}
     ScheduleSettings.__annotations__ = {
         "preset": StringProperty(
             name="Preset", description="The schedule of the search, or a .toml file of your own", default=FIRST,

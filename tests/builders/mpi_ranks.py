@@ -22,7 +22,8 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
-from irpso_addon.solver.settings.schedule import Refinement, load_schedule
+from irpso_addon.solver.settings.groups import Refinement
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import SHORT, subject
 
 PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others

@@ -2,8 +2,8 @@
 
 from tests.gui.test_run import MODULES
 
-FEW = {"prefit_iterations": 0, "iterations": 1, "refinement_iterations": 1, "refinement_starts": False, "refinement_rounds": 0,
-       "prior_rounds": 0}  # fmt: skip
+FEW = {"prefit_iterations": 0, "iterations": 1, "refinement_iterations": 1, "refinement_starts": False,
+       "refinement_rounds": 0, "prior_rounds": 0}  # fmt: skip
 # Of what lavapipe may map in one process, 65 530 (irpso_addon/gpu/context.py); Blender's own drawing takes its part.
 MAPPINGS = 60_000
 COUNT = "sum('memfd:allocation' in line for line in open('/proc/self/maps'))"

@@ -1,4 +1,4 @@
-"""One step of Levenberg and Marquardt in float64: what the refinement is compared with. On cards, under distant lights."""
+"""One Levenberg–Marquardt step in float64, on cards under distant lights: the reference of the refinement."""
 
 from __future__ import annotations
 

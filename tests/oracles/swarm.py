@@ -12,8 +12,9 @@ import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel
+from irpso_addon.solver.settings.groups import Fitness
 from irpso_addon.solver.settings.resolve import ResolvedSwarm
-from irpso_addon.solver.settings.schedule import Fitness, Schedule
+from irpso_addon.solver.settings.schedule import Schedule
 from tests.oracles.random_numbers import random_bits, random_uniform
 
 UNFIT = 1e30

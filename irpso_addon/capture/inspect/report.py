@@ -103,8 +103,8 @@ def inspect_capture(
 ) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
-    asked: of sufficiency.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it are
-    warned of. What else they are enough for is among the facts. card_distance: goes before the capture's own.
+    asked: of sufficiency.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it
+    are warned of. What else they suffice for is among the facts. card_distance: goes before the capture's own.
     skip_damaged: as for read_capture.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """

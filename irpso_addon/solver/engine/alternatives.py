@@ -13,7 +13,7 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters, has_basis
 from ..kernels.kernels import alternatives_pass
 from ..kernels.linear_weights import MAX_WEIGHTS, linear_weights
-from ..settings.schedule import Fitness
+from ..settings.groups import Fitness
 from ..state.textures import DomainTextures, Estimates, loss_constants
 
 

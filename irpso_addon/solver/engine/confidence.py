@@ -13,7 +13,7 @@ from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.kernels import confidence_pass
-from ..settings.schedule import Fitness
+from ..settings.groups import Fitness
 from ..state.textures import DomainTextures, Estimates, loss_constants
 
 

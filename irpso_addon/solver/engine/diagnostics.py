@@ -13,7 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..kernels.kernels import residual_pass, sampled_residual_pass
 from ..phases.phase import Phase
-from ..settings.schedule import Fitness
+from ..settings.groups import Fitness
 from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 from .alternatives import Alternatives
 from .confidence import Confidence

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...results.maps import Maps
 from ..phases.mixture import belonging, features_of, merged, mixture, sampled
-from ..settings.schedule import Materials
+from ..settings.groups import Materials
 
 _TEXELS = 40  # that decide together: as many as the spatial prior looks at (prior_kernels.taps_of)
 _CONTRADICTED = 9.0  # −2 log of the likelihoods' ratio: three standard deviations

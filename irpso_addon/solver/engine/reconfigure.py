@@ -10,8 +10,9 @@ import numpy as np
 from ..kernels.encoding import build_encoding
 from ..phases.sequential_swarm import SequentialSwarmPhase, particle_count
 from ..phases.synchronous_swarm import SynchronousSwarmPhase
+from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedSwarm, resolve
-from ..settings.schedule import Fitness, Schedule
+from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.prepare import Prepared
 from ..state.textures import DomainTextures, Estimates

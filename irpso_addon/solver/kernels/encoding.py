@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
+from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
-from ..settings.schedule import NormalSearch
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
-from ..settings.schedule import Fitness, Schedule
+from ..settings.groups import Fitness
+from ..settings.schedule import Schedule
 from .encoding import Encoding
 from .free_parameters import FreeParameters
 from .linear_weights import LinearWeights
@@ -144,7 +145,7 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
 
 
 def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
-    """Compile the pass that tells how far the estimates can be trusted; ``unknowns`` is what free_parameters.glsl brings."""
+    """Compile the pass of standard deviations; ``free``: the source of free_parameters.glsl."""
     outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
     samplers = {**estimate_samplers(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free}

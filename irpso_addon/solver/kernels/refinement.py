@@ -8,8 +8,8 @@ from pathlib import Path
 from ...core.paths import SHADERS
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import ReflectanceModel
+from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
-from ..settings.schedule import Fitness, Refinement
 from .free_parameters import FreeParameters, build_slopes, build_starts
 from .kernels import (
     FITNESS,

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from ...core.paths import SHADERS
 from ...gpu.passes import Entry, Kernel, Output, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
+from ..settings.groups import Prior, Refinement
 from ..settings.resolve import ResolvedPrior
-from ..settings.schedule import Prior, Refinement, Schedule
+from ..settings.schedule import Schedule
 from .free_parameters import build_free_parameters, build_slopes
 from .kernels import (
     FITNESS,
@@ -79,7 +80,8 @@ def build_prior_passes(
     beliefs = (*_outputs(model, "mean"), *_outputs(model, "deviation"))
     work = {**_samplers(model, "work"), "u_work_status": FLOAT_2D}
     includes = {
-        **model_includes(model), "components.glsl": components_source(model, resolved), "free_parameters.glsl": free.source
+        **model_includes(model), "components.glsl": components_source(model, resolved),
+        "free_parameters.glsl": free.source,
     }  # fmt: skip
 
     def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:

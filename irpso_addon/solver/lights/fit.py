@@ -10,7 +10,7 @@ import numpy as np
 
 from ...geometry.domain import Domain, GeometryBake
 from ...reflectance.model import ReflectanceModel
-from ..settings.schedule import Fitness
+from ..settings.groups import Fitness
 from ..state.prepare import drop_shadow, light_vectors
 from ..views.forward import Renderer
 

@@ -62,7 +62,7 @@ class Phase(Protocol):
         """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) for the ghosts, of the texels that belong to other tiles; others are left alone."""
+        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles; the tile's own stay."""
 
     def sample(self) -> np.ndarray | None:
         """Return this tile's part of the sample of the whole domain (mixture.py) that the next iteration needs.

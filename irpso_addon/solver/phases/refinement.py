@@ -1,4 +1,4 @@
-"""The refinement under way: Levenberg–Marquardt at every texel, from several starts and from what neighbours have found."""
+"""Refinement: Levenberg–Marquardt at every texel, from several starts and from the neighbours' estimates."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from ...gpu.bands import Bands
 from ...gpu.passes import Entry, Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels.refinement import NO_PENALTY, SPREAD_REACH, build_refinement_passes
+from ..settings.groups import Refinement
 from ..settings.resolve import ResolvedRefinement
-from ..settings.schedule import Refinement, Schedule
+from ..settings.schedule import Schedule
 from ..state.reader import Reader
 from ..state.textures import (
     HALO,

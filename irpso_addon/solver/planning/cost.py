@@ -189,7 +189,7 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
 
 
 def _refinement_cost(resolved: ResolvedRefinement, model: ReflectanceModel) -> PhaseCost:
-    """Return the need of a refinement, whose textures are those of RefinementPhase: three sets, of which two are kept."""
+    """Return the cost of a refinement: RefinementPhase has three sets of textures and keeps two."""
     settings, held = resolved.refinement, FLOAT4 * (-(-model.components // 4) + 1)
     step, spread = renders(model, resolved)
     evaluations = resolved.iterations * step + settings.rounds * spread

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .schedule import ALL, MAX_DIMENSIONS, REST, Materials, NormalSearch, Prefit, Prior, Refinement, Schedule, Stage
+from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage
+from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
 _ROUNDS = 2  # of the neighbours' offers, with the normals held
 _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all of them

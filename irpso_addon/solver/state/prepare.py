@@ -15,7 +15,8 @@ import numpy as np
 
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
-from ..settings.schedule import Fitness, Schedule
+from ..settings.groups import Fitness
+from ..settings.schedule import Schedule
 from .packing import Packing
 from .textures import domain_arrays
 

@@ -19,10 +19,10 @@ LAMBERT = load_model("lambert")
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 recover = pytest.fixture(recoveries)
 STANDARD = load_schedule("standard").replaced(
-    prefit_iterations=3, prefit_refinement_iterations=2, iterations=3, refinement_iterations=3, refinement_start_iterations=1,
-    refinement_round_iterations=2, prior_iterations=2, prior_scales=2,
+    prefit_iterations=3, prefit_refinement_iterations=2, iterations=3, refinement_iterations=3,
+    refinement_start_iterations=1, refinement_round_iterations=2, prior_iterations=2, prior_scales=2,
 )  # fmt: skip
-# Every kind of phase: one particle an iteration, in two stages; swarms as a whole, the prefit, the refinement, the prior.
+# Every kind of phase: sequential swarms in two stages; prefit, synchronous swarms, refinement, prior.
 RUNS = {
     "one": (TWO_LOBES, SHORT.replaced(iterations=8, particles=5, seed="lambert", seeded=0.5)),
     "standard": (TWO_LOBES, STANDARD),

@@ -1,4 +1,4 @@
-"""The prefit: grey samples, normals of surfaces that no model quite tells, the acceptance test of the refinement; real captures."""
+"""The prefit: grey samples, surfaces that no model describes, the acceptance test of the refinement, real captures."""
 
 from dataclasses import replace
 
@@ -203,7 +203,7 @@ def test_where_there_is_nothing_to_prefit_there_is_no_prefit(recover, settings, 
     ]  # fmt: skip
 
 
-# ---- the acceptance test ---------------------------------------------------------------------------------------------------
+# ---- the acceptance test -----------------------------------------------------------------------------------------
 
 
 def bounded_misfit(domain, model, values, settings, scale):
@@ -247,7 +247,7 @@ def test_the_judge_takes_the_refinement_where_its_model_explains_the_texel_and_e
     kept = (found["normal"] == prefit).all(axis=-1)
     assert kept[:, 6:].mean() > 0.9 and kept[:, :6].mean() < 0.1
     assert degrees(recovery.maps(confidence=False), truth["normal"])[:, :6].mean() < 0.2
-    # Where the normal was let go the model fits nearly as well as the prefit's; where it was kept the refinement did not.
+    # Where the normal was let go the model fits nearly as well as the prefit's; elsewhere the refinement does not.
     assert (ours <= 1.2 * theirs + 0.005 + 1e-3)[~kept].all()
     at_the_end, _ = bounded_misfit(domain, "principled", refined, STANDARD.prefit, scale)
     assert (at_the_end > 1.2 * theirs + 0.005)[kept].mean() > 0.9
@@ -378,7 +378,7 @@ def test_slices_give_the_whole_bit_for_bit(recover, whole):
 
 @pytest.mark.parametrize("stop", [None, 0, 2, 3, 5, 6, 7, 10], ids=lambda n: f"after-{n}")
 def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
-    # Before all; in the prefit's swarm, at its end, in its refinement, at its end; in the stage; in the judged refinement.
+    # Before all; in the prefit's swarm, at its end, in its refinement, at its end; in the stage; in the refinement.
     domain, wanted, progress = whole
     first = recover(domain, PRINCIPLED, SHORT)
     if stop is not None:

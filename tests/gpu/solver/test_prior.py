@@ -12,8 +12,9 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.phases.spatial_prior import SpatialPriorPhase
 from irpso_addon.solver.planning.cost import recovery_cost
+from irpso_addon.solver.settings.groups import Prior
 from irpso_addon.solver.settings.resolve import resolve
-from irpso_addon.solver.settings.schedule import Prior, load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, subject, unit, with_radiance
@@ -384,8 +385,8 @@ def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover
 
     bench = Bench(TWO_LOBES, domain, truth, schedule)
     monkeypatch.setattr(textures, "_texture", counted)
-    again = SpatialPriorPhase(resolve(schedule, TWO_LOBES, set())[-1], TWO_LOBES, schedule, bench.uploaded, bench.estimates,
-                         "fragment")  # fmt: skip
+    prior = resolve(schedule, TWO_LOBES, set())[-1]
+    again = SpatialPriorPhase(prior, TWO_LOBES, schedule, bench.uploaded, bench.estimates, "fragment")
     again.textures.ensure()
     assert sum(taken) == 99 * cost.textures
     assert sum(array.nbytes for array in again.state().values()) == 99 * cost.kept

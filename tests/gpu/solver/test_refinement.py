@@ -13,8 +13,9 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.refinement import SPREAD_REACH
 from irpso_addon.solver.phases.refinement import RefinementPhase, Track
+from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.resolve import ResolvedRefinement
-from irpso_addon.solver.settings.schedule import Refinement, load_schedule
+from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, unit
@@ -426,8 +427,8 @@ def test_fragment_and_compute_make_the_same_step(refinement):
         np.testing.assert_allclose(one[name], other[name], rtol=1e-4, atol=1e-5)
 
 
-WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2, "accept_ratio": 1.5,
-         "votes": 1.0}  # fmt: skip
+WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2,
+         "accept_ratio": 1.5, "votes": 1.0}  # fmt: skip
 
 
 def lobes():

@@ -13,7 +13,8 @@ from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
-from irpso_addon.solver.settings.schedule import Refinement, load_schedule
+from irpso_addon.solver.settings.groups import Refinement
+from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.checkpoint import tiles_of
 from tests.builders.domains import SHORT, subject
 

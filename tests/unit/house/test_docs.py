@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import irpso_addon
-from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
-from irpso_addon.ui.schedule_words import GROUPS, WORDS
+from irpso_addon.solver.settings.schedule import GROUPS, SETTINGS, load_schedule, shipped_presets
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"
@@ -77,7 +76,7 @@ def test_every_setting_that_is_advised_is_in_the_panel_that_is_named():
     pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("presets.md", "reading_maps.md")]
     advised = re.findall(r"\b([A-Z]\w+), ([A-Z][A-Za-z ]+) = \w", "\n".join(pages))
     assert len(advised) > 5
-    labels = {group: {WORDS[name].label for name in names} for group, names in GROUPS.items()}
+    labels = {group: {SETTINGS[name].label for name in names} for group, names in GROUPS.items()}
     assert [(group, label) for group, label in advised if label not in labels[group]] == []
 
 

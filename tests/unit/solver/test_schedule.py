@@ -9,8 +9,9 @@ from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.phases.refinement import tracks_of
 from irpso_addon.solver.phases.sequential_swarm import neighbour_constant, particle_count
+from irpso_addon.solver.settings.groups import Stage
 from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve
-from irpso_addon.solver.settings.schedule import Stage, load_schedule, shipped_presets
+from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
 
@@ -113,6 +114,14 @@ def test_a_bad_preset_file_is_refused_in_one_line_with_its_path(tmp_path, old, n
         load_schedule(path)
     assert str(caught.value).startswith(str(path)) and word in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_preset_of_an_earlier_format_is_refused_with_the_way_to_keep_it(tmp_path):
+    path = tmp_path / "mine.toml"
+    for text in (SWARM.replace("format = 2\n", ""), SWARM.replace("format = 2", "format = 3")):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=r"mine\.toml: is of format [13], not 2: .* docs/presets\.md"):
+            load_schedule(path)
 
 
 def test_tables_in_place_of_values_are_refused(tmp_path):

@@ -1,0 +1,72 @@
+"""One setting of a schedule: its limits, and how it is shown. Declared once, beside its field (groups.py)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass
+from typing import Any, Literal, get_origin, get_type_hints
+
+from ...core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a setting may be, and its words.
+
+    label, help: as shown in the window and in docs/presets.md. kind: int, float, bool, or str for one of ``choices``;
+    read from the field's type. least: the smallest number, itself refused where ``above``. most: the largest, or None.
+    odd: even numbers are refused. soft_max: the top of its slider. subtype: Blender's name of its unit. precision:
+    decimals. choices: value → (label, help).
+    """
+
+    label: str
+    help: str
+    kind: type = float
+    least: int = 0
+    above: bool = False
+    most: int | None = None
+    odd: bool = False
+    soft_max: float | None = None
+    subtype: str = "NONE"
+    precision: int = 3
+    choices: Mapping[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
+
+    def check(self, name: str, value: Any, where: str) -> None:
+        """Raise InputError where the setting called ``name`` cannot have this value; ``where`` begins the message."""
+        if self.choices:
+            if value not in tuple(self.choices):  # which also refuses what has no hash
+                raise InputError(f"{where}: {name} must be one of {', '.join(self.choices)}, not {value!r}")
+            return
+        if self.kind is bool:
+            if not isinstance(value, bool):
+                raise InputError(f"{where}: {name} must be true or false, not {value!r}")
+            return
+        kinds, words = (int, "a whole number") if self.kind is int else (int | float, "a number")
+        number = isinstance(value, kinds) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or value < self.least:
+            raise InputError(f"{where}: {name} must be {words} from {self.least}, not {value!r}")
+        if self.above and value == self.least:
+            raise InputError(f"{where}: {name} must be above {self.least}, not {value!r}")
+        if self.most is not None and value > self.most:
+            raise InputError(f"{where}: {name} must be at most {self.most}, not {value!r}")
+        if self.odd and value % 2 == 0:
+            raise InputError(f"{where}: {name} must be odd (1, 3, 5, …), not {value!r}")
+
+
+def setting(label: str, help: str, default: Any = MISSING, **more: Any) -> Any:
+    """Return the field of a dataclass that is a setting; ``more`` are Setting's own fields."""
+    return dataclasses.field(default=default, metadata={Setting: Setting(label, help, **more)})
+
+
+def settings_of(kind: type, prefix: str = "") -> dict[str, Setting]:
+    """Return name → setting of the fields of a dataclass that are settings, ``prefix`` before each name."""
+    hints = get_type_hints(kind)
+    return {
+        prefix + field.name: dataclasses.replace(
+            field.metadata[Setting], kind=str if get_origin(hints[field.name]) is Literal else hints[field.name]
+        )
+        for field in dataclasses.fields(kind)
+        if Setting in field.metadata
+    }
