@@ -14,9 +14,11 @@ from .core.errors import InputError, IrpsoError, ShaderError
 from .core.paths import DEFAULT_MODEL
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
+_ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
 _REMEDIES = {  # of a module that is missing
     "numpy": "install numpy (Debian's Blender takes it from the package python3-numpy)",
-    "OpenEXR": "install the extension from the zip that `make extension` builds, which holds it, or OpenEXR with pip",
+    "OpenEXR": _ZIP.format("OpenEXR"),
+    "PIL": _ZIP.format("Pillow"),
     "bpy": "install bpy with pip, or use an installed Blender",
 }
 _SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and name them"

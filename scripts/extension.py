@@ -1,7 +1,7 @@
 """Builds the zips that Blender installs, one for each system, with Blender's own tool, under plain Python.
 
 Usage: python scripts/extension.py FOLDER [--without-wheels]
-With the wheels of OpenEXR, which Blender has not, a zip works in every supported Blender of its system on its own.
+With the wheels of what Blender has not, a zip works in every supported Blender of its system on its own.
 The same sources give the same bytes.
 """
 
@@ -13,6 +13,7 @@ import sys
 import tempfile
 import tomllib
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import wheels
@@ -90,15 +91,15 @@ def build_plain(folder: Path) -> Path:
     return package
 
 
-def build_all(folder: Path) -> dict[str, tuple[Path, list[str]]]:
-    """Build and validate a zip for every system; return, for each, the zip and the Pythons it has OpenEXR for."""
+def build_all(folder: Path, systems: Iterable[str] = wheels.PLATFORMS) -> dict[str, tuple[Path, list[str]]]:
+    """Build and validate a zip for each system; return, for each, the zip and the Pythons it has wheels for."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         # What belongs in the zip is said once, in the manifest: so pack, unpack, add the wheels, pack again.
         source = Path(scratch) / "package"
         with zipfile.ZipFile(build_plain(Path(scratch))) as archive:
             archive.extractall(source)
-        served = wheels.collect(source / "wheels", CACHE)
+        served = wheels.collect(source / "wheels", CACHE, systems)
         systems = [system for system, pythons in served.items() if pythons]
         names = [f"./wheels/{wheel.name}" for wheel in sorted((source / "wheels").iterdir())]
         text = (source / "blender_manifest.toml").read_text(encoding="utf-8")
@@ -115,18 +116,19 @@ def main() -> None:
     """Build into the folder named on the command line; say where the zips are, and what no wheel was found for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--without-wheels", action="store_true", help="leave OpenEXR out: smaller, needs no network")
+    parser.add_argument("--without-wheels", action="store_true", help="leave the wheels out: small, needs no network")
     options = parser.parse_args()
     if options.without_wheels:
         print(build_plain(options.folder))
         return
     built = build_all(options.folder)
+    held = ", ".join(map(wheels.requirement, wheels.LIBRARIES))
     for package, pythons in built.values():
-        print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {wheels.requirement()}, Python {', '.join(pythons)}")
+        print(f"{package}  {package.stat().st_size / 1e6:.1f} MB, {held}, Python {', '.join(pythons)}")
     for system in wheels.PLATFORMS:
         for python in wheels.PYTHONS:
             if python not in built.get(system, (None, []))[1]:
-                print(f"no wheel of {wheels.requirement()} exists for {system} with Python {python}")
+                print(f"no wheels of {held} exist for {system} with Python {python}")
 
 
 if __name__ == "__main__":

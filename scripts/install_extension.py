@@ -77,7 +77,7 @@ def wheel(variables: dict[str, str], folder: Path) -> Place:
     for name in BARE:
         if (packages / name).exists():
             (folder / name).symlink_to(packages / name)
-    # Without -S Python would add its site-packages, whose OpenEXR hides what the zip brings or lacks.
+    # Without -S Python would add its site-packages, whose OpenEXR and Pillow hide what the zip brings or lacks.
     command = [sys.executable, "-S", "-s"]
     return Place("the bpy wheel", partial(_start, command, variables | {"PYTHONPATH": str(folder)}), commands=False)
 
@@ -133,9 +133,11 @@ def faults(told: dict, with_wheels: bool) -> list[str]:
         "the program was not run from where it was installed": told["root"].startswith(told["profile"]),
     }
     if with_wheels:
-        inside = (told["exr"] or "").startswith(told["profile"])
-        wanted[f"OpenEXR is not that of the zip but {told['exr']}"] = inside
+        for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")):
+            inside = (told[key] or "").startswith(told["profile"])
+            wanted[f"{name} is not that of the zip but {told[key]}"] = inside
         wanted["OpenEXR gave back other numbers than it got"] = told.get("exr same", False)
+        wanted["Pillow drew no text"] = told.get("drawn", False)
     if told["usage"] is not None:
         wanted["blender --command irpso --help said nothing of recover"] = "recover" in told["usage"]
     return [line for line, good in wanted.items() if not good]
@@ -162,9 +164,9 @@ def main() -> int:
     if wrong:
         print(*(f"WRONG: {line}" for line in wrong), sep="\n")
         return 1
-    exr = f"OpenEXR {told['exr version']} of the zip" if told["exr"] else "no OpenEXR"
+    held = [f"{name} {told[f'{key} version']}" for name, key in (("OpenEXR", "exr"), ("Pillow", "pillow")) if told[key]]
     parts = f"{told['modules']} modules, {len(told['classes'])} classes, command {', '.join(told['commands'])}"
-    print(f"  {parts}, {exr}; disabled without a trace")
+    print(f"  {parts}, {' and '.join(held) or 'no wheels'}; disabled without a trace")
     print(f"In your own Blender:  blender --command extension install-file -r user_default --enable {package}")
     return 0
 

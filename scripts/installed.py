@@ -88,6 +88,17 @@ def exr_round_trip(package: str) -> dict:
     return {"exr": OpenEXR.__file__, "exr version": OpenEXR.__version__, "exr same": bool((came == sent).all())}
 
 
+def picture(package: str) -> dict:
+    """Draw through the program; return where Pillow lies and whether there is text. "pillow" is None without it."""
+    try:
+        import PIL
+    except ModuleNotFoundError:
+        return {"pillow": None}
+    canvas = importlib.import_module(f"{package}.core.canvas").Canvas(60, 20, (0, 0, 0))
+    canvas.text(2, 15, "text", 10)
+    return {"pillow": PIL.__file__, "pillow version": PIL.__version__, "drawn": bool(canvas.result().max() > 0.5)}
+
+
 def try_zip(path: str) -> dict:
     """Install, enable, try and disable a zip; return what was found at each."""
     commands = watch_commands()
@@ -111,7 +122,7 @@ def try_zip(path: str) -> dict:
         "model": package.load_model("lambert").name,
         "schedule": package.load_schedule("standard").name,
     }
-    told |= exr_round_trip(name)
+    told |= exr_round_trip(name) | picture(name)
     told |= {"violations": violations(enabled[0]), "written": sorted({*files(paths.ROOT)} ^ {*brought})}
     bpy.ops.preferences.addon_disable(module=enabled[0])
     return told | {"commands after": list(commands), "classes after": classes()}

@@ -1,4 +1,4 @@
-"""What was photographed: readers of captures, one file a format; numpy and OpenEXR only.
+"""What was photographed: readers of captures, one file a format; no Blender.
 
 Formats other than EXR need a decoder, which is handed in: ``irpso_addon.blender.images.decode`` is Blender's.
 """

@@ -1,12 +1,15 @@
-"""A sheet to draw on in numpy: anti-aliased lines and text, images, bars."""
+"""A sheet to draw on with Pillow: anti-aliased lines, text in Pillow's own font, images, bars."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import lettering
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
 
 BACKGROUND = (0.106, 0.106, 0.110)
 PANEL = (0.150, 0.150, 0.156)
@@ -15,55 +18,53 @@ TEXT = (0.88, 0.88, 0.88)
 FAINT = (0.62, 0.62, 0.63)
 
 Color = Sequence[float]
+_FINE = 4  # ImageDraw has no anti-aliasing: lines are drawn so much larger and reduced
+_CAPITAL = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
 
 
 class Canvas:
     """An RGB sheet of display (sRGB-encoded) values in 0…1; x to the right and y DOWN from the upper left corner."""
 
     def __init__(self, width: int, height: int, color: Color = BACKGROUND):
-        self.pixels = np.empty((height, width, 3), np.float32)
-        self.pixels[:] = color
+        from PIL import Image, ImageDraw
+
+        self._sheet = Image.new("RGB", (width, height), _code(color))
+        self._draw = ImageDraw.Draw(self._sheet)
 
     def result(self) -> np.ndarray:
-        """Return (H, W, 3) float32, row 0 at the bottom."""
-        return np.clip(self.pixels[::-1], 0, 1)
+        """Return (H, W, 3) float32 in steps of 1 / 255, row 0 at the bottom."""
+        return np.asarray(self._sheet, np.float32)[::-1] / 255
 
     def rectangle(self, x: int, y: int, width: int, height: int, color: Color) -> None:
         """Fill whole pixels."""
-        self.pixels[max(y, 0) : y + height, max(x, 0) : x + width] = color
+        self._draw.rectangle((x, y, x + width - 1, y + height - 1), _code(color))
 
     def frame(self, x: int, y: int, width: int, height: int, color: Color = GRID) -> None:
         """Draw a one-pixel frame around an area."""
-        for left, top, w, h in (
-            (x - 1, y - 1, width + 2, 1), (x - 1, y + height, width + 2, 1),
-            (x - 1, y, 1, height), (x + width, y, 1, height),
-        ):  # fmt: skip
-            self.rectangle(left, top, w, h, color)
+        self._draw.rectangle((x - 1, y - 1, x + width, y + height), outline=_code(color))
 
     def image(self, x: int, y: int, image: np.ndarray) -> None:
         """Place (H, W, 3) display values, row 0 at the bottom, with its upper left corner at (x, y)."""
-        height, width = image.shape[:2]
-        self.pixels[y : y + height, x : x + width] = image[::-1]
+        from PIL import Image
+
+        codes = np.rint(np.clip(image[::-1], 0, 1) * 255).astype(np.uint8)
+        self._sheet.paste(Image.fromarray(codes), (x, y))
 
     def lines(self, strokes: Iterable[Sequence[tuple[float, float]]], width: float, color: Color) -> None:
-        """Draw chains of points with round ends and joints; where they cross, the ink is not laid on twice."""
-        strokes = [np.asarray(stroke, np.float32) for stroke in strokes if len(stroke)]
-        if not strokes:
+        """Draw chains of points with round joints; where they cross, the ink is not laid on twice."""
+        from PIL import Image, ImageDraw
+
+        points = [np.asarray(stroke, np.float64) for stroke in strokes if len(stroke)]
+        if not points:
             return
-        every = np.concatenate(strokes)
-        reach = width / 2 + 1
-        rows, columns = self.pixels.shape[:2]
-        x0, y0 = np.maximum(np.floor(every.min(axis=0) - reach).astype(int), 0)
-        x1, y1 = np.minimum(np.ceil(every.max(axis=0) + reach).astype(int) + 1, (columns, rows))
-        if x0 >= x1 or y0 >= y1:
-            return
-        ink = np.zeros((y1 - y0, x1 - x0), np.float32)
-        for stroke in strokes:
-            ends = stroke[1:] if len(stroke) > 1 else stroke
-            for start, end in zip(stroke, ends, strict=False):
-                _ink_segment(ink, start - (x0, y0), end - (x0, y0), width)
-        area = self.pixels[y0:y1, x0:x1]
-        area += ink[..., None] * (np.asarray(color, np.float32) - area)
+        every, reach = np.concatenate(points), width / 2 + 1
+        corner = np.floor(every.min(axis=0) - reach).astype(int)
+        size = np.ceil(every.max(axis=0) + reach).astype(int) - corner
+        ink = Image.new("L", tuple(map(int, size * _FINE)))
+        pen = ImageDraw.Draw(ink)
+        for stroke in points:
+            pen.line(((stroke - corner) * _FINE).ravel().tolist(), 255, round(width * _FINE), joint="curve")
+        self._sheet.paste(_code(color), tuple(map(int, corner)), ink.reduce(_FINE))
 
     def ring(self, x: float, y: float, radius: float, width: float, color: Color) -> None:
         """Draw a circle."""
@@ -75,31 +76,26 @@ class Canvas:
 
         height: of the capitals, in pixels.
         """
-        left = round(x - align * lettering.text_width(text, height))
-        width = max(lettering.STROKE * height / lettering.CAPITAL_HEIGHT, 1.0)
-        strokes = lettering.text_strokes(text, height)
-        self.lines([[(left + px, y - py) for px, py in stroke] for stroke in strokes], width, color)
+        anchor = {0.0: "ls", 0.5: "ms", 1.0: "rs"}[align]
+        self._draw.text((round(x), round(y)), text, _code(color), _font(height), anchor)
 
     def text_upward(self, x: float, y: float, text: str, height: float, color: Color = TEXT) -> None:
         """Write a line that reads from bottom to top, centred on y, its baseline at x."""
-        bottom = round(y + lettering.text_width(text, height) / 2)
-        width = max(lettering.STROKE * height / lettering.CAPITAL_HEIGHT, 1.0)
-        strokes = lettering.text_strokes(text, height)
-        self.lines([[(x - py, bottom - px) for px, py in stroke] for stroke in strokes], width, color)
+        from PIL import Image, ImageDraw
+
+        font, line = _font(height), round(2 * height)
+        ink = Image.new("L", (round(font.getlength(text)) + 2, line))
+        ImageDraw.Draw(ink).text((1, 1.5 * height), text, 255, font, "ls")
+        place = round(x - 1.5 * height), round(y - ink.width / 2)
+        self._sheet.paste(_code(color), place, ink.transpose(Image.Transpose.ROTATE_90))
 
 
-def _ink_segment(ink: np.ndarray, start: np.ndarray, end: np.ndarray, width: float) -> None:
-    """Raise ``ink`` to the coverage of one round-ended segment; pixel centres lie at +0.5."""
-    reach = width / 2 + 1
-    x0, y0 = np.maximum(np.floor(np.minimum(start, end) - reach).astype(int), 0)
-    x1 = min(int(np.ceil(max(start[0], end[0]) + reach)) + 1, ink.shape[1])
-    y1 = min(int(np.ceil(max(start[1], end[1]) + reach)) + 1, ink.shape[0])
-    if x0 >= x1 or y0 >= y1:
-        return
-    px = np.arange(x0, x1, dtype=np.float32)[None, :] + 0.5 - start[0]
-    py = np.arange(y0, y1, dtype=np.float32)[:, None] + 0.5 - start[1]
-    dx, dy = end - start
-    length2 = dx * dx + dy * dy
-    along = np.clip((px * dx + py * dy) / length2, 0, 1) if length2 > 0 else np.zeros_like(px * py)
-    distance = np.hypot(px - along * dx, py - along * dy)
-    np.maximum(ink[y0:y1, x0:x1], np.clip(width / 2 + 0.5 - distance, 0, 1), out=ink[y0:y1, x0:x1])
+@cache
+def _font(height: float) -> FreeTypeFont:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(height / _CAPITAL)
+
+
+def _code(color: Color) -> tuple[int, ...]:
+    return tuple(round(255 * value) for value in color)

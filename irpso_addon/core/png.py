@@ -1,4 +1,4 @@
-"""Writing PNG files of 8 and 16 bits."""
+"""PNG files: written with 8 and 16 bits; their chunks."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ import numpy as np
 
 from .files import replacing_file
 
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 
 
 def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
     """Write (H, W, C) values in 0…1, already encoded, row 0 at the bottom, as a PNG of 8 or 16 bits; C of 1 to 4.
 
-    Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Blender's saver takes pixels
-    through its scene's colour management and gives no say over rounding. Raises InputError where it cannot be written.
+    Code values are round(value · (2^bits − 1)), exactly. Written here with zlib because Pillow has no RGB of 16 bits,
+    and Blender's saver takes pixels through its scene's colour management and gives no say over rounding.
+    Raises InputError where it cannot be written.
     """
     array = np.asarray(array, np.float64)
     array = array[..., None] if array.ndim == 2 else array
@@ -33,8 +35,22 @@ def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
     header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
     with replacing_file(Path(path)) as partial:
-        partial.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks))
+        partial.write_bytes(SIGNATURE + b"".join(_chunk(kind, data) for kind, data in chunks))
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png_chunks(data: bytes) -> dict[bytes, bytes]:
+    """Return kind → data, the first of each kind, of a PNG file's chunks, as far as they are whole.
+
+    Pillow finds EXIF behind the pixels only by decoding them, and drops cICP.
+    """
+    chunks, at = {}, len(SIGNATURE)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        if (end := at + 12 + length) <= len(data):
+            chunks.setdefault(kind, data[at + 8 : end - 4])
+        at = end
+    return chunks

@@ -27,8 +27,8 @@ def build_package(folder: Path) -> Path:
     sys.path.insert(0, str(ROOT / "scripts"))
     import extension
 
-    extension.build_all(folder)
-    return extension.zip_path(folder, extension.this_platform())
+    system = extension.this_platform()
+    return extension.build_all(folder, [system])[system][0]
 
 
 def install(blender: Blender, package: Path, user: Path) -> str:

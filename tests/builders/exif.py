@@ -36,10 +36,12 @@ def exif(seconds=None, f_number=None, iso=None, order="<", orientation=1):
     return head + directory(first, 8, order) + directory(tags, 8 + 2 + 24 + 4, order)
 
 
-def with_exif(jpeg, block):
-    """Return the bytes of a JPEG file with an EXIF block as its first segment."""
+def jpeg(width, height, block=b""):
+    """Return the bytes of a grey JPEG file without pixels, with an EXIF block."""
     segment = b"Exif\0\0" + block
-    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", 2 + len(segment)) + segment + jpeg[2:]
+    frame = b"\xff\xc2" + struct.pack(">HBHHB", 11, 8, height, width, 1) + bytes(3)
+    head = b"\xff\xd8\xff\xe1" + struct.pack(">H", 2 + len(segment)) + segment
+    return head + frame + b"\xff\xda\0\2 data\xff\xd9"
 
 
 def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None):

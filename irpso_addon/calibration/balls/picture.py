@@ -83,7 +83,7 @@ def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
         px, py = placed(tile.mark[None])[0]
         canvas.lines([[(px - 6, py), (px - 2, py)], [(px + 2, py), (px + 6, py)],
                       [(px, py - 6), (px, py - 2)], [(px, py + 2), (px, py + 6)]], 1.4, _FOUND)  # fmt: skip
-    canvas.text(x, y + _TILE + 10, tile.label[:16], _LABEL * 0.8, _BAD if tile.doubtful or tile.mark is None else FAINT)
+    canvas.text(x, y + _TILE + 10, tile.label[:16], _LABEL, _BAD if tile.doubtful or tile.mark is None else FAINT)
 
 
 def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubtful: Sequence[bool]) -> None:
@@ -101,4 +101,4 @@ def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubt
         px, py = x + direction[0] * away, y - direction[1] * away
         canvas.ring(px, py, 3.0, 2.0, _BAD if bad else TEXT)
         if len(directions) <= _MOST:
-            canvas.text(px + 6, py - 3, str(number + 1), _LABEL * 0.8, FAINT)
+            canvas.text(px + 6, py - 3, str(number + 1), _LABEL, FAINT)

@@ -1,4 +1,4 @@
-"""What an image file says of itself in its first bytes: kind, size, depth, orientation; and whether it is whole."""
+"""What an image file says of itself: kind, size, depth, orientation, encoding; and whether it is whole."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from ...core.png import SIGNATURE, png_chunks
 from ..errors import CaptureError
-from .exif import jpeg_is_srgb, jpeg_orientation, tiff_has_profile, tiff_layout, tiff_orientation
+from .exif import JPEG_START, open_jpeg, orientation_of, tiff_tags
 
 _HDR_SIZE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")
-_NO_SIZE_MARKERS = (0xC4, 0xC8, 0xCC)  # among the JPEG markers C0…CF, those that start no frame
 _JPEG_TAIL = 1 << 16  # cameras append a few kilobytes after the end mark
-_LINEAR_GAMMA = 100_000  # of a gAMA chunk: 100 000 over the exponent
-_PROFILES = (b"sRGB", b"iCCP", b"cICP")  # PNG chunks that name a colour space
+_LINEAR_GAMMA = struct.pack(">I", 100_000)  # of a gAMA chunk: 100 000 over the exponent
+_PROFILES = {b"sRGB", b"iCCP", b"cICP"}  # PNG chunks that name a colour space
+_WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT, _ICC_PROFILE, _COLOUR_SPACE = 256, 257, 258, 339, 34675, 40961  # TIFF tags
+_FLOATS, _SRGB = 3, 1  # of the sample format, of the colour space
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,9 @@ class ImageHeader:
 def read_header(path: Path) -> ImageHeader:
     """Return the header of an image that is no EXR. Raises CaptureError where it is missing, unknown or cut short."""
     data = read_bytes(path)
-    if data[:8] == b"\x89PNG\r\n\x1a\n":
+    if data.startswith(SIGNATURE):
         header = _png(path, data)
-    elif data[:2] == b"\xff\xd8":
+    elif data.startswith(JPEG_START):
         header = _jpeg(path, data)
     elif data[:4] in (b"II*\0", b"MM\0*"):
         header = _tiff(path, data)
@@ -70,48 +74,38 @@ def truncated(path: Path) -> CaptureError:
 
 
 def _png(path: Path, data: bytes) -> ImageHeader:
-    at, orientation, states = 8, 1, ""
-    while at + 12 <= len(data):
-        (length,) = struct.unpack_from(">I", data, at)
-        kind, end = data[at + 4 : at + 8], at + 12 + length
-        if kind == b"eXIf":
-            orientation = tiff_orientation(data[at + 8 : at + 8 + length])
-        if kind in _PROFILES:  # which count before gAMA
-            states = "srgb"
-        if kind == b"gAMA" and length == 4 and not states:
-            states = "linear" if struct.unpack_from(">I", data, at + 8)[0] == _LINEAR_GAMMA else "srgb"
-        if kind == b"IEND":
-            width, height, bits = struct.unpack_from(">IIB", data, 16)
-            return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states)
-        at = end
-    raise truncated(path)
+    chunks = png_chunks(data)
+    if not chunks.keys() >= {b"IHDR", b"IEND"} or len(chunks[b"IHDR"]) < 9:
+        raise truncated(path)
+    width, height, bits = struct.unpack_from(">IIB", chunks[b"IHDR"])
+    states = ""
+    if chunks.keys() & _PROFILES:  # which count before gAMA
+        states = "srgb"
+    elif b"gAMA" in chunks:
+        states = "linear" if chunks[b"gAMA"] == _LINEAR_GAMMA else "srgb"
+    orientation = orientation_of(tiff_tags(chunks.get(b"eXIf", b"")))
+    return ImageHeader("PNG", width, height, 16 if bits == 16 else 8, orientation, states)
 
 
 def _jpeg(path: Path, data: bytes) -> ImageHeader:
-    at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker == 0xFF:  # a fill byte
-            at += 1
-            continue
-        if 0xC0 <= marker <= 0xCF and marker not in _NO_SIZE_MARKERS:
-            if b"\xff\xd9" not in data[max(at, len(data) - _JPEG_TAIL) :]:
-                break
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return ImageHeader("JPEG", width, height, 8, jpeg_orientation(data), "srgb" if jpeg_is_srgb(data) else "")
-        at += 2 + struct.unpack_from(">H", data, at + 2)[0]
-    raise truncated(path)
+    image = open_jpeg(data)
+    if image is None or b"\xff\xd9" not in data[-_JPEG_TAIL:]:
+        raise truncated(path)
+    tags = tiff_tags(image.info.get("exif", b""))
+    srgb = image.info.get("icc_profile") or tags.get(_COLOUR_SPACE) == _SRGB
+    return ImageHeader("JPEG", *image.size, 8, orientation_of(tags), "srgb" if srgb else "")
 
 
 def _tiff(path: Path, data: bytes) -> ImageHeader:
-    layout = tiff_layout(data)
-    if layout is None:
+    tags = tiff_tags(data)
+    width, height, bits, sample_format = (tags.get(tag, 1) for tag in (_WIDTH, _HEIGHT, _BITS, _SAMPLE_FORMAT))
+    if _WIDTH not in tags or _HEIGHT not in tags:
         raise truncated(path)
-    width, height, bits, is_float = layout
-    if not is_float and bits > 16:
-        raise CaptureError(f"{path}: holds {bits}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
-    states = "linear" if is_float else "srgb" if tiff_has_profile(data) else ""
-    return ImageHeader("TIFF", width, height, 32 if is_float else 16 if bits > 8 else 8, tiff_orientation(data), states)
+    depth, is_float = np.max(bits), np.max(sample_format) == _FLOATS
+    if not is_float and depth > 16:
+        raise CaptureError(f"{path}: holds {depth}-bit whole numbers; save it with 8 or 16 bits", "image_unknown")
+    states = "linear" if is_float else "srgb" if _ICC_PROFILE in tags else ""
+    return ImageHeader("TIFF", width, height, 32 if is_float else 16 if depth > 8 else 8, orientation_of(tags), states)
 
 
 def _hdr(path: Path, data: bytes) -> ImageHeader:

@@ -196,7 +196,7 @@ def exif_of(space):
         (jpeg(b""), ""),
         (jpeg(exif_of(1)), "srgb"),
         (jpeg(exif_of(65535)), ""),
-        (jpeg(b"\xff\xe2" + struct.pack(">H", 30) + b"ICC_PROFILE\0" + bytes(16)), "srgb"),
+        (jpeg(b"\xff\xe2" + struct.pack(">H", 30) + b"ICC_PROFILE\0\1\1" + bytes(14)), "srgb"),
     ],
     ids=["nothing", "EXIF sRGB", "EXIF uncalibrated", "profile"],
 )

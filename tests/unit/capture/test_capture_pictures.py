@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError, Picture
-from irpso_addon.capture.images.exif import jpeg_orientation, tiff_orientation, upright
+from irpso_addon.capture.images.exif import orientation_of, tiff_tags, upright
 from irpso_addon.capture.images.headers import read_header
 from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture, srgb_to_linear
 from tests.builders.captures import chunk, write_png
+from tests.builders.exif import exif, jpeg
 
 
 def picture(codes, bits):
@@ -63,27 +64,18 @@ def test_a_mask_may_be_grey_or_rgb_or_alpha_and_of_any_brightness(scale):
         np.testing.assert_array_equal(found, wanted)
 
 
-def exif(orientation, order="<"):
-    mark = b"II*\0" if order == "<" else b"MM\0*"
-    entry = struct.pack(order + "HHIHH", 274, 3, 1, orientation, 0)
-    return mark + struct.pack(order + "IH", 8, 1) + entry + b"\0\0\0\0"
-
-
 @pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_the_orientation_is_read_from_hand_made_bytes(orientation, order):
-    block = exif(orientation, order)
-    assert tiff_orientation(block) == orientation
-    segment = b"Exif\0\0" + block
-    jfif = b"\xff\xe0" + struct.pack(">H", 16) + b"JFIF\0" + bytes(9)
-    data = b"\xff\xd8" + jfif + b"\xff\xe1" + struct.pack(">H", 2 + len(segment)) + segment + b"\xff\xda"
-    assert jpeg_orientation(data) == orientation
+@pytest.mark.parametrize("orientation", range(10))
+def test_the_orientation_is_read_from_hand_made_bytes(orientation, order, tmp_path):
+    block, expected = exif(order=order, orientation=orientation), orientation if 1 <= orientation <= 8 else 1
+    assert orientation_of(tiff_tags(block)) == expected
+    (tmp_path / "a.jpg").write_bytes(jpeg(30, 40, block))
+    assert read_header(tmp_path / "a.jpg").orientation == expected
 
 
-def test_damaged_orientation_blocks_mean_upright():
-    for data in (b"", b"II*\0", b"II*\0" + struct.pack("<I", 10**9), exif(0), exif(9), exif(6)[:15]):
-        assert tiff_orientation(data) == 1
-    assert jpeg_orientation(b"\xff\xd8\xff\xe1\xff\xff") == 1
+def test_damaged_tags_mean_upright():
+    for data in (b"", b"II*\0", b"II*\0" + struct.pack("<I", 10**9), exif(orientation=6)[:15]):
+        assert orientation_of(tiff_tags(data)) == 1
 
 
 def test_turning_upright_follows_the_eight_cases_of_the_standard():
@@ -105,11 +97,10 @@ def test_headers_tell_kind_size_and_depth(tmp_path):
     write_png(tmp_path / "a.png", codes, 16)
     header = read_header(tmp_path / "a.png")
     assert (header.kind, header.width, header.height, header.bits) == ("PNG", 6, 4, 16)
-    write_png(tmp_path / "b.png", codes, 8, chunk(b"eXIf", exif(6)))
+    write_png(tmp_path / "b.png", codes, 8, chunk(b"eXIf", exif(orientation=6)))
     header = read_header(tmp_path / "b.png")
     assert (header.width, header.height, header.bits, header.orientation) == (4, 6, 8, 6)
-    frame = b"\xff\xc2" + struct.pack(">HBHHB", 11, 8, 40, 30, 1) + bytes(3)
-    (tmp_path / "c.jpg").write_bytes(b"\xff\xd8" + frame + b"\xff\xda\0\2 data\xff\xd9")
+    (tmp_path / "c.jpg").write_bytes(jpeg(30, 40))
     header = read_header(tmp_path / "c.jpg")
     assert (header.kind, header.width, header.height, header.bits) == ("JPEG", 30, 40, 8)
     (tmp_path / "d.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 5 +X 7\n" + bytes(140))

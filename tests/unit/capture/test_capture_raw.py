@@ -10,7 +10,7 @@ from irpso_addon.capture import CaptureError, read_capture
 from irpso_addon.capture.images.exif import Exposure, exposure_of
 from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_size
 from tests.builders.captures import LIGHTS, chunk, write_png
-from tests.builders.exif import bayer, dng, exif, with_exif
+from tests.builders.exif import bayer, dng, exif, jpeg
 
 Y, X = np.mgrid[:40, :60]
 SCENE = np.stack([0.2 + 0.5 * X / 60, 0.3 + 0.3 * Y / 40, 0.4 + 0 * X], axis=-1)  # top row first
@@ -20,7 +20,7 @@ SCENE = np.stack([0.2 + 0.5 * X / 60, 0.3 + 0.3 * Y / 40, 0.4 + 0 * X], axis=-1)
 def test_the_exposure_is_read_from_hand_made_bytes(order, tmp_path):
     block = exif((1, 60), (56, 10), 200, order)
     expected = Exposure(1 / 60, 5.6, 200.0)
-    assert exposure_of(with_exif(b"\xff\xd8\xff\xda", block)) == expected
+    assert exposure_of(jpeg(2, 2, block)) == expected
     assert exposure_of(block) == expected  # as a TIFF file has it
     write_png(tmp_path / "a.png", np.zeros((2, 2, 3), int), extra=chunk(b"eXIf", block))
     assert exposure_of((tmp_path / "a.png").read_bytes()) == expected
@@ -34,7 +34,7 @@ def test_an_exposure_without_aperture_and_iso_counts_its_time_alone():
 @pytest.mark.parametrize("block", [exif(), exif((1, 0)), exif((0, 1)), exif((1, 60))[:30], b"", b"\xff\xd8\xff\xe1\0"])
 def test_damaged_or_missing_exposures_are_none(block):
     assert exposure_of(block) is None
-    assert exposure_of(with_exif(b"\xff\xd8\xff\xda", block)) is None
+    assert exposure_of(jpeg(2, 2, block)) is None
 
 
 def test_without_rawpy_a_raw_file_is_refused_with_the_remedy(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import itertools
 import shutil
 import subprocess
 import sys
@@ -88,19 +89,20 @@ def test_every_permission_has_a_reason_that_fits(package):
 
 @pytest.fixture
 def wheels(tmp_path, monkeypatch):
-    """Wheels with a library of a few bytes for every system and Python but one, and pip out of reach."""
+    """Wheels with libraries of a few bytes for every system and Python but one, and pip out of reach."""
     extension = importlib.import_module("extension")
     cache = tmp_path / "cache"
     monkeypatch.setattr(extension, "CACHE", cache)
-    for system, tags in extension.wheels.PLATFORMS.items():
-        for python in extension.wheels.PYTHONS:
-            folder = cache / extension.wheels.requirement() / f"{system}-{python}"
-            folder.mkdir(parents=True)
-            tag = f"cp{python.replace('.', '')}"
-            if (system, python) != ("macos-x64", "3.14"):
-                (folder / f"openexr-1-{tag}-{tag}-{tags[-1]}.whl").write_bytes(b"a wheel")
+    parts = extension.wheels
+    for library, system, python in itertools.product(parts.LIBRARIES, parts.PLATFORMS, parts.PYTHONS):
+        folder = cache / parts.requirement(library) / f"{system}-{python}"
+        folder.mkdir(parents=True)
+        tag = f"cp{python.replace('.', '')}"
+        if (library, system, python) != ("Pillow", "macos-x64", "3.14"):
+            name = f"{library.lower()}-1-{tag}-{tag}-{parts.PLATFORMS[system][-1]}.whl"
+            (folder / name).write_bytes(f"a wheel of {library}".encode())
     monkeypatch.setattr(extension.wheels, "make_symbolic", lambda wheel: wheel.write_bytes(b"made symbolic"))
-    none = subprocess.CompletedProcess([], 1, "", "ERROR: No matching distribution found for OpenEXR")
+    none = subprocess.CompletedProcess([], 1, "", "ERROR: No matching distribution found for Pillow")
     run = subprocess.run
     pip = lambda command, **options: none if "download" in command else run(command, **options)  # noqa: E731
     monkeypatch.setattr(extension.wheels.subprocess, "run", pip)
@@ -122,17 +124,18 @@ def test_every_system_has_a_zip_with_its_own_wheels_alone(wheels, tmp_path):
             held = [name for name in archive.namelist() if name.startswith("wheels/")]
             told = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
             contents = {archive.read(name) for name in held}
-        assert [name.split("-")[2] for name in held] == [f"cp{python.replace('.', '')}" for python in pythons]
+        assert [name.split("-")[2] for name in held] == [f"cp{python.replace('.', '')}" for python in pythons] * 2
         assert all(words[system] in name for name in held)
         assert told == {"platforms": [system], "wheels": [f"./{name}" for name in held]}
-        assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel"}
+        assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel of OpenEXR", b"a wheel of Pillow"}
 
 
 def test_a_wheel_that_does_not_exist_is_said_not_missed(wheels, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["extension.py", str(tmp_path / "dist")])
     wheels.main()
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == f"no wheel of {wheels.wheels.requirement()} exists for macos-x64 with Python 3.14"
+    held = ", ".join(map(wheels.wheels.requirement, wheels.wheels.LIBRARIES))
+    assert lines[-1] == f"no wheels of {held} exist for macos-x64 with Python 3.14"
     assert len(lines) == 5
 
 
@@ -141,7 +144,7 @@ def test_a_network_that_is_down_is_not_taken_for_a_missing_wheel(wheels, tmp_pat
     failed = subprocess.CompletedProcess([], 1, "", said)
     monkeypatch.setattr(wheels.wheels.subprocess, "run", lambda *_, **__: failed)
     with pytest.raises(SystemExit, match="connection broken"):
-        wheels.wheels.download("linux-x64", "3.11", tmp_path / "empty")
+        wheels.wheels.download("Pillow", "linux-x64", "3.11", tmp_path / "empty")
 
 
 def test_an_unreadable_manifest_is_refused(tmp_path):

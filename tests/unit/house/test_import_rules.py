@@ -45,7 +45,7 @@ BLENDER = {
     "idprop",
     "imbuf",
 }
-THIRD_PARTY = {"numpy", "OpenEXR"}
+THIRD_PARTY = {"numpy", "OpenEXR", "PIL"}
 # An extra that the program works without: the one module that may import it, and only when it is asked for.
 OPTIONAL = {"rawpy": "capture/images/raw.py", "mpi4py": "cluster/transport.py"}
 WITHOUT_BLENDER = {"core", "reflectance", "capture", "calibration"}

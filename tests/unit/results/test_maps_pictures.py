@@ -1,11 +1,8 @@
 """Pictures: where things are drawn, and what colours errors have."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from irpso_addon.core import lettering
 from irpso_addon.core.canvas import Canvas
 from irpso_addon.reflectance.model import Parameter
 from irpso_addon.results.false_color import COLORS, UNCOVERED, false_color
@@ -19,6 +16,8 @@ from irpso_addon.results.preview import (
     preview,
     strip,
 )
+
+CODE = 0.6 / 255  # a picture has 8 bits
 
 
 def oklab_lightness(rgb):
@@ -49,30 +48,9 @@ def test_a_straight_line_lays_ink_over_its_own_area_only():
     canvas = Canvas(40, 30, (0, 0, 0))
     canvas.lines([[(10, 15), (30, 15)]], 3.0, (1, 1, 1))
     ink = canvas.result()[..., 0]
-    # Length × width plus the two round ends.
-    assert ink.sum() == pytest.approx(20 * 3 + np.pi * 1.5**2, rel=0.03)
+    assert ink.sum() == pytest.approx(20 * 3, rel=0.03)
     assert ink[15, 20] == 1
     assert not ink[:12].any()
-
-
-def test_every_printable_letter_has_a_shape_of_its_own_within_its_width():
-    shapes = {}
-    for code in range(33, 127):
-        strokes, left, width = lettering.glyph(chr(code))
-        xs = [x for stroke in strokes for x, _ in stroke]
-        ys = [y for stroke in strokes for _, y in stroke]
-        assert left <= min(xs) and max(xs) <= left + width + 1e-9, chr(code)
-        assert min(ys) >= -2.5 and max(ys) <= 8, chr(code)
-        shapes[strokes] = chr(code)
-    assert len(shapes) == 94
-
-
-def test_text_ends_where_its_width_says():
-    canvas = Canvas(300, 30, (0, 0, 0))
-    canvas.text(10, 22, "Roughness lobes 0.15 %", 10, (1, 1, 1))
-    columns = np.nonzero(canvas.result()[..., 0].max(axis=0) > 0.3)[0]
-    assert columns.min() == pytest.approx(10, abs=1.5)
-    assert columns.max() + 1 == pytest.approx(10 + lettering.text_width("Roughness lobes 0.15 %", 10), abs=1.5)
 
 
 def test_a_display_image_encodes_each_kind_of_map():
@@ -93,9 +71,9 @@ def test_a_preview_shows_what_does_not_count_and_leaves_it_out_of_the_error():
     counted = np.zeros((30, 20), bool)
     counted[:10] = True
     picture = preview([PreviewRow("Row", image, image, error, "%", np.ones((30, 20), bool), counted)])
-    grey = (np.abs(picture - 0.5).max(axis=-1) < 1e-6).sum()
+    grey = (np.abs(picture - 0.5).max(axis=-1) < CODE).sum()
     assert grey >= 2 * 30 * 20 * 12**2  # both pictures whole, 12 pixels a texel
-    blue = (np.abs(picture - COLORS[0]).max(axis=-1) < 1e-6).sum()
+    blue = (np.abs(picture - COLORS[0]).max(axis=-1) < CODE).sum()
     assert 10 * 20 * 12**2 <= blue < 15 * 20 * 12**2
 
 
@@ -185,9 +163,5 @@ def test_a_strip_shares_one_scale_over_all_columns():
     errors = [np.full((30, 20), v) for v in (8.0, 4.0, 1.0)]
     picture = strip(images, errors, ["iteration 0", "iteration 100", "iteration 300"], maximum=4.0)
     red, low = false_color(np.array([[4.0, 1.0]]), 4.0)[0]
-    assert (np.abs(picture - red).max(-1) < 1e-4).sum() >= 2 * 30 * 20 * 12**2
-    assert (np.abs(picture - low).max(-1) < 1e-4).sum() >= 30 * 20 * 12**2
-
-
-def test_pictures_carry_no_font_file(root: Path):
-    assert not [p for p in (root / "irpso_addon").rglob("*") if p.suffix in {".ttf", ".otf", ".woff"}]
+    assert (np.abs(picture - red).max(-1) < CODE).sum() >= 2 * 30 * 20 * 12**2
+    assert (np.abs(picture - low).max(-1) < CODE).sum() >= 30 * 20 * 12**2
