@@ -76,7 +76,7 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
     from benchmarks.scenes import textured
     from irpso_addon.blender.images import decode
     from irpso_addon.blender.mesh import extract_mesh
-    from irpso_addon.blender.scene import mesh_object, open_blend
+    from irpso_addon.blender.scenes.scene import mesh_object, open_blend
     from irpso_addon.capture.read import read_capture
     from irpso_addon.geometry.build import domain_from_mesh
     from irpso_addon.reflectance.model import load_model

@@ -107,9 +107,9 @@ def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
 
     from benchmarks.scenes import around, render, textured
     from irpso_addon.blender.mesh import extract_mesh
-    from irpso_addon.blender.scene import camera_from_object
-    from irpso_addon.geometry.bake import bake_camera, bake_uv
+    from irpso_addon.blender.scenes.scene import camera_from_object
     from irpso_addon.geometry.project import Projector
+    from irpso_addon.geometry.surface.bake import bake_camera, bake_uv
     from irpso_addon.gpu import context
 
     context.ensure()

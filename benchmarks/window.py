@@ -31,7 +31,7 @@ SMALL, ITERATIONS, REPEATS = 96, 1000, 3  # of the preset swarm, with pictures a
 MODULE = "bl_ext.user_default.irpso.irpso_addon.ui"
 WATCH = f"""
 import importlib, time
-session = importlib.import_module("{MODULE}.session")
+session = importlib.import_module("{MODULE}.session.session")
 handlers = importlib.import_module("{MODULE}.overlay.handlers")
 seen = {{"pressed": 0.0, "last": 0.0, "first": None, "stalls": [], "draws": 0}}
 

@@ -34,7 +34,7 @@ class Studio:
         """Build the scene and its capture, and import that."""
         run, capture = self.window.run, str(self.folder / "head")
         run(SCENE.read_text(encoding="utf-8"))
-        run("head = build_scene()\nlook()\nsession, settings = part('ui.session'), bpy.context.scene.irpso")
+        run("head = build_scene()\nlook()\nsession, settings = part('ui.session.session'), bpy.context.scene.irpso")
         run(f"write_capture(head, {capture!r})", timeout=SLOW)
         run(f"bpy.ops.wm.save_as_mainfile(filepath={str(self.folder / 'head.blend')!r})")
         self.window.drag(*_edge(self.window.open_sidebar("IRPSO"), 60))

@@ -42,9 +42,9 @@ def build_scene():
 
 def write_capture(head, folder):
     """Photograph the head under lights around the camera, shadows cast by itself included, into a new folder."""
-    types, forward, build = part("capture.types"), part("solver.views.forward"), part("geometry.bake")
+    types, forward, build = part("capture.types"), part("solver.views.forward"), part("geometry.surface.bake")
     mesh = part("blender.mesh").extract_mesh(head)
-    view = part("blender.scene").camera_from_object(bpy.context.scene.camera, round(HEIGHT * ASPECT), HEIGHT)
+    view = part("blender.scenes.scene").camera_from_object(bpy.context.scene.camera, round(HEIGHT * ASPECT), HEIGHT)
     lights = [types.Light(tuple(float(v) for v in view.matrix[:3, :3] @ direction)) for direction in spiral()]
     bake = build.bake_camera(mesh, view)
     model = part("reflectance.model").load_model("cook_torrance_two_lobe")
@@ -106,7 +106,7 @@ def look(distance=4.6):
 
 def texel(place):
     """Return row and column of the solved texel that is nearest to a place of the world."""
-    domain = part("ui.session").current().domain
+    domain = part("ui.session.session").current().domain
     far = np.linalg.norm(domain.bake.position - np.array(place), axis=-1)
     far[~domain.solvable] = np.inf
     return [int(index) for index in np.unravel_index(far.argmin(), far.shape)]

@@ -16,7 +16,7 @@ from typing import Protocol
 import bpy
 import numpy as np
 
-from irpso_addon.blender.scene import camera_from_object
+from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.formats.table import TABLE
 from irpso_addon.capture.images.exr import write_exr

@@ -18,9 +18,9 @@ from scipy.ndimage import gaussian_filter
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture
-from irpso_addon.geometry.bake import bake_camera
 from irpso_addon.geometry.build import domain_from_mesh
 from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.surface.bake import bake_camera
 
 from . import subjects
 from .textured import BLEND, NAME, TrueMaps, head_maps, save_blend, true_material

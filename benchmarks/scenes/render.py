@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from irpso_addon.blender.light_units import point_power, sun_strength
+from irpso_addon.blender.scenes.light_units import point_power, sun_strength
 from irpso_addon.capture.images.exr import read_exr
 
 from .materials import TRUTHS

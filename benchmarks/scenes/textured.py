@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from irpso_addon.blender.images import decode
-from irpso_addon.blender.scene import camera_from_object
+from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture.images.linearise import srgb_to_linear
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
-from ..geometry.mesh import MeshData, check_uvs
-from ..geometry.slots import slot_names
-from ..geometry.udim import lay_out
+from ..geometry.surface.mesh import MeshData, check_uvs
+from ..geometry.surface.slots import slot_names
+from ..geometry.surface.udim import lay_out
 
 _TOGETHER = 8000  # triangles of which Blender finds the tangents at once, in one thread
 # Modifiers that repeat faces with the texture coordinates that they have; a node group may.

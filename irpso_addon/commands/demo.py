@@ -8,8 +8,8 @@ from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 
-from ..blender import material
-from ..blender.margins import blender_maps
+from ..blender.materials import material
+from ..blender.materials.margins import blender_maps
 from ..blender.mesh import extract_mesh
 from ..capture.types import Light
 from ..demo import experiment, pictures, subject

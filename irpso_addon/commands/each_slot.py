@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..blender import material
+from ..blender.materials import material
 from ..blender.mesh import extract_mesh
-from ..blender.scene import mesh_object, open_blend
+from ..blender.scenes.scene import mesh_object, open_blend
 from ..core.errors import InputError
 from ..core.files import write_json
-from ..geometry.slots import slot_names
+from ..geometry.surface.slots import slot_names
 from ..results.report import plain
 from ..results.write import REPORT, check_output_folder
 from .progress import unseen_reports

@@ -6,7 +6,7 @@ import sys
 from argparse import Namespace
 from typing import Any
 
-from ..blender.scene import open_blend
+from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.formats import export
 from ..exports.gltf import result_object

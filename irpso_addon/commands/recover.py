@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..blender import material
 from ..blender.images import decode
-from ..blender.margins import blender_maps
+from ..blender.materials import material
+from ..blender.materials.margins import blender_maps
+from ..blender.materials.tangent_frames import from_blender, turned_normals
 from ..blender.mesh import extract_mesh
-from ..blender.scene import empty_blend, mesh_object, open_blend
-from ..blender.scene_capture import capture_of_open_file, wide_lights_around
-from ..blender.tangent_frames import from_blender, turned_normals
+from ..blender.scenes.scene import empty_blend, mesh_object, open_blend
+from ..blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
 from ..capture.inspect.damage import naming_remedy
 from ..capture.inspect.sufficiency import check_normal
 from ..capture.read import read_capture
@@ -27,9 +27,9 @@ from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, subset
-from ..geometry.height import Height
-from ..geometry.mesh import MeshData
-from ..geometry.slots import slot_names, slots_of_text
+from ..geometry.relief.height import Height
+from ..geometry.surface.mesh import MeshData
+from ..geometry.surface.slots import slot_names, slots_of_text
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.derived_maps import DerivedMaps, derived_maps, normals_of_text

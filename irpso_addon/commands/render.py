@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ..blender.materials.tangent_frames import from_blender, turned_normals
 from ..blender.mesh import extract_mesh
-from ..blender.scene import camera_from_object, mesh_object, open_blend
-from ..blender.tangent_frames import from_blender, turned_normals
+from ..blender.scenes.scene import camera_from_object, mesh_object, open_blend
 from ..capture.camera import Camera
 from ..capture.formats.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
 from ..core.errors import InputError
 from ..core.files import check_unused
-from ..geometry.bake import bake_camera
+from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.read import read_maps

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.types import Light
-from ..geometry.bake import SurfaceBake, bake_camera, bake_uv
 from ..geometry.build import domain_from_mesh
 from ..geometry.domain import Domain
-from ..geometry.mesh import MeshData
+from ..geometry.surface.bake import SurfaceBake, bake_camera, bake_uv
+from ..geometry.surface.mesh import MeshData
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.maps import Maps
 from ..results.preview import spread_marks

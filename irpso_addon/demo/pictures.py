@@ -9,7 +9,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.types import Light
 from ..core.encode import encode_normal, fill_margin, srgb_from_linear
-from ..geometry.bake import bake_camera
+from ..geometry.surface.bake import bake_camera
 from ..results.maps import Maps
 from ..results.preview import Curves, PreviewRow, convergence, display_image, preview, strip
 from ..results.report import error_unit, parameter_error

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..blender.scene import camera_from_object
+from ..blender.scenes.scene import camera_from_object
 from ..capture.camera import Camera
 
 NAME = "Suzanne"

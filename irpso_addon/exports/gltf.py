@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..blender.displacement import DIVISION
-from ..blender.material import TAG
+from ..blender.materials.displacement import DIVISION
+from ..blender.materials.material import TAG
 from ..core.errors import InputError
 from ..core.files import replacing_file
 from ..core.png import encode_png

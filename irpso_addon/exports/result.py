@@ -12,7 +12,7 @@ import numpy as np
 from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, tile_stem
-from ..geometry.height import Height
+from ..geometry.relief.height import Height
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps

@@ -20,14 +20,14 @@ from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation
 from ..core.errors import InputError
 from ..core.steps import run_steps
-from .bake import SurfaceBake, bake_camera, bake_uv
 from .domain import Domain, GeometryBake
-from .footprint import texel_steps
-from .light_shape import unshaped
-from .mesh import MeshData
+from .light.light_shape import unshaped
+from .light.shadows import ShadowCaster, texel_size
 from .project import GRAZING, Projector, blocks, filled
 from .seams.seams import SeamMap, seams_of, window_seams
-from .shadows import ShadowCaster, texel_size
+from .surface.bake import SurfaceBake, bake_camera, bake_uv
+from .surface.footprint import texel_steps
+from .surface.mesh import MeshData
 
 Window = tuple[int, int, int, int]
 Surface = tuple[SurfaceBake, SeamMap]

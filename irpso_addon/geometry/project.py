@@ -9,8 +9,8 @@ import numpy as np
 
 from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
-from .bake import SurfaceBake
-from .footprint import MOST, falloff, jacobian, place, places_along
+from .surface.bake import SurfaceBake
+from .surface.footprint import MOST, falloff, jacobian, place, places_along
 
 GRAZING = 0.1  # cosine between the face's normal and the view below which a texel counts as not seen
 # Of a texel of several pixels so much must be usable, seen by the camera and with weight, for it to be read: what is

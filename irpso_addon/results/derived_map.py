@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.encode import FLAT_NORMAL, encode_normal, fill_margin
-from ..geometry.height import Height
+from ..geometry.relief.height import Height
 
 NORMAL_SPACES = ("object", "world", "directx")
 

@@ -9,10 +9,10 @@ import numpy as np
 from ..capture.camera import Camera
 from ..core.errors import InputError
 from ..geometry.domain import GeometryBake
-from ..geometry.height import Height
-from ..geometry.mesh import MeshData
-from ..geometry.relief import card_height, mesh_height
+from ..geometry.relief.height import Height
+from ..geometry.relief.relief import card_height, mesh_height
 from ..geometry.spaces import object_normals, turned, world_normals
+from ..geometry.surface.mesh import MeshData
 from ..reflectance.model import ReflectanceModel
 from .derived_map import NORMAL_SPACES, DerivedMap, height_map, normal_maps
 from .maps import Maps

@@ -7,12 +7,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from irpso_addon.blender import tangent_frames as frames
 from irpso_addon.blender.images import decode
-from irpso_addon.blender.material import apply_material, build_material
+from irpso_addon.blender.materials import tangent_frames as frames
+from irpso_addon.blender.materials.material import apply_material, build_material
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.exports.result import Result
-from irpso_addon.geometry import bake
+from irpso_addon.geometry.surface import bake
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from tests.builders import command_line as cli_maker

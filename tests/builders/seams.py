@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from irpso_addon.geometry.domain import Domain, GeometryBake
-from irpso_addon.geometry.mesh import MeshData
 from irpso_addon.geometry.seams.seams import SEAM_REACH, seams_of
+from irpso_addon.geometry.surface.mesh import MeshData
 from tests.oracles import geometry as geometry_oracle
 from tests.oracles.geometry import joined, mesh_from_corners
 

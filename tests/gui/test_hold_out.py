@@ -9,7 +9,7 @@ STALL = 1.0  # seconds that the window may stand still while photographs are rel
 
 SETUP = f"""
 import importlib, time
-session = importlib.import_module("{UI}.session")
+session = importlib.import_module("{UI}.session.session")
 settings = bpy.context.scene.irpso
 slices = []
 def noted(tick):

@@ -9,8 +9,8 @@ UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 
 SETUP = f"""
 import importlib, time
-capture_import = importlib.import_module("{UI}.capture_import")
-scene_capture = importlib.import_module("{UI}.scene_capture")
+capture_import = importlib.import_module("{UI}.operators.capture_import")
+scene_capture = importlib.import_module("{UI}.session.scene_capture")
 
 def settings():
     return bpy.context.scene.irpso

@@ -12,7 +12,7 @@ CARD = "IRPSO leaf"
 
 SETUP = f"""
 import importlib
-session = importlib.import_module("{UI}.session")
+session = importlib.import_module("{UI}.session.session")
 
 def state():
     running = session.current()

@@ -9,7 +9,7 @@ DRAWING = 0.02  # seconds that all panels of the tab may take together, on a mac
 
 SETUP = f"""
 import importlib, time
-session = importlib.import_module("{UI}.session")
+session = importlib.import_module("{UI}.session.session")
 
 def state():
     running = session.current()
@@ -22,7 +22,7 @@ def there():
 def drawing_times():
     \"\"\"Return the seconds that each panel of the tab takes to be drawn, the longest of some redraws.\"\"\"
     took, real = {{}}, {{}}
-    classes = [c for n in ("panels", "view_panels") for c in importlib.import_module("{UI}." + n).CLASSES]
+    classes = [c for n in ("panels.sidebar", "panels.view") for c in importlib.import_module("{UI}." + n).CLASSES]
     def timed(cls, draw):
         def measured(self, context):
             begun = time.perf_counter()

@@ -12,7 +12,7 @@ CARD = "IRPSO card"
 MODULES = f"""
 import gpu
 import importlib
-session = importlib.import_module("{MODULE}.irpso_addon.ui.session")
+session = importlib.import_module("{MODULE}.irpso_addon.ui.session.session")
 handlers = importlib.import_module("{MODULE}.irpso_addon.ui.overlay.handlers")
 """
 SOFTWARE_VULKAN = "[gpu.platform.backend_type_get(), 'llvmpipe' in gpu.platform.renderer_get()] == ['VULKAN', True]"

@@ -11,8 +11,8 @@ SETUP = f"""
 import importlib
 import numpy as np
 from pathlib import Path
-session = importlib.import_module("{UI}.session")
-unkept = importlib.import_module("{UI}.unkept")
+session = importlib.import_module("{UI}.session.session")
+unkept = importlib.import_module("{UI}.session.unkept")
 
 def state():
     running = session.current()

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from irpso_addon.geometry.bake import SurfaceBake
-from irpso_addon.geometry.mesh import MeshData
+from irpso_addon.geometry.surface.bake import SurfaceBake
+from irpso_addon.geometry.surface.mesh import MeshData
 
 EDGE = -1e-9  # a centre exactly on an edge belongs to a triangle, however the weights are rounded
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..mesh import MeshData
+    from ..surface.mesh import MeshData
 
 # Texture coordinates of one corner that differ by less than this part of a texel are one place: rounding, not a cut.
 _SAME_PLACE = 0.01

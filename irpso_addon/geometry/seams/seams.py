@@ -18,7 +18,7 @@ from .gaps import beyond_pieces, charts_of, known_directly, pieces_of
 from .places import places_beyond, texel_at
 
 if TYPE_CHECKING:
-    from ..mesh import MeshData
+    from ..surface.mesh import MeshData
 
 # Texels past a border for which neighbours are known: as far as a prior of the shipped presets looks (2^4).
 SEAM_REACH = 16

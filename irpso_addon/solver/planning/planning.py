@@ -10,11 +10,11 @@ import numpy as np
 
 from ...capture.types import Capture
 from ...core.errors import CheckpointError
-from ...geometry.bake import uv_coverage
 from ...geometry.build import check_card
 from ...geometry.domain import Domain
-from ...geometry.mesh import MeshData
 from ...geometry.seams.edges import seam_edges
+from ...geometry.surface.bake import uv_coverage
+from ...geometry.surface.mesh import MeshData
 from ...gpu import context
 from ...reflectance.model import ReflectanceModel
 from ..engine.coarse_to_fine import Pyramid

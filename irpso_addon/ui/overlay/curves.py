@@ -8,7 +8,7 @@ import numpy as np
 
 from ...gpu.viewport import Drawing
 from ...results.preview import MARK_COLORS
-from ..session import Probe, Session
+from ..session.session import Probe, Session
 from .flat import flat_place
 from .layout import Rectangle
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...blender.textures import TAG as MAP_TAG
+from ...blender.materials.textures import TAG as MAP_TAG
 from ...core.udim import ONE_SQUARE, tile_place
 from .layout import Rectangle
 

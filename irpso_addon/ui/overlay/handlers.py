@@ -7,7 +7,8 @@ from typing import Any
 
 import bpy
 
-from .. import failures, session
+from ..common import failures
+from ..session import session
 from .stage import Stage
 from .surface import why_unseen
 

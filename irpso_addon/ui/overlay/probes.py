@@ -4,7 +4,8 @@ import bpy
 import numpy as np
 from bpy.props import IntProperty
 
-from .. import failures, session
+from ..common import failures
+from ..session import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
 from .surface import bounding_corners, is_solved, stand, triangles_of

@@ -16,9 +16,9 @@ from ...gpu.viewport import Drawing, Surface
 from ...solver.views.display import Shown
 from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
-from .. import preferences
-from ..job import image_map
-from ..session import Probe, Session
+from ..properties import preferences
+from ..session.job import image_map
+from ..session.session import Probe, Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import Painter

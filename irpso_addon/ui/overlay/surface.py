@@ -12,7 +12,7 @@ from ...gpu.viewport import Surface
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...solver.views.display import Shown
-from ..session import Session
+from ..session.session import Session
 from .place import Stand, card_corners, card_frame, stand_of
 from .scales import PERCENT, round_up, steady_limit
 

@@ -8,7 +8,14 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.material import ORIGIN, apply_material, build_material, card_object, save_blend, subject_name
+from irpso_addon.blender.materials.material import (
+    ORIGIN,
+    apply_material,
+    build_material,
+    card_object,
+    save_blend,
+    subject_name,
+)
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.results.maps import Maps

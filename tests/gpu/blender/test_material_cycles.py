@@ -10,9 +10,9 @@ import OpenEXR
 import pytest
 from mathutils import Matrix, Vector
 
-from irpso_addon.blender import light_units as lights
-from irpso_addon.blender import two_lobe_nodes as two_lobe
-from irpso_addon.blender.material import apply_material, build_material, card_object
+from irpso_addon.blender.materials import two_lobe_nodes as two_lobe
+from irpso_addon.blender.materials.material import apply_material, build_material, card_object
+from irpso_addon.blender.scenes import light_units as lights
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from tests.oracles import reflectance as oracles

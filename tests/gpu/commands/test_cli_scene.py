@@ -8,9 +8,9 @@ import pytest
 from mathutils import Vector
 
 import irpso_addon
-from irpso_addon.blender import light_units as units
 from irpso_addon.blender.mesh import extract_mesh
-from irpso_addon.blender.scene_capture import capture_of_open_file
+from irpso_addon.blender.scenes import light_units as units
+from irpso_addon.blender.scenes.scene_capture import capture_of_open_file
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.geometry.build import domain_from_mesh
 from tests.builders.command_line import dome_lights, run_cli

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 from mathutils import Vector
 
-from irpso_addon.blender.light_units import sun_strength
+from irpso_addon.blender.scenes.light_units import sun_strength
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps

@@ -8,7 +8,7 @@ import pytest
 
 from irpso_addon.exports import openlime, ptm, textures
 from irpso_addon.exports.result import Result, read_result
-from irpso_addon.geometry.height import Height
+from irpso_addon.geometry.relief.height import Height
 from irpso_addon.results.derived_map import height_map
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker

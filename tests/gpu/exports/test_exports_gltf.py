@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion
 
-from irpso_addon.blender.material import apply_material, card_object
+from irpso_addon.blender.materials.material import apply_material, card_object
 from irpso_addon.exports import gltf
 from tests.builders.command_line import angle
 from tests.builders.exports import accessor, image_of, lean, on_a_sheet, read_glb, srgb

@@ -9,15 +9,15 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from irpso_addon.blender import scene
-from irpso_addon.blender import tangent_frames as frames
+from irpso_addon.blender.materials import tangent_frames as frames
 from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.blender.scenes import scene
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry import bake
 from irpso_addon.geometry.build import domain_from_mesh
 from irpso_addon.geometry.project import Projector
+from irpso_addon.geometry.surface import bake
 from irpso_addon.gpu import raster
 from tests.oracles import geometry as oracle
 

@@ -7,9 +7,9 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry import bake
 from irpso_addon.geometry.domain import Domain, GeometryBake
-from irpso_addon.geometry.udim import lay_out
+from irpso_addon.geometry.surface import bake
+from irpso_addon.geometry.surface.udim import lay_out
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views import forward
 from tests.oracles import geometry as oracle

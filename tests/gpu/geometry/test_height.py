@@ -4,10 +4,11 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.material import apply_material, build_material, card_object
+from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.capture.camera import Camera
-from irpso_addon.geometry import bake, relief
-from irpso_addon.geometry.height import Height
+from irpso_addon.geometry.relief import relief
+from irpso_addon.geometry.relief.height import Height
+from irpso_addon.geometry.surface import bake
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from tests.builders.command_line import angle

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
-from irpso_addon.blender import scene
-from irpso_addon.blender import tangent_frames as frames
-from irpso_addon.blender.material import apply_material, build_material
+from irpso_addon.blender.materials import tangent_frames as frames
+from irpso_addon.blender.materials.material import apply_material, build_material
 from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.blender.scenes import scene
 from irpso_addon.core.png import encode_png
-from irpso_addon.geometry import bake, spaces
+from irpso_addon.geometry import spaces
+from irpso_addon.geometry.surface import bake
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.derived_map import normal_maps
 from irpso_addon.results.maps import Maps

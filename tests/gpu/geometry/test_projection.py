@@ -10,9 +10,10 @@ import pytest
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.geometry import bake, build
+from irpso_addon.geometry import build
 from irpso_addon.geometry.build import domain_from_card, domain_from_mesh
 from irpso_addon.geometry.domain import GeometryBake
+from irpso_addon.geometry.surface import bake
 from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views.forward import Renderer

@@ -5,12 +5,12 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from irpso_addon.blender import light_units as lights
-from irpso_addon.blender import scene_lights
 from irpso_addon.blender.images import decode
-from irpso_addon.blender.scene_capture import wide_lights_around
+from irpso_addon.blender.scenes import light_units as lights
+from irpso_addon.blender.scenes import scene_lights, scene_objects
+from irpso_addon.blender.scenes.scene_capture import wide_lights_around
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture
-from irpso_addon.ui import scene_capture, scene_objects
+from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import write_png
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]

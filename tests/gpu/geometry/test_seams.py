@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.blender.margins import blender_maps
-from irpso_addon.blender.tangent_frames import from_blender
-from irpso_addon.geometry.bake import bake_uv
+from irpso_addon.blender.materials.margins import blender_maps
+from irpso_addon.blender.materials.tangent_frames import from_blender
 from irpso_addon.geometry.domain import Domain
 from irpso_addon.geometry.seams.seams import seams_of
+from irpso_addon.geometry.surface.bake import bake_uv
 from irpso_addon.gpu import context, textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.map_tables import map_tables, map_values

@@ -11,8 +11,10 @@ from mathutils.bvhtree import BVHTree
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.geometry import bake, build, shadows
+from irpso_addon.geometry import build
 from irpso_addon.geometry.build import domain_from_mesh
+from irpso_addon.geometry.light import shadows
+from irpso_addon.geometry.surface import bake
 from tests.oracles import geometry as oracle
 
 SIZE = (128, 64)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.blender.material import build_material
+from irpso_addon.blender.materials.material import build_material
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model

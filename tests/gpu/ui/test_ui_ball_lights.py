@@ -9,7 +9,7 @@ import pytest
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
-from irpso_addon.ui.ball_lights import free_table
+from irpso_addon.ui.operators.ball_lights import free_table
 from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]

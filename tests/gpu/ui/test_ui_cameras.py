@@ -4,9 +4,9 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender.scene import DISTORTION, camera_from_object
+from irpso_addon.blender.scenes.scene import DISTORTION, camera_from_object
 from irpso_addon.core.errors import InputError
-from irpso_addon.ui import scene_capture
+from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import write_png
 from tests.unit.capture.test_poses import (
     CENTRE,

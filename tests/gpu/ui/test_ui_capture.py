@@ -6,16 +6,18 @@ import bpy
 import numpy as np
 import pytest
 
-from irpso_addon.blender import scene_lights
 from irpso_addon.blender.images import decode
-from irpso_addon.blender.scene import camera_from_object
+from irpso_addon.blender.scenes import scene_lights
+from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture import Camera, Capture, Light, Observation, read_capture, write_capture, write_exr
 from irpso_addon.capture.inspect.report import inspect_steps
 from irpso_addon.capture.noise import USUAL
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.ui import capture_import, findings, scene_capture, scene_setup
-from irpso_addon.ui.settings import model_of
+from irpso_addon.ui.operators import capture_import, scene_setup
+from irpso_addon.ui.properties import findings
+from irpso_addon.ui.properties.scene_settings import model_of
+from irpso_addon.ui.session import scene_capture
 from tests.builders.captures import LIGHTS, shade, sphere, write_diligent, write_png
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -254,7 +256,7 @@ def test_lights_are_read_where_they_stand_also_below_parents_and_hidden(scene, h
     np.testing.assert_allclose(found.intensity, (2.0, 1.0, 0.5), rtol=1e-6)
     # On a dome of radius 4 about (1, 2, 3), turned by the parent.
     place = np.array([1, 2, 3]) + 4 * direction
-    from irpso_addon.blender.scene import world_matrix
+    from irpso_addon.blender.scenes.scene import world_matrix
 
     np.testing.assert_allclose(world_matrix(light)[:3, 3], (-place[1], place[0], place[2]), atol=1e-5)
 
@@ -606,7 +608,8 @@ def test_what_cannot_be_a_capture_is_told_with_the_remedy(scene, tmp_path, spoil
 
 def recoverable(scene):
     """Return whether Recover can be pressed, and what the panel says where it cannot."""
-    from irpso_addon.ui import job, upkeep
+    from irpso_addon.ui.properties import upkeep
+    from irpso_addon.ui.session import job
 
     upkeep.fill_lists()
     return bpy.ops.irpso.recover.poll(), job.missing(bpy.context)
@@ -673,6 +676,6 @@ def test_a_damaged_photograph_of_the_scene_is_left_out(scene, tmp_path):
 
 
 def scene_images_file(image):
-    from irpso_addon.blender import scene_images
+    from irpso_addon.blender.scenes import scene_images
 
     return scene_images.file_of(image)

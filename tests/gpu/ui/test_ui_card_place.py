@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
-from irpso_addon.ui import card_place
+from irpso_addon.ui.session import card_place
 
 pytestmark = pytest.mark.bpy_only
 

@@ -29,8 +29,8 @@ def registered():
 @pytest.fixture(scope="module")
 def session_of_card(registered, tmp_path_factory):
     """A card's session, run to its end once."""
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
     folder = tmp_path_factory.mktemp("capture") / "leaf"
@@ -127,7 +127,7 @@ def test_a_place_that_cannot_be_written_is_told_in_one_line(settings, tmp_path):
     ],
 )  # fmt: skip
 def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):
-    from irpso_addon.ui.export import IRPSO_OT_export
+    from irpso_addon.ui.operators.export import IRPSO_OT_export
 
     drawn = Drawn()
     fixed = bpy.ops.irpso.export.get_rna_type()
@@ -136,7 +136,7 @@ def test_the_file_browser_has_the_options_of_the_chosen_format(kind, options):
 
 
 def test_another_format_changes_a_proposed_name_and_leaves_a_chosen_one(session_of_card):
-    from irpso_addon.ui.export import IRPSO_OT_export
+    from irpso_addon.ui.operators.export import IRPSO_OT_export
 
     asked = SimpleNamespace(filepath="/out/leaf maps", format="gltf")
     assert IRPSO_OT_export.check(asked, bpy.context) and asked.filepath == "/out/leaf.glb"
@@ -148,7 +148,7 @@ def test_another_format_changes_a_proposed_name_and_leaves_a_chosen_one(session_
 
 
 def test_the_proposed_folder_is_never_that_of_the_photographs(session_of_card, monkeypatch):
-    from irpso_addon.ui import export
+    from irpso_addon.ui.operators import export
 
     folder = Path(bpy.context.scene.irpso.capture_path)
     assert export.proposed_folder(session_of_card) == folder.parent
@@ -158,10 +158,10 @@ def test_the_proposed_folder_is_never_that_of_the_photographs(session_of_card, m
 
 
 def test_file_export_lists_every_format_while_the_extension_is_there(session_of_card):
-    from irpso_addon.ui.export import IRPSO_MT_export
+    from irpso_addon.ui.operators.export import IRPSO_MT_export
 
     drawn = Drawn()
     IRPSO_MT_export.draw(SimpleNamespace(layout=drawn), bpy.context)
     assert drawn.notes["operators"] == ["irpso.export"] * 5
     modules = [draw.__module__ for draw in bpy.types.TOPBAR_MT_file_export._dyn_ui_initialize()]
-    assert modules.count("irpso_addon.ui.export") == 1
+    assert modules.count("irpso_addon.ui.operators.export") == 1

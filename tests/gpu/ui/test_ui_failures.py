@@ -7,8 +7,12 @@ import bpy
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.ui import capture_import, failures, panels, recover, session, upkeep
+from irpso_addon.ui.common import failures
+from irpso_addon.ui.operators import capture_import, recover
 from irpso_addon.ui.overlay import handlers, probes
+from irpso_addon.ui.panels import sidebar as panels
+from irpso_addon.ui.properties import upkeep
+from irpso_addon.ui.session import session
 from tests.builders.captures import write_diligent
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]

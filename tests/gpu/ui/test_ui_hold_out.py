@@ -42,7 +42,8 @@ def of_cli(capture, tmp_path_factory):
 @pytest.fixture
 def settings(capture, monkeypatch):
     """The settings of the command line's run, in a fresh file."""
-    from irpso_addon.ui import drawing, session
+    from irpso_addon.ui.common import drawing
+    from irpso_addon.ui.session import session
 
     session.end()
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -56,8 +57,8 @@ def settings(capture, monkeypatch):
 
 
 def begin():
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     return session.begin(make_job(bpy.context))
 
@@ -154,7 +155,8 @@ def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thr
 
 
 def test_a_comparison_that_fails_loses_no_maps(settings, monkeypatch):
-    from irpso_addon.ui import failures, session
+    from irpso_addon.ui.common import failures
+    from irpso_addon.ui.session import session
 
     def fail(*_):
         raise MemoryError
@@ -177,7 +179,7 @@ def test_a_paused_run_exports_what_its_maps_relight(settings, tmp_path):
 
 
 def test_too_few_photographs_are_refused_before_any_is_read(settings, tmp_path, monkeypatch):
-    from irpso_addon.ui import scene_capture
+    from irpso_addon.ui.session import scene_capture
 
     settings.capture_path = str(write_capture(tmp_path / "few", cli_maker.dome_lights(4, widest=60)))
     monkeypatch.setattr(scene_capture, "decode", lambda *_: pytest.fail("an image was read"))
@@ -188,7 +190,7 @@ def test_too_few_photographs_are_refused_before_any_is_read(settings, tmp_path, 
 
 
 def test_lights_that_are_too_few_without_those_held_out_are_refused(settings, tmp_path):
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session.job import make_job
 
     # Of five the last is held out, and the first four lie in one plane.
     angles = np.radians((-40, -15, 15, 40))
@@ -222,8 +224,8 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
 
 
 def test_photographs_held_out_belong_to_what_was_asked_and_make_another_domain(settings):
-    from irpso_addon.ui.asked import ask_again
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.properties.recipe import ask_again
+    from irpso_addon.ui.session.job import make_job
 
     job = make_job(bpy.context)
     settings.hold_out = "OFF"

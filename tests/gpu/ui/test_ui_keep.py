@@ -36,8 +36,8 @@ def registered():
 @pytest.fixture(scope="module")
 def session_of_card(registered, card):
     """The card's session, run to its end once: what comes after it is what is tested here."""
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     bpy.context.scene.irpso.capture_path = str(card)
     running = session.begin(make_job(bpy.context))
@@ -119,7 +119,7 @@ def test_a_card_that_was_taken_out_of_the_scene_comes_back(recovered):
 
 
 def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeypatch):
-    from irpso_addon.ui import preferences
+    from irpso_addon.ui.properties import preferences
 
     wanted = preferences.Wanted(output_folder=str(tmp_path / "maps"))
     monkeypatch.setattr(preferences, "current", lambda context: wanted)
@@ -129,8 +129,8 @@ def test_maps_go_into_the_folder_of_the_preferences(recovered, tmp_path, monkeyp
 
 
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused_and_nothing_is_made(recovered, tmp_path, monkeypatch):
-    from irpso_addon.ui import preferences
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.properties import preferences
+    from irpso_addon.ui.session.job import make_job
 
     wanted = preferences.Wanted(output_folder="//irpso test maps/")
     monkeypatch.setattr(preferences, "current", lambda context: wanted)
@@ -183,7 +183,7 @@ def test_export_writes_the_files_that_the_command_line_writes(recovered, tmp_pat
 
 
 def test_the_curves_of_an_export_are_at_the_iterations_they_were_taken(recovered):
-    from irpso_addon.ui.keep import _curve
+    from irpso_addon.ui.session.keep import _curve
 
     curves = _curve("x", [[(1, 0.1), (3, 0.05)], [(2, 0.2), (3, 0.1)]])
     assert curves.iterations.tolist() == [1, 2, 3]
@@ -191,7 +191,7 @@ def test_the_curves_of_an_export_are_at_the_iterations_they_were_taken(recovered
 
 
 def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
-    from irpso_addon.ui.keep import pictures_of
+    from irpso_addon.ui.session.keep import pictures_of
 
     maps = recovered.maps()
     assert set(pictures_of(recovered, maps)) == {"preview", "confidence"}

@@ -33,14 +33,14 @@ def settings(tmp_path_factory, truth):
 
 
 def begun():
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     return session.begin(make_job(bpy.context))
 
 
 def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(settings):
-    from irpso_addon.ui.job import LightWish, make_job
+    from irpso_addon.ui.session.job import LightWish, make_job
 
     assert make_job(bpy.context).lights == LightWish("auto", 0.0)
     settings.refine_directions = np.radians(2.5)
@@ -50,7 +50,8 @@ def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(se
 
 
 def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_result(settings, truth, monkeypatch):
-    from irpso_addon.ui import keep, panels, session
+    from irpso_addon.ui.panels import sidebar as panels
+    from irpso_addon.ui.session import keep, session
 
     settings.light_strengths = "ESTIMATE"
     running = begun()
@@ -84,7 +85,7 @@ def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_resul
 
 
 def test_the_panel_offers_both_settings(settings):
-    from irpso_addon.ui import panels
+    from irpso_addon.ui.panels import sidebar as panels
 
     drawn = Drawn()
     panels.IRPSO_PT_capture.draw(type("Panel", (), {"layout": drawn})(), bpy.context)

@@ -16,7 +16,7 @@ from irpso_addon.ui.overlay.dome import dome_of, frustum, guide_lines, light_col
 from irpso_addon.ui.overlay.layout import Rectangle, beside, free_rectangle, stacked, stacked_around
 from irpso_addon.ui.overlay.paint import rounded
 from irpso_addon.ui.overlay.picking import first_hit, nearest_texel, texel_at, view_ray
-from irpso_addon.ui.overlay.place import (  # fmt: skip
+from irpso_addon.ui.overlay.place import (
     Stand,
     card_corners,
     card_frame,

@@ -76,8 +76,9 @@ class Drawn:
 
 def panels(space="VIEW_3D"):
     """Return the panels of the tab that are there now, those inside others included."""
-    from irpso_addon.ui import image_panels, view_panels
-    from irpso_addon.ui import panels as main_panels
+    from irpso_addon.ui.panels import image_editor as image_panels
+    from irpso_addon.ui.panels import sidebar as main_panels
+    from irpso_addon.ui.panels import view as view_panels
 
     classes = [*main_panels.CLASSES, *view_panels.CLASSES, *image_panels.CLASSES]
     own = [cls for cls in classes if cls.bl_space_type == space]
@@ -113,7 +114,7 @@ def settings(monkeypatch):
     """The settings of a fresh file."""
     bpy.ops.wm.read_homefile(use_empty=True)
     irpso_addon.register()
-    from irpso_addon.ui import drawing
+    from irpso_addon.ui.common import drawing
 
     monkeypatch.setattr(drawing, "_characters", lambda *_: 200)
     yield bpy.context.scene.irpso
@@ -135,7 +136,7 @@ def test_a_fresh_scene_asks_for_a_capture_and_shows_nothing_that_needs_one(setti
 
 @pytest.mark.bpy_only
 def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings):
-    from irpso_addon.ui import upkeep
+    from irpso_addon.ui.properties import upkeep
 
     names = ["base_color", "normal", "roughness", "metallic", "specular"]
     assert [item.name for item in settings.parameters] == names
@@ -205,8 +206,8 @@ def test_a_light_of_the_scene_is_given_its_photograph(settings):
 
 
 def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(settings, card, tmp_path):
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     settings.capture_path = str(card)
     assert "observation" not in drawn().props
@@ -221,8 +222,8 @@ def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(se
 
 
 def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, card):
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     settings.capture_path = str(card)
     running = session.begin(make_job(bpy.context))
@@ -260,8 +261,8 @@ def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, car
 
 
 def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings, card):
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     settings.capture_path = str(card)
     running = session.begin(make_job(bpy.context))
@@ -316,7 +317,7 @@ def test_a_path_may_be_relative_to_the_file(settings, recwarn):
 
 @pytest.mark.bpy_only
 def test_numbers_are_written_for_people():
-    from irpso_addon.ui import drawing
+    from irpso_addon.ui.common import drawing
 
     assert [drawing.clock(s) for s in (0.4, 35, 723.2, 3723)] == ["0:00", "0:35", "12:03", "1:02:03"]
     assert [drawing.rate(e) for e in (940.0, 12345.0, 2.314e6)] == ["0.9 k/s", "12.3 k/s", "2.31 M/s"]

@@ -5,7 +5,7 @@ import pytest
 
 from irpso_addon.core.errors import GpuUnavailableError
 from irpso_addon.core.paths import BASE_PACKAGE
-from irpso_addon.ui import preferences
+from irpso_addon.ui.properties import preferences
 from tests.builders.command_line import run_cli
 
 pytestmark = pytest.mark.usefixtures("registered")

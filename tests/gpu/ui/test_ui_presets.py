@@ -43,7 +43,7 @@ def settings():
 
 
 def schedule():
-    from irpso_addon.ui.schedule_settings import schedule_of
+    from irpso_addon.ui.properties.schedule_settings import schedule_of
 
     return schedule_of(settings())
 
@@ -106,7 +106,7 @@ def test_a_number_that_is_typed_reaches_the_schedule_as_it_was_typed(name):
 
 
 def test_a_setting_that_is_set_back_no_longer_differs():
-    from irpso_addon.ui.schedule_settings import differences
+    from irpso_addon.ui.properties.schedule_settings import differences
 
     settings().delta, settings().particles, settings().loss = 0.5, 99, "l1"
     assert differences(settings()) == {"delta": 0.5, "particles": 99, "loss": "l1"}
@@ -156,7 +156,7 @@ def test_an_own_preset_can_be_run_by_blender_like_its_own(user_folder):
 
 
 def test_the_menu_says_which_preset_is_set_and_whether_settings_differ_from_it(user_folder):
-    from irpso_addon.ui.presets import label_of
+    from irpso_addon.ui.operators.presets import label_of
 
     assert label_of(settings()) == "Standard"
     settings().delta = 0.07

@@ -41,7 +41,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def job(scene, folder):
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session.job import make_job
 
     scene.irpso.capture_path, scene.irpso.subject = str(folder), "CARD"
     return lambda: make_job(bpy.context)
@@ -50,7 +50,7 @@ def job(scene, folder):
 @pytest.fixture
 def running(job):
     """A session under way."""
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     bpy.context.scene.irpso.schedule.iterations = 4000
     running = session.begin(job())
@@ -83,7 +83,7 @@ def test_a_camera_that_was_edited_in_place_makes_another_domain(job, folder):
 
 
 def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain(job, monkeypatch):
-    from irpso_addon.ui import job as module
+    from irpso_addon.ui.session import job as module
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
     settings = bpy.context.scene.irpso
@@ -101,7 +101,7 @@ def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain
 
 
 def test_reading_for_a_mesh_is_done_when_its_images_and_its_camera_are(job):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     bpy.ops.mesh.primitive_plane_add(size=2)
     settings = bpy.context.scene.irpso
@@ -129,7 +129,7 @@ def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
 
 
 def given(name, path, space):
-    from irpso_addon.ui.job import image_map
+    from irpso_addon.ui.session.job import image_map
 
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = space
@@ -205,7 +205,7 @@ def test_stopping_keeps_and_ends_the_run(running):
 
 
 def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_was_not(job):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     bpy.context.scene.irpso.schedule.preset = "swarm"
     bpy.context.scene.irpso.schedule.iterations = 6
@@ -229,7 +229,7 @@ def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_w
 
 
 def test_what_was_kept_is_so_until_that_is_undone(running):
-    from irpso_addon.ui import recover
+    from irpso_addon.ui.operators import recover
     from irpso_addon.ui.overlay import surface
 
     def seen():
@@ -248,7 +248,7 @@ def test_what_was_kept_is_so_until_that_is_undone(running):
 
 
 def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
-    from irpso_addon.ui import keep
+    from irpso_addon.ui.session import keep
 
     def refuse(*_):
         raise InputError("'leaf' has been deleted: undo that")
@@ -261,7 +261,7 @@ def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypa
 
 
 def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     settings = bpy.context.scene.irpso
     bpy.ops.mesh.primitive_plane_add(location=(0, 0, -1))
@@ -287,7 +287,8 @@ def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
 
 
 def test_errors_call_settings_as_blender_does(job, monkeypatch):
-    from irpso_addon.ui import preferences, session
+    from irpso_addon.ui.properties import preferences
+    from irpso_addon.ui.session import session
 
     monkeypatch.setattr(preferences, "current", lambda context: preferences.Wanted(memory="device=1K"))
     running = session.begin(job())

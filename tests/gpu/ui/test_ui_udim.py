@@ -59,13 +59,13 @@ def settings(tmp_path):
 
 
 def make_job():
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session.job import make_job
 
     return make_job(bpy.context)
 
 
 def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     session.begin(make_job()).run()
     running = session.current()
@@ -77,7 +77,7 @@ def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings):
         image = bpy.data.images["IRPSO Two base_color"]
         assert image.source == "TILED" and tuple(tile.number for tile in image.tiles) == TILES
         # What was recovered can be given again, as the tiled image that it became.
-        from irpso_addon.ui.job import image_map
+        from irpso_addon.ui.session.job import image_map
 
         found = image_map(image, load_model("lambert").parameter("base_color"), (SIDE, 2 * SIDE), TILES)
         inside = (slice(1, -1), slice(1, SIDE - 1)), (slice(1, -1), slice(SIDE + 1, -1))
@@ -88,7 +88,7 @@ def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings):
 
 
 def test_only_the_active_slot_is_recovered_and_replaced(settings):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     thing = bpy.data.objects["Two"]
     settings.slots, thing.active_material_index = "ACTIVE", 1
@@ -108,7 +108,7 @@ def test_only_the_active_slot_is_recovered_and_replaced(settings):
 
 
 def test_slots_that_are_not_there_are_said_before_anything_is_read(settings):
-    from irpso_addon.ui.job import missing
+    from irpso_addon.ui.session.job import missing
 
     settings.slots = "NAMED"
     assert missing(bpy.context) == "No slot is chosen: name those to be recovered, of 0 'Skin', 1 'Cloth'"
@@ -129,7 +129,7 @@ def test_another_choice_of_slots_makes_another_domain(settings):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_given_maps_come_from_the_tiles_of_a_tiled_image(settings, tmp_path, packed):
-    from irpso_addon.ui.job import image_map
+    from irpso_addon.ui.session.job import image_map
 
     model = load_model("lambert")
     color = np.random.default_rng(1).random((SIDE, 2 * SIDE, 3)).astype(np.float32)
@@ -207,7 +207,7 @@ def test_a_click_finds_texels_of_slots_that_are_recovered_alone(settings):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, tmp_path, packed):
-    from irpso_addon.blender.material import build_material
+    from irpso_addon.blender.materials.material import build_material
 
     model, folder = load_model("lambert"), None if packed else tmp_path / "images"
     for tiles in ((1001, 1012), (1001, 1002, 1003), (1003,), (1001,), (1002, 1012)):
@@ -219,7 +219,7 @@ def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, t
         assert image.source == ("FILE" if tiles == (1001,) else "TILED")
         assert tuple(tile.number for tile in image.tiles) == tiles
         assert (image.packed_file is not None) == packed and len(image.packed_files) == packed * len(tiles)
-        from irpso_addon.ui.job import image_map
+        from irpso_addon.ui.session.job import image_map
 
         found = image_map(image, model.parameter("base_color"), shape, tiles)
         np.testing.assert_allclose(found, values["base_color"], atol=2e-5)

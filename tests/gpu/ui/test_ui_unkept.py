@@ -14,7 +14,7 @@ LIGHTS = cli_maker.dome_lights(12, widest=70)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The folder of what is stored; none of the user's is touched."""
-    from irpso_addon.ui import unkept
+    from irpso_addon.ui.session import unkept
 
     monkeypatch.setattr(unkept, "folder", lambda: tmp_path / "unkept")
     unkept.look()
@@ -46,8 +46,8 @@ def plane(tmp_path):
 @pytest.fixture
 def stored(plane, folder):
     """A recovery of which 3 of 6 iterations are made, stored as when its file closes."""
-    from irpso_addon.ui import session, unkept
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session.job import make_job
 
     running = session.begin(make_job(bpy.context))
     while running.recovery is None:
@@ -71,8 +71,8 @@ def forget_settings(settings):
 
 
 def test_it_goes_on_with_its_own_settings_to_the_maps_of_a_run_that_was_never_closed(stored, plane):
-    from irpso_addon.ui import session
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
 
     bpy.context.object.active_material_index = 1
     forget_settings(plane)
@@ -96,8 +96,8 @@ def test_it_goes_on_with_its_own_settings_to_the_maps_of_a_run_that_was_never_cl
 
 
 def test_what_is_kept_or_discarded_by_hand_is_not_stored(plane, folder):
-    from irpso_addon.ui import session, unkept
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session.job import make_job
 
     session.begin(make_job(bpy.context)).run()
     bpy.ops.irpso.keep()
@@ -109,7 +109,7 @@ def test_what_is_kept_or_discarded_by_hand_is_not_stored(plane, folder):
 
 
 def test_discarding_what_was_restored_deletes_it_and_so_does_forget(stored, folder):
-    from irpso_addon.ui import session, unkept
+    from irpso_addon.ui.session import session, unkept
 
     mine = folder / "mine.npz"
     mine.write_bytes(b"no checkpoint")
@@ -133,7 +133,7 @@ def test_what_has_gone_with_the_file_is_said_and_nothing_is_changed(stored, plan
 
 
 def test_photographs_that_have_changed_are_told_in_words_of_the_panel(stored, plane):
-    from irpso_addon.ui import session
+    from irpso_addon.ui.session import session
 
     plane.parameters["roughness"].image.pixels.foreach_set(np.full(8 * 8 * 4, 0.5, np.float32))
     bpy.ops.irpso.restore(path=str(stored.path))
@@ -145,8 +145,8 @@ def test_photographs_that_have_changed_are_told_in_words_of_the_panel(stored, pl
 
 
 def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, folder, caplog):
-    from irpso_addon.ui import session, unkept
-    from irpso_addon.ui.job import make_job
+    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session.job import make_job
 
     folder.write_text("in the way")
     session.begin(make_job(bpy.context)).run()
@@ -156,7 +156,7 @@ def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, 
 
 
 def test_a_given_image_that_is_not_in_the_file_is_named(stored):
-    from irpso_addon.ui import asked
+    from irpso_addon.ui.properties import recipe as asked
 
     gone = {**stored.asked, "parameters": {"roughness": {**stored.asked["parameters"]["roughness"], "image": "lost"}}}
     with pytest.raises(InputError, match="no image 'lost', given for roughness"):

@@ -11,9 +11,9 @@ from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.domain import GeometryBake, subset
-from irpso_addon.geometry.mesh import check_uvs
+from irpso_addon.geometry.surface.mesh import check_uvs
+from irpso_addon.geometry.surface.udim import lay_out
 from irpso_addon.geometry.tiles import tile
-from irpso_addon.geometry.udim import lay_out
 from tests.oracles.geometry import plane
 
 # A camera turned a quarter about z and moved: its x axis is the world's y, its y axis the world's −x.

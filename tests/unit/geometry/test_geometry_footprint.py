@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.geometry.footprint import falloff, jacobian, texel_steps
 from irpso_addon.geometry.project import Projector
+from irpso_addon.geometry.surface.footprint import falloff, jacobian, texel_steps
 from tests.oracles.geometry import bake_camera, bake_uv, joined, plane
 
 ABOVE = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1.0]])

@@ -6,8 +6,8 @@ from scipy.ndimage import map_coordinates
 
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.capture.camera import Camera
-from irpso_addon.geometry.footprint import texel_steps
 from irpso_addon.geometry.project import Projector
+from irpso_addon.geometry.surface.footprint import texel_steps
 from tests.oracles.geometry import bake_camera, bake_uv, joined, mesh_from_grid, plane, sphere, unit
 
 ABOVE = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1.0]])

@@ -9,7 +9,7 @@ from scipy.fft import dctn
 from scipy.sparse.linalg import spsolve
 
 from irpso_addon.capture.camera import Camera
-from irpso_addon.geometry import height, relief
+from irpso_addon.geometry.relief import height, relief
 from irpso_addon.results.derived_map import height_map
 from tests.oracles import geometry as geometry_oracle
 

@@ -5,8 +5,8 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.udim import tile_files, tile_number, tile_place, tile_stem
-from irpso_addon.geometry.slots import overlapping_slots, slots_of_text
-from irpso_addon.geometry.udim import lay_out, layout_place, layout_size
+from irpso_addon.geometry.surface.slots import overlapping_slots, slots_of_text
+from irpso_addon.geometry.surface.udim import lay_out, layout_place, layout_size
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps, split_maps
 

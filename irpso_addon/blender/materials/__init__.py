@@ -1,0 +1,1 @@
+"""Recovered maps as a Blender material: images, node trees, displacement, tangent frames."""

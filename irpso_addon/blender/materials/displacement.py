@@ -1,0 +1,54 @@
+"""The recovered relief as displacement of a material.
+
+Measured in Cycles 4.2 to 5.2 on a card of 128 × 128 faces: with the method "Displacement and Bump" the shape is the
+relief's to a few thousandths of its height, and the normal map, which is connected as well, is not counted twice. With
+"Displacement Only" it is, by 20°, up to 4.5.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from ...geometry.relief.height import Height
+from ...results.maps import Maps
+from .nodes import OwnNodes
+from .textures import data_image
+
+METHOD = "BOTH"
+DIVISION = "IRPSO Relief"  # the modifier of a card
+_FINEST, _SHOWN = 8, 6  # halvings of a card's side at most, in renders and in the viewport
+_PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
+
+
+def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
+    """Make image and Displacement node; return its output. A card is one unit wide, whatever its texels are."""
+    image = data_image(maps, "height", height.values[..., None], subject, folder)
+    # Repeated, the corners of a card would take half of their height from the other side.
+    texture = nodes.node(
+        "map height", "ShaderNodeTexImage", _PLACES["map height"], "Height", image=image, extension="EXTEND"
+    )
+    if uv_map:
+        uv = nodes.node("uv", "ShaderNodeUVMap", _PLACES["uv"], uv_map=uv_map)
+        nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
+    # In the world an object's unequal scale does not bend the relief; a card's is its own, and grows with it.
+    space = "OBJECT" if height.unit == "texels" else "WORLD"
+    node = nodes.node("displacement", "ShaderNodeDisplacement", _PLACES["displacement"], space=space)
+    node.inputs["Midlevel"].default_value = 0.0
+    node.inputs["Scale"].default_value = 1 / height.values.shape[1] if height.unit == "texels" else 1.0
+    nodes.link(texture.outputs["Color"], node.inputs["Height"])
+    return node.outputs["Displacement"]
+
+
+def divide(card, texels: int) -> None:
+    """Divide a card of one face into about as many as its longer side has texels; 0 takes our division away again."""
+    modifier = card.modifiers.get(DIVISION)
+    if not texels:
+        if modifier is not None:
+            card.modifiers.remove(modifier)
+        return
+    modifier = modifier or card.modifiers.new(DIVISION, "SUBSURF")
+    modifier.subdivision_type = "SIMPLE"
+    modifier.render_levels = min(math.ceil(math.log2(max(texels, 2))), _FINEST)
+    modifier.levels = min(modifier.render_levels, _SHOWN)
+    card.data.polygons.foreach_set("use_smooth", [True] * len(card.data.polygons))

@@ -1,0 +1,107 @@
+"""Maps as Blender's materials read them: normals in its tangent frame, and past every seam what lies on its other side.
+
+A renderer interpolates between texels, so at an island's edge it reads beyond it. With the other side's values there,
+at the places where they lie on the surface, both sides of a seam are interpolated towards the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.encode import nearest_covered
+from ...geometry.seams.seams import SeamMap
+from ...geometry.spaces import world_normals
+from ...geometry.surface.bake import SurfaceBake
+from ...geometry.surface.mesh import MeshData
+from ...results.maps import Maps
+from .tangent_frames import to_blender, turned_normals, world_to_blender
+
+# Of the four texels around a place on the other side, those that are solved there must weigh so much.
+_LEAST = 0.05
+
+
+def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap | None) -> Maps:
+    """Return maps with normals in the frame of Blender's Normal Map node, and their margin past seams filled.
+
+    maps: in the solver's frames. seams: of the domain, None to leave margins to what is written later.
+    """
+    values = turned_normals(maps.model, maps.values, mesh, bake, to_blender)
+    maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
+    if seams is None or maps.covered.all() or not maps.covered.any():
+        return maps
+    place, beside, taps, weights = _across(seams, maps.covered)
+    filled = {}
+    for p in maps.model.parameters:
+        if p.name not in values:
+            continue
+        held = np.array(values[p.name], np.float32)
+        if p.is_normal:
+            world = world_normals(bake, solved.values[p.name]).reshape(-1, 3)
+            there = np.einsum("nt,ntc->nc", weights, world[taps])
+            found = world_to_blender(mesh, bake, beside, _carried(there, bake, taps, weights, beside))
+        else:
+            found = np.einsum("nt,ntc->nc", weights, held.reshape(-1, p.components)[taps])
+        held.reshape(-1, held.shape[-1])[place] = found
+        filled[p.name] = held
+    margin = np.zeros(maps.covered.shape, bool)
+    margin.ravel()[place] = True
+    return replace(maps, values={**values, **filled}, margin=margin)
+
+
+def _carried(
+    normals: np.ndarray, bake: SurfaceBake, taps: np.ndarray, weights: np.ndarray, beside: np.ndarray
+) -> np.ndarray:
+    """Return (M, 3) world normals turned as the surface turns from where they are to the texel beside.
+
+    A normal map tells how far normals lean away from the surface, and past the edge a renderer has the surface's own
+    normal of the edge: on a sphere a normal left as it is would lean too far, past a crease by the crease's angle.
+    """
+    surface = bake.normal.reshape(-1, 3).astype(np.float64)
+    a, b = np.einsum("nt,ntc->nc", weights, surface[taps]), surface[beside]
+    a /= np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-30)
+    cosine, axis = (a * b).sum(axis=-1, keepdims=True), np.cross(a, b)
+    # Rodrigues' formula for the least turn from a to b; of the many that turn a back on itself, any.
+    along = axis * (axis * normals).sum(axis=-1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
+    return cosine * normals + np.cross(axis, normals) + along
+
+
+def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return of M texels past seams: where they are, the covered texel beside each, and what lies there on the surface.
+
+    All are flat indices; the last are (M, 4) texels on the other side and (M, 4) weights, whose sums are 1.
+    """
+    height, width = covered.shape
+    row, column, near_row, near_column = nearest_covered(covered)
+    chart = seams.chart[near_row, near_column].astype(np.int64)
+    least = int(seams.chart.min())
+    count = int(seams.chart.max()) - least + 1
+    inside = ((seams.place >= 0) & (seams.place < (width, height))).all(axis=1)
+    known = (
+        (seams.place[inside, 1].astype(np.int64) * width + seams.place[inside, 0]) * count + seams.of[inside] - least
+    )
+    wanted = (row.astype(np.int64) * width + column) * count + chart - least
+    entry = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
+    found = known[entry] == wanted if len(known) else np.zeros(len(wanted), bool)
+    entry = np.flatnonzero(inside)[entry[found]]
+    place, beside = (row * width + column)[found], (near_row * width + near_column)[found]
+
+    at = seams.at[entry].astype(np.float64) - 0.5
+    first = np.floor(at).astype(np.int64)
+    fraction = at - first
+    other = seams.island.ravel()[seams.target[entry]]
+    taps, weights = np.zeros((len(at), 4), np.int64), np.zeros((len(at), 4))
+    for t, (dx, dy) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
+        x, y = first[:, 0] + dx, first[:, 1] + dy
+        within = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        texel = np.where(within, y * width + x, 0)
+        there = within & covered.ravel()[texel] & (seams.island.ravel()[texel] == other)
+        share = np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1])
+        taps[:, t], weights[:, t] = np.where(there, texel, 0), np.where(there, share, 0)
+    total = weights.sum(axis=1, keepdims=True)
+    alone = (total[:, 0] < _LEAST) & covered.ravel()[seams.target[entry]]
+    taps[alone] = seams.target[entry][alone, None]
+    weights[alone], total[alone] = 0.25, 1.0
+    kept = total[:, 0] >= _LEAST
+    return place[kept], beside[kept], taps[kept], weights[kept] / total[kept]

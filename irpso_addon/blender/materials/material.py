@@ -1,0 +1,350 @@
+"""The recovered maps as a Blender material."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.files import replacing_file
+from ...geometry.relief.height import Height
+from ...reflectance.model import ReflectanceModel
+from ...results.map_tables import MapTable, map_tables
+from ...results.maps import Maps
+from . import two_lobe_nodes as two_lobe
+from .anisotropy_nodes import connect_grain
+from .displacement import METHOD, displacement, divide
+from .nodes import OwnNodes, set_input
+from .textures import TAG as IMAGE_TAG
+from .textures import check_images, material_images
+
+TAG = "irpso_subject"
+ORIGIN = "irpso_origin"  # what a material was recovered from
+STAMP = "irpso_kept"  # which state of which recovery in a window it holds
+_TRIAL = "trial, removed at once"
+
+# Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.
+_MATTE = {"Roughness": 1.0, "Specular IOR Level": 0.0}
+_CHANNELS = ("Red", "Green", "Blue")
+
+
+def build_material(
+    maps: Maps,
+    subject: str,
+    images_folder: str | Path | None = None,
+    uv_map: str = "",
+    height: Height | None = None,
+):
+    """Return the bpy material of a subject, made or brought up to date, with its maps as images.
+
+    images_folder: where pictures are kept; None packs them. uv_map: the mesh's UV map; "" takes the active one.
+    The model's table [material] chooses the ``shader``: "principled", "two_lobe", or anything else for image nodes
+    connected to the sockets of a Principled BSDF that the parameters name. Nodes the user added are left as they are.
+    height: displaces the surface, where the mesh is fine enough to show it.
+    Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
+    """
+    import bpy
+
+    tables = map_tables(maps.model)
+    former = _own_material(subject)
+    material = former or _new_material(subject)
+    build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
+    try:
+        with OwnNodes(material.node_tree) as nodes:
+            surface, sockets = build(nodes, maps.model, uv_map)
+            folder = None if images_folder is None else Path(images_folder).resolve()
+            images = material_images(maps, subject, folder)
+            sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
+            for name, socket in sockets:
+                nodes.link(sources[name], socket)
+            output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
+            nodes.link(surface, output.inputs["Surface"])
+            if height is not None:
+                nodes.link(displacement(nodes, maps, height, subject, folder, uv_map), output.inputs["Displacement"])
+                material.displacement_method = METHOD
+    except InputError:
+        if former is None:
+            bpy.data.materials.remove(material)
+        raise
+    return material
+
+
+def subject_name(name: str, origin: str) -> str:
+    """Return the name for what is recovered from ``origin``: ``name``, unless that is of something else in this file.
+
+    Two captures may lie in folders of one name, and a mesh may be called like either: none may take another's maps.
+    """
+    import bpy
+
+    taken = {made[TAG]: made.get(ORIGIN, origin) for made in bpy.data.materials if TAG in made}
+    numbered = (name if number == 0 else f"{name}.{number:03d}" for number in itertools.count())
+    return next(free for free in numbered if taken.get(free, origin) == origin)
+
+
+def slots_subject(obj, slots: Sequence[int]) -> str:
+    """Return the name for what is recovered of some slots of an object: its own, and those of their materials.
+
+    A material that was made so before gives the name that it was made of.
+    """
+    names = []
+    for slot in slots:
+        held = obj.material_slots[slot].material
+        tag = "" if held is None else held.get(TAG, "")
+        if tag.startswith(f"{obj.name} "):
+            names.append(tag.removeprefix(f"{obj.name} "))
+        else:
+            names.append(f"slot {slot}" if held is None or tag else held.name)
+    return f"{obj.name} {', '.join(dict.fromkeys(names))}"
+
+
+def check_material(model: ReflectanceModel, subject: str) -> None:
+    """Raise InputError where ``build_material`` would, whatever the maps; the open file is left as it was."""
+    import bpy
+
+    _own_material(subject)
+    check_images(model, subject)
+    groups = set(bpy.data.node_groups)
+    texel = {p.name: np.float32(p.default).reshape(1, 1, -1) for p in model.parameters}
+    made = build_material(Maps(model, texel, np.ones((1, 1), bool)), _TRIAL)
+    images = [image for image in bpy.data.images if str(image.get(IMAGE_TAG, "")).startswith(f"{_TRIAL}/")]
+    bpy.data.materials.remove(made)
+    for image in images:
+        bpy.data.images.remove(image)
+    for group in set(bpy.data.node_groups) - groups:
+        bpy.data.node_groups.remove(group)
+
+
+def check_object(obj) -> None:
+    """Raise InputError where the object is linked from a library, or cannot have materials.
+
+    The data of a local object may be linked where it has slots: the object then keeps materials of its own in them.
+    """
+    if obj.library is not None:
+        raise InputError(
+            f"object '{obj.name}' is linked from {obj.library.filepath}; make it local before giving it a material"
+        )
+    if not hasattr(obj.data, "materials"):
+        raise InputError(f"object '{obj.name}' is a {obj.type.lower()}, which has no material; choose a mesh")
+    if obj.data.library is not None and not obj.material_slots:
+        raise InputError(
+            f"the mesh of object '{obj.name}' is linked from {obj.data.library.filepath} and has no material slot; add"
+            " one in that file, or make the mesh local"
+        )
+
+
+def other_uv_map(obj, name: str) -> str:
+    """Return the name of the UV map that maps were made in, "" where image nodes take it by themselves.
+
+    They take the one with the camera mark; maps are made in the one that is highlighted.
+    """
+    marked = next((layer.name for layer in obj.data.uv_layers if layer.active_render), "")
+    return "" if name == marked else name
+
+
+def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
+    """Put the material into these slots of an object; faces keep the slots they have, other slots their materials.
+
+    Without ``slots`` it is put into the active one, unless another has it already; an object without slots gets one.
+    Raises InputError as ``check_object`` does.
+    """
+    check_object(obj)
+    if slots and obj.material_slots:
+        if (last := max(slots)) >= len(obj.material_slots):
+            raise InputError(f"object '{obj.name}' has no material slot {last} any more; give it back its slots")
+        for slot in slots:
+            _fill_slot(obj, slot, material)
+        return
+    if material.name in obj.material_slots and obj.material_slots[material.name].material == material:
+        return
+    if obj.material_slots:
+        _fill_slot(obj, obj.active_material_index, material)
+    else:
+        obj.data.materials.append(material)
+
+
+def _fill_slot(obj, index: int, material) -> None:
+    slot = obj.material_slots[index]
+    if obj.data.library is not None:  # what is linked cannot be changed: the object has a material of its own there
+        slot.link = "OBJECT"
+    slot.material = material
+
+
+def find_card(subject: str):
+    """Return the object that ``card_object`` made for this subject before, None where there is none (any more)."""
+    import bpy
+
+    return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
+
+
+def card_object(subject: str, height: int, width: int, displaced: bool = False):
+    """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
+
+    It is made once and found again by its tag, and takes the maps' proportions unless the user has edited its mesh; a
+    new one is linked into the scene's collection. displaced: whether it is divided finely enough to show a relief.
+    """
+    import bpy
+
+    x, y = 0.5, 0.5 * height / width
+    if (found := find_card(subject)) is not None:
+        _give_height(found.data, x, y)
+        divide(found, max(height, width) if displaced else 0)
+        return found
+    mesh = bpy.data.meshes.new(f"IRPSO {subject}")
+    mesh.from_pydata([(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)], [], [(0, 1, 2, 3)])
+    layer = mesh.uv_layers.new(name="UVMap")
+    layer.data.foreach_set("uv", (0, 0, 1, 0, 1, 1, 0, 1))
+    obj = bpy.data.objects.new(f"IRPSO {subject}", mesh)
+    obj[TAG] = subject
+    bpy.context.scene.collection.objects.link(obj)
+    divide(obj, max(height, width) if displaced else 0)
+    return obj
+
+
+def _give_height(mesh, x: float, y: float) -> None:
+    """Put the corners of a card's mesh at ±y where they are still the four that it was made with."""
+    corners = [vertex.co for vertex in mesh.vertices]
+    made = len(corners) == 4 and all(abs(c.x) == x and c.z == 0 and abs(c.y) == abs(corners[0].y) for c in corners)
+    if made and abs(corners[0].y) != np.float32(y):
+        for corner in corners:
+            corner.y = math.copysign(y, corner.y)
+        mesh.update()
+
+
+def save_blend(path: str | Path) -> Path:
+    """Save the open file as a copy to ``path``, whole or not at all; pictures in folders get relative paths there.
+
+    The session goes on under its own file name. Raises InputError where the place cannot be written.
+    """
+    import bpy
+
+    path = Path(path).resolve()
+    if path.is_dir() or not path.parent.is_dir():
+        what = "is a folder" if path.is_dir() else "its folder does not exist"
+        raise InputError(f"{path}: {what}; give the name of a .blend file")
+    images = [i for i in bpy.data.images if IMAGE_TAG in i and i.packed_file is None and i.library is None]
+    before = [image.filepath for image in images]
+    try:
+        with replacing_file(path, durable=True) as partial:
+            for image in images:
+                image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
+            # The paths are right for the new place already, so Blender must not remap them.
+            bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=False)
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
+    finally:
+        for image, old in zip(images, before, strict=True):
+            image.filepath = old
+    return path
+
+
+def _own_material(subject: str):
+    """Return the material made for this subject before, or None; InputError where it is linked from a library."""
+    import bpy
+
+    found = [material for material in bpy.data.materials if material.get(TAG) == subject]
+    local = [material for material in found if material.library is None]
+    if found and not local:
+        raise InputError(
+            f"material '{found[0].name}' is linked from {found[0].library.filepath};"
+            " make it local or recover under another name"
+        )
+    return local[0] if local else None
+
+
+def _new_material(subject: str):
+    import bpy
+
+    material = bpy.data.materials.new(f"IRPSO {subject}")
+    if material.node_tree is None:  # since Blender 5.0 every material has one
+        material.use_nodes = True
+    material.node_tree.nodes.clear()
+    # Cycles darkens what faces away from the geometry's normal (by 1 % where the light is at 50°, more beyond); the
+    # maps were found without that term and are rendered right without it.
+    if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
+        material.cycles.use_bump_map_correction = False
+    material[TAG] = subject
+    return material
+
+
+def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str, wrapped: bool) -> dict[str, object]:
+    """Make the image nodes; return parameter name → the socket that carries its value (or the shading normal)."""
+    sources = {}
+    # Repeated, the outer half of a card's border texels would be mixed with those of the opposite border.
+    extension = "REPEAT" if wrapped else "EXTEND"
+    uv = nodes.node("uv", "ShaderNodeUVMap", (-1080, 0), uv_map=uv_map) if uv_map else None
+    for row, table in enumerate(tables):
+        y = 300 - 320 * row
+        texture = nodes.node(
+            f"map {table.name}", "ShaderNodeTexImage", (-860, y), _label(table), image=images[table.name],
+            extension=extension,
+        )  # fmt: skip
+        if uv is not None:
+            nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
+        color = texture.outputs["Color"]
+        if table.is_normal:
+            bump = nodes.node(f"normal {table.name}", "ShaderNodeNormalMap", (-540, y), space="TANGENT", uv_map=uv_map)
+            nodes.link(color, bump.inputs["Color"])
+            sources[table.parameters[0].name] = bump.outputs["Normal"]
+        elif len(table.parameters) == 1:
+            sources[table.parameters[0].name] = color
+        else:
+            sources |= _separated(nodes, table, texture, y)
+    return sources
+
+
+def _label(table: MapTable) -> str:
+    """Return the names of the sockets that a map drives, as Blender has them; of a parameter without one, its own."""
+    return ", ".join(p.socket or p.name.replace("_", " ").title() for p in table.parameters)
+
+
+def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str, object]:
+    """Split a map that parameters share; a parameter of several components gets its channels joined again."""
+    split = nodes.node(f"split {table.name}", "ShaderNodeSeparateColor", (-540, y), mode="RGB")
+    nodes.link(texture.outputs["Color"], split.inputs["Color"])
+    channels = [*(split.outputs[name] for name in _CHANNELS), texture.outputs["Alpha"]]
+    sources, at = {}, 0
+    for parameter in table.parameters:
+        own = channels[at : at + parameter.components]
+        at += parameter.components
+        sources[parameter.name] = own[0]
+        if len(own) > 1:
+            join = nodes.node(f"join {parameter.name}", "ShaderNodeCombineColor", (-360, y - 40 * at), mode="RGB")
+            for channel, name in zip(own, _CHANNELS, strict=False):
+                nodes.link(channel, join.inputs[name])
+            sources[parameter.name] = join.outputs["Color"]
+    return sources
+
+
+def _two_lobe(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:
+    output, sockets = two_lobe.surface(nodes, model)  # isotropic: it needs no tangent of the UV map
+    return output, list(sockets.items())
+
+
+def _principled(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:
+    """Make the Principled BSDF; return its output and pairs of a parameter's name and a socket that it drives."""
+    table = model.material.get("settings", {})
+    if not isinstance(table, dict):
+        raise InputError(f"model {model.name}: settings is a table, written [material.settings], not {table!r}")
+    table = dict(table)
+    distribution = table.pop("distribution", "GGX")
+    if distribution not in ("GGX", "MULTI_GGX"):
+        raise InputError(f"model {model.name}: [material.settings] distribution must be GGX or MULTI_GGX")
+    node = nodes.node("surface", "ShaderNodeBsdfPrincipled", (280, 0), distribution=distribution)
+    driven = {parameter.socket for parameter in model.parameters}
+    if model.material.get("shader") == "principled" and not table and "Roughness" not in driven:
+        table = _MATTE
+    for name, value in table.items():
+        if name not in node.inputs:
+            raise InputError(f"model {model.name}: [material.settings] names '{name}', no socket of Principled BSDF")
+        try:
+            set_input(node, name, value)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"model {model.name}: [material.settings] '{name}' cannot be {value!r}") from error
+    sockets = [(p.name, node.inputs[p.socket]) for p in model.parameters if p.socket and p.socket in node.inputs]
+    if "Coat Weight" in driven:  # left alone, a coat has the normal of the mesh
+        sockets += [(p.name, node.inputs["Coat Normal"]) for p in model.parameters if p.is_normal]
+    return node.outputs["BSDF"], sockets + list(connect_grain(nodes, model, node, uv_map).items())

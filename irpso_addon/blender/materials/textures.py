@@ -1,0 +1,139 @@
+"""Maps as Blender images: one image a map, found again by its tag when the same subject is recovered anew."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...capture.images.exr import write_exr
+from ...core.errors import InputError
+from ...core.png import encode_png
+from ...core.udim import ONE_SQUARE, PATTERN, tile_stem
+from ...reflectance.model import Parameter, ReflectanceModel
+from ...results.map_tables import MapTable, encoded_values, map_tables, map_values
+from ...results.maps import Maps, split_maps
+
+TAG = "irpso_map"
+
+
+def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, object]:
+    """Return map name → bpy image, made or brought up to date.
+
+    folder: where the picture files are kept; None packs them into the .blend. A map is a 16-bit PNG, or a 32-bit EXR
+    where its range does not fit 0…1; of UDIM tiles, one for each, in a tiled image. Raises InputError where the folder
+    cannot be written or the image is linked.
+    """
+    tables = map_tables(maps.model)
+    images = {table.name: _own_image(subject, table.name) for table in tables}
+    with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
+        for table in tables:
+            where = Path(temporary) if folder is None else folder
+            name = bpy_name(subject, table.name)
+            paths = _write_pictures(maps, table, where, name)
+            images[table.name] = _update_image(images[table.name], name, paths, table, packed=folder is None)
+            images[table.name][TAG] = f"{subject}/{table.name}"
+    return images
+
+
+def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None):
+    """Return the bpy image of numbers (H, W, 1) that are no map of the model's, over the same texels, as 32-bit EXR."""
+    table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that does not fit a PNG
+    with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
+        where, title = Path(temporary) if folder is None else folder, bpy_name(subject, name)
+        paths = _write_pictures(replace(maps, values={name: values}), table, where, title)
+        image = _update_image(_own_image(subject, name), title, paths, table, packed=folder is None)
+    image[TAG] = f"{subject}/{name}"
+    return image
+
+
+def check_images(model: ReflectanceModel, subject: str) -> None:
+    """Raise InputError where an image made for this subject before is linked from a library, or a map has no place."""
+    for table in map_tables(model):
+        _own_image(subject, table.name)
+
+
+def bpy_name(subject: str, map_name: str) -> str:
+    """Return the name of a map's image, as in "IRPSO subject base_color"."""
+    return f"IRPSO {subject} {map_name}"
+
+
+def _own_image(subject: str, map_name: str):
+    """Return the image made for this map before, or None; InputError where it is linked from a library."""
+    import bpy
+
+    found = [image for image in bpy.data.images if image.get(TAG) == f"{subject}/{map_name}"]
+    local = [image for image in found if image.library is None]
+    if found and not local:
+        raise InputError(
+            f"image '{found[0].name}' is linked from {found[0].library.filepath}; make it local or choose another name"
+        )
+    return local[0] if local else None
+
+
+def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str) -> dict[int, Path]:
+    """Write a map, and return its files by the number of their UDIM tile."""
+    stem = "".join(c if c.isalnum() or c in "_- " else "_" for c in name).replace(" ", "_")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from error
+    paths = {}
+    for number, part in split_maps(maps):
+        values = map_values(table, part)
+        paths[number] = folder / f"{tile_stem(stem, number, maps.tiles)}{'.png' if table.fits_unit else '.exr'}"
+        if table.fits_unit:
+            encode_png(paths[number], encoded_values(table, values), bits=16)
+        else:
+            write_exr(paths[number], {"": {name: values[..., i] for i, name in enumerate(table.channels)}})
+    return paths
+
+
+def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, packed: bool):
+    """Point an image at picture files, by UDIM tile, or pack the files into it."""
+    import bpy
+
+    if image is None:
+        image = bpy.data.images.new(name, 1, 1)
+    if image.packed_file is not None:
+        image.unpack(method="REMOVE")
+    path = next(iter(paths.values()))
+    if tuple(paths) == ONE_SQUARE:
+        image.source = "FILE"
+        image.filepath = str(path)
+    else:
+        _point_at_tiles(image, paths)
+    # The colour space comes before any pixel is read: the loader takes 16-bit PNG for sRGB.
+    image.colorspace_settings.name = table.color_space if table.fits_unit else "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED" if table.components == 4 else "NONE"
+    image.use_half_precision = False
+    if packed and tuple(paths) == ONE_SQUARE:
+        data = path.read_bytes()
+        image.pack(data=data, data_len=len(data))
+        image.filepath = f"//textures/{path.name}"
+    elif packed:
+        _pack_tiles(image)
+    return image
+
+
+def _point_at_tiles(image, paths: dict[int, Path]) -> None:
+    """Make it a tiled image of these files, and of no others that lie beside them."""
+    number, path = next(iter(paths.items()))
+    image.filepath = str(path.with_name(path.name.replace(f".{number}.", f".{PATTERN}.")))
+    image.source = "TILED"
+    there = {tile.number for tile in image.tiles}
+    for number in sorted(set(paths) - there):
+        image.tiles.new(number)
+    for number in sorted(there - set(paths)):
+        image.tiles.remove(image.tiles.get(number))
+
+
+def _pack_tiles(image) -> None:
+    """Pack a tiled image's files; Blender packs several from files alone, and notes where they lay."""
+    image.pack()
+    for file in image.packed_files:
+        file.filepath = f"//textures/{Path(file.filepath).name}"
+    # Raw: else Blender looks for the tiles at the new place, where there are none, and says so.
+    image.filepath_raw = f"//textures/{Path(image.filepath).name}"

@@ -1,0 +1,1 @@
+"""Scenes as captures, and captures as scenes: cameras, lights, photographs."""

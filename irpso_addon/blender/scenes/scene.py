@@ -1,0 +1,145 @@
+"""Taking meshes and cameras out of Blender scenes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...capture.distortion import NAMES
+from ...capture.errors import CaptureError
+from ...core.errors import InputError
+
+# Custom property of a camera object for what Blender's cameras do not have: the distortion of its lens.
+DISTORTION = "irpso_distortion"
+
+
+def open_blend(path: str | Path) -> None:
+    """Open a .blend file in place of the current one. Raises InputError where there is none or Blender refuses it."""
+    import bpy
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no Blender file '{path}'; check the path given to --blend")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+    except RuntimeError as error:
+        raise InputError(f"Blender cannot open '{path}': {' '.join(str(error).split())}") from error
+
+
+def empty_blend() -> None:
+    """Open an empty file in place of the current one: Blender starts with a cube, a lamp and a camera."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, load_ui=False)
+
+
+def mesh_object(name: str | None = None) -> Any:
+    """Return the mesh object of that name, or the scene's only one. Raises InputError naming those that there are."""
+    import bpy
+
+    if name is not None:
+        found = bpy.context.scene.objects.get(name)
+        if found is None:
+            raise InputError(f"there is no object '{name}' in scene '{bpy.context.scene.name}'; {_choice()}")
+        if found.type != "MESH":
+            raise InputError(f"object '{name}' is of type {found.type}, not a mesh; {_choice()}")
+        return found
+    meshes = _meshes()
+    if len(meshes) == 1:
+        return meshes[0]
+    if not meshes:
+        raise InputError(f"scene '{bpy.context.scene.name}' has no mesh objects; open a file that has one")
+    raise InputError(f"the scene has {len(meshes)} mesh objects; choose one with --object: {_names()}")
+
+
+def _meshes() -> list[Any]:
+    import bpy
+
+    return [obj for obj in bpy.context.scene.objects if obj.type == "MESH"]
+
+
+def _names() -> str:
+    return ", ".join(f"'{obj.name}'" for obj in _meshes())
+
+
+def _choice() -> str:
+    return f"its mesh objects are {_names()}" if _meshes() else "it has no mesh objects"
+
+
+def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)) -> Camera:
+    """Return the camera of a Blender camera object at width × height pixels: lens, sensor fit, shift, and scale.
+
+    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over; the
+    distortion is that of the custom property irpso_distortion.
+    Raises InputError where the object is no camera or its projection is neither perspective nor orthographic.
+    """
+    if obj.type != "CAMERA":
+        raise InputError(f"object '{obj.name}' is of type {obj.type}, not a camera; name a camera object")
+    data = obj.data
+    if data.type not in ("PERSP", "ORTHO"):
+        raise InputError(f"camera '{obj.name}' is panoramic; make it perspective or orthographic")
+    fit = data.sensor_fit
+    if fit == "AUTO":
+        fit = "HORIZONTAL" if width * pixel_aspect[0] >= height * pixel_aspect[1] else "VERTICAL"
+    # Blender's view plane is counted in the width of a pixel; a pixel is `tall` of them high.
+    tall = pixel_aspect[1] / pixel_aspect[0]
+    side = width if fit == "HORIZONTAL" else height * tall
+    if data.type == "PERSP":
+        sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+        scale = data.lens / sensor * side
+    else:
+        scale = side / data.ortho_scale
+    matrix = world_matrix(obj)
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    camera = Camera(
+        width=width,
+        height=height,
+        scale=(scale, scale / tall),
+        centre=(width / 2 - data.shift_x * side, height / 2 - data.shift_y * side / tall),
+        matrix=matrix,
+        perspective=data.type == "PERSP",
+    )
+    return _distorting(camera, obj)
+
+
+def _distorting(camera: Camera, obj: Any) -> Camera:
+    """Return the camera with the distortion that its object's custom property tells. Raises InputError."""
+    given = obj.get(DISTORTION, ())
+    where = f"camera '{obj.name}': its custom property {DISTORTION}"
+    try:
+        return replace(camera, distortion=tuple(map(float, given if hasattr(given, "__len__") else (given,))))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where} holds no numbers; they are {', '.join(NAMES)}, or remove it") from error
+    except CaptureError as error:
+        raise InputError(f"{where} cannot be: {error}") from error
+
+
+def middle_of(obj: Any) -> np.ndarray:
+    """Return (3,) the middle of an object's bounding box in the world."""
+    corners = np.array([tuple(corner) for corner in obj.bound_box])
+    matrix = world_matrix(obj)
+    return matrix[:3, :3] @ corners.mean(axis=0) + matrix[:3, 3]
+
+
+def world_matrix(obj: Any) -> np.ndarray:
+    """Return (4, 4) float64, an object's matrix in the world, also where it is hidden in viewports.
+
+    Blender evaluates nothing that is disabled in viewports: the matrix_world of such an object is an old one, or none
+    in a file just opened. Its own transform and its parents' are put together here. Raises InputError where
+    a hidden one has constraints or a parent that is more than an object.
+    """
+    import bpy
+
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    if evaluated.is_evaluated:
+        return np.array(evaluated.matrix_world, np.float64)
+    if obj.constraints or (obj.parent is not None and obj.parent_type != "OBJECT"):
+        raise InputError(f"object '{obj.name}' is disabled in viewports and has constraints; show it, or apply them")
+    matrix = np.array(obj.matrix_basis, np.float64)
+    if obj.parent is None:
+        return matrix
+    return world_matrix(obj.parent) @ np.array(obj.matrix_parent_inverse, np.float64) @ matrix

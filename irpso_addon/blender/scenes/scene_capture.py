@@ -1,0 +1,179 @@
+"""The capture that a Blender scene itself is: its own cameras, its lights, and the photographs that they have."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import Any
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...capture.errors import CaptureError
+from ...capture.images.image import ImageStore
+from ...capture.inspect.damage import DAMAGE, check_numbers
+from ...capture.types import Capture, LeftOut, Observation
+from ...core.errors import InputError
+from ...core.files import natural
+from ...core.steps import run_steps
+from ..images import decode
+from .scene import camera_from_object, middle_of
+from .scene_images import Photograph, open_photograph
+from .scene_lights import light_of, too_wide
+
+# Custom properties of objects that the user interface made: their capture's name, and a camera's own pixel aspect (x,
+# y), which Blender keeps for a whole scene.
+CAPTURE, ASPECT = "irpso_capture", "irpso_pixel_aspect"
+_SETTINGS = "irpso"  # where the user interface keeps an object's image and camera
+
+
+def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = False) -> Generator[None, None, Capture]:
+    """Yield before each piece of work, and return the capture of a scene: its lights that have an image, by name.
+
+    Each light is seen by its own camera or the scene's; a camera's own image is its mask. colour_space: and
+    skip_damaged: as for read_capture. Raises InputError naming the object and the remedy.
+    """
+    import bpy
+
+    bpy.context.view_layer.update()  # else what a script has just added is not in it
+    lights = photographed_lights(scene)
+    if not lights:
+        raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
+    store = ImageStore(decode)
+    seen_by: dict[str, list[tuple[Any, Photograph]]] = {}
+    vectors, why = {}, {}
+    for obj in lights:
+        yield
+        try:
+            photograph = open_photograph(setting(obj, "image"), f"light '{obj.name}'", store, colour_space)
+            if skip_damaged:
+                check_numbers(photograph.where, photograph.read())
+        except CaptureError as error:
+            if not skip_damaged or error.code not in DAMAGE:
+                raise
+            why[obj.name] = error.message
+            continue
+        vectors[obj.name] = light_of(obj)
+        seen_by.setdefault(_camera_object(obj, scene).name, []).append((obj, photograph))
+    if skip_damaged:
+        odd = {obj.name: error.message for name, pairs in seen_by.items() for obj, error in _odd_sizes(pairs, name)}
+        seen_by = {name: [pair for pair in pairs if pair[0].name not in odd] for name, pairs in seen_by.items()}
+        vectors = {name: light for name, light in vectors.items() if name not in odd}
+        why |= odd
+    if not vectors:
+        raise InputError(f"{next(iter(why.values()))} (and so it is with the photographs of all lights)")
+    left_out = tuple(LeftOut(n, obj.name, why[obj.name]) for n, obj in enumerate(lights) if obj.name in why)
+    names = sorted(seen_by, key=natural)
+    cameras, masks = [], []
+    for name in names:
+        yield
+        camera = bpy.data.objects[name]
+        cameras.append(_camera(camera, *_common_size(seen_by[name], name), scene))
+        masks.append(_mask(camera, cameras[-1], store))
+    photographs = {obj.name: (names.index(name), p) for name, pairs in seen_by.items() for obj, p in pairs}
+    observations = tuple(
+        Observation(name, _reader(photograph), light, camera, photograph.coarse)
+        for name, light in vectors.items()
+        for camera, photograph in (photographs[name],)
+    )
+    return Capture(_name(scene, lights), observations, tuple(cameras), tuple(masks), left_out=left_out)
+
+
+def capture_of_open_file(colour_space: str = "auto", skip_damaged: bool = False) -> Capture:
+    """Return the capture that the scene of the open file is. Raises InputError as ``scene_steps`` does."""
+    import bpy
+
+    return run_steps(scene_steps(bpy.context.scene, colour_space, skip_damaged))
+
+
+def setting(obj: Any, name: str) -> Any:
+    """Return the image or the camera that an object was given, None without; also where no interface is registered."""
+    if hasattr(obj, _SETTINGS):
+        return getattr(getattr(obj, _SETTINGS), name)
+    # Since Blender 5.0 what add-ons register is kept apart from custom properties.
+    kept = obj.bl_system_properties_get() if hasattr(obj, "bl_system_properties_get") else obj
+    group = None if kept is None else kept.get(_SETTINGS)
+    return None if group is None else group.get(name)
+
+
+def wide_lights(scene: Any, place: np.ndarray) -> list[str]:
+    """Return what is wrong with lights of the capture that are too wide to be their centres at a place (3,)."""
+    return [text for obj in photographed_lights(scene) if (text := too_wide(obj, place))]
+
+
+def wide_lights_around(obj: Any) -> list[str]:
+    """Return what ``wide_lights`` does of the open file's scene, for a subject in it."""
+    import bpy
+
+    return wide_lights(bpy.context.scene, middle_of(obj))
+
+
+def photographed_lights(scene: Any) -> list:
+    """Return the light objects that have an image, in the order of their names; numbers in them count as numbers."""
+    return [obj for obj in lights_in_order(scene) if setting(obj, "image") is not None]
+
+
+def lights_in_order(scene: Any) -> list:
+    """Return a scene's light objects in the order of names; those of excluded collections only of another scene."""
+    import bpy
+
+    context = bpy.context
+    objects = context.view_layer.objects if context.scene == scene else scene.objects
+    return sorted((obj for obj in objects if obj.type == "LIGHT"), key=lambda obj: natural(obj.name))
+
+
+def _name(scene: Any, lights: list) -> str:
+    """Return the capture's name: that of the files that the lights were made from, else the scene's."""
+    names = {obj.get(CAPTURE) for obj in lights}
+    return names.pop() if len(names) == 1 and None not in names else scene.name
+
+
+def _reader(photograph: Photograph):
+    return lambda: photograph.read().bounds
+
+
+def _camera_object(light: Any, scene: Any) -> Any:
+    camera = setting(light, "camera") or scene.camera
+    if camera is None:
+        raise InputError(f"light '{light.name}' has no camera and the scene has none; set the one that took its image")
+    return camera
+
+
+def _camera(obj: Any, width: int, height: int, scene: Any) -> Camera:
+    aspect = obj.get(ASPECT, (scene.render.pixel_aspect_x, scene.render.pixel_aspect_y))
+    return camera_from_object(obj, width, height, tuple(aspect))
+
+
+def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int, int]:
+    for _, error in _odd_sizes(pairs, camera):
+        raise error
+    return pairs[0][1].size
+
+
+def _odd_sizes(pairs: list[tuple[Any, Photograph]], camera: str) -> Iterator[tuple[Any, CaptureError]]:
+    """Yield the lights whose photographs are not of the size that most of a camera's have, with the error."""
+    sizes = [photograph.size for _, photograph in pairs]
+    expected = max(sizes, key=sizes.count)
+    for obj, photograph in pairs:
+        if photograph.size != expected:
+            width, height = photograph.size
+            message = (
+                f"{photograph.where} is {width} × {height}, others of camera '{camera}' are {expected[0]} ×"
+                f" {expected[1]}; all images of a camera must be of one size, unscaled and uncropped"
+            )
+            yield obj, CaptureError(message, "size")
+
+
+def _mask(obj: Any, camera: Camera, store: ImageStore) -> np.ndarray:
+    image = setting(obj, "image")
+    if image is None:
+        return np.ones((camera.height, camera.width), bool)
+    photograph = open_photograph(image, f"camera '{obj.name}'", store, "linear")
+    if photograph.size != (camera.width, camera.height):
+        raise InputError(
+            f"{photograph.where}, its mask, is {photograph.size[0]} × {photograph.size[1]}, its photographs are"
+            f" {camera.width} × {camera.height}; save it at their size"
+        )
+    mask = photograph.mask()
+    if not mask.any():
+        raise InputError(f"{photograph.where}, its mask, is empty; paint what is to be solved white")
+    return mask

@@ -1,0 +1,154 @@
+"""Photographs that are images of the open file: on disk, packed, or made in Blender."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...capture.errors import CaptureError
+from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.linearise import Picture, Samples, mask_of_picture, samples_of_picture
+from ...core.errors import InputError
+from ..images import decode
+
+# Custom properties of an image, for what Blender's own do not say: the part and the layer of an EXR that holds several,
+# and a colour space that a capture gives its file.
+PART, LAYER, COLOUR_SPACE = "irpso_part", "irpso_layer", "irpso_colour_space"
+_LINEAR_SPACES = ("Non-Color", "Linear Rec.709", "Linear", "Raw")
+_ENCODED_SPACES = ("sRGB",)
+_NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a set of UDIM tiles"}
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An image of the open file as a capture needs it. size: (width, height). where: what it is called in errors.
+
+    coarse: whether it holds 8-bit sRGB codes.
+    read: returns its Samples; mask: returns it as a mask, (H, W) bool. Both raise InputError.
+    """
+
+    size: tuple[int, int]
+    where: str
+    coarse: bool
+    read: Callable[[], Samples]
+    mask: Callable[[], np.ndarray]
+
+
+def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str = "auto") -> Photograph:
+    """Return a ``bpy.types.Image`` as a photograph; its pixels are read when they are asked for.
+
+    owner: what it belongs to, for errors, as in "light 'Sun'". Files, packed ones as well, are read by the program's
+    own readers, so packing changes nothing. An image that was painted or made in Blender is taken as Blender holds it.
+    colour_space: as for read_capture; "auto" takes an image that Blender is told to be linear for that. Raises
+    InputError where it is no still image of one layer in sRGB or linear Rec. 709, or its file is missing.
+    """
+    where = f"image '{image.name}' of {owner}"
+    if image.source in _NOT_STILL:
+        raise InputError(f"{where} is {_NOT_STILL[image.source]}; give it one still image")
+    if image.source == "VIEWER":
+        raise InputError(f"{where} is a render's result; save it as EXR and give that file")
+    space = _colour_space(image, where, colour_space)
+    if image.is_dirty or image.source == "GENERATED":
+        return _in_memory(image, where, space)
+    if image.packed_file is not None:
+        return _packed(image, where, space)
+    reference = ImageRef(file_of(image), image.get(PART), image.get(LAYER), space)
+    if not reference.path.is_file():
+        message = f"{where} is not there: {reference.path}; choose it again, or use File > External Data"
+        raise CaptureError(message, "missing")
+    with _told(where):
+        size, coarse = store.size(reference), store.coarse(reference)
+    return Photograph(size, where, coarse, lambda: store.samples(reference), lambda: store.mask(reference))
+
+
+def file_of(image: Any) -> Path:
+    """Return the path of an image's file, whether anything is there or not."""
+    import bpy
+
+    return Path(bpy.path.abspath(image.filepath, library=image.library))
+
+
+def _colour_space(image, where: str, wanted: str) -> str:
+    if wanted != "auto":
+        return wanted
+    if COLOUR_SPACE in image:
+        return image[COLOUR_SPACE]
+    name = image.colorspace_settings.name
+    if name in _LINEAR_SPACES:
+        return "linear"
+    if name not in _ENCODED_SPACES:
+        raise InputError(f"{where} is in color space '{name}'; set it to sRGB, Linear Rec.709 or Non-Color")
+    return "auto"
+
+
+def _in_memory(image, where: str, space: str) -> Photograph:
+    """An image that no file holds as it is now. Its pixels are looked up by number: an undo makes all pointers void."""
+    uid, size = image.session_uid, tuple(image.size)
+    if 0 in size:
+        raise InputError(f"{where} has no pixels; choose another")
+
+    def picture() -> Picture:
+        found = _image_of(uid, where)
+        width, height = found.size
+        values = np.empty(width * height * found.channels, np.float32)
+        found.pixels.foreach_get(values)
+        return Picture(values.reshape(height, width, found.channels), 32 if found.is_float else 8)
+
+    def read() -> Samples:
+        # Blender keeps floats in linear light, whatever the color space of their file: what "auto" takes them for.
+        return samples_of_picture(picture(), space)
+
+    return Photograph(size, where, not image.is_float and space != "linear", read, lambda: mask_of_picture(picture()))
+
+
+def _packed(image, where: str, space: str) -> Photograph:
+    uid, part, layer = image.session_uid, image.get(PART), image.get(LAYER)
+
+    def through_file(work: Callable):
+        with _unpacked(_image_of(uid, where), where) as path, _told(where, path):
+            return work(ImageStore(decode), ImageRef(path, part, layer, space))
+
+    size, coarse = through_file(lambda store, packed: (store.size(packed), store.coarse(packed)))
+    read, mask = (lambda: through_file(ImageStore.samples)), (lambda: through_file(ImageStore.mask))
+    return Photograph(size, where, coarse, read, mask)
+
+
+@contextmanager
+def _unpacked(image, where: str) -> Iterator[Path]:
+    """Yield the path of a packed image's bytes in a temporary file."""
+    import bpy
+
+    if image.packed_file is None:
+        raise InputError(f"{where} was unpacked meanwhile; start again")
+    with tempfile.TemporaryDirectory(prefix="irpso-", dir=bpy.app.tempdir) as folder:
+        path = Path(folder) / "packed"
+        path.write_bytes(image.packed_file.data)
+        yield path
+
+
+def _image_of(uid: int, where: str):
+    import bpy
+
+    for image in bpy.data.images:
+        if image.session_uid == uid:
+            return image
+    raise InputError(f"{where} was deleted meanwhile; give the light another and start again")
+
+
+@contextmanager
+def _told(where: str, path: Path | None = None) -> Iterator[None]:
+    """Put the image's name into errors that tell of its file."""
+    try:
+        yield
+    except CaptureError as error:
+        if error.code in ("part", "layer"):
+            raise InputError(
+                f"{where} is an EXR of several layers; save the one to be used by itself, or list it in a capture.toml"
+            ) from error
+        raise CaptureError(f"{where}: {error.message.replace(f'{path}: ', '')}", error.code) from error

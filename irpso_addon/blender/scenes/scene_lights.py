@@ -1,0 +1,97 @@
+"""Lights of Blender scenes as lights of a capture, and what Blender has no place for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...capture.types import Light
+from ...core.errors import InputError
+from .light_units import area_intensity, point_intensity, spot_cone, spot_intensity, sun_intensity
+from .scene import world_matrix
+
+LIGHT_TYPES = ("SUN", "POINT", "SPOT", "AREA")
+# Custom property of a light, where no kind of Blender's has both: its cone in degrees (0 for none), and 1 where it
+# falls with the cosine.
+EMISSION = "irpso_emission"
+# An area light wider than this part of its distance is more than its centre: a disk gives 1 % less than its centre
+# would (1 / (1 + tan² of its half-angle)), and is seen 11° wide, which blurs highlights.
+WIDEST = 0.2
+_INTENSITY = {"SUN": sun_intensity, "POINT": point_intensity, "SPOT": spot_intensity, "AREA": area_intensity}
+_EVEN = 1e-4  # how far the scales of a spot may differ: they stretch its cone
+
+
+def light_of(obj: Any) -> Light:
+    """Return a Blender light object as a light; a spot within its cone, an area light as its centre.
+
+    Raises InputError, naming the object, where it gives no light or differs with direction in a way that is not read.
+    """
+    data, where = obj.data, f"light '{obj.name}'"
+    if not getattr(data, "normalize", True):
+        raise InputError(f"{where} is not normalized, so its size changes its strength; turn Normalize on")
+    power = data.energy * 2.0 ** getattr(data, "exposure", 0.0)
+    colour = np.array(data.color, np.float64) * _node_gain(data, where)
+    if getattr(data, "use_temperature", False):
+        colour *= np.array(data.temperature_color, np.float64)
+    distant = data.type == "SUN"
+    intensity = colour * _INTENSITY[data.type](power)
+    if (intensity < 0).any() or not intensity.any():
+        raise InputError(f"{where} gives {'negative' if intensity.any() else 'no'} light; set its strength and colour")
+    matrix = world_matrix(obj)
+    vector = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]) if distant else matrix[:3, 3]
+    light = Light(tuple(map(float, vector)), tuple(map(float, intensity)), distant)
+    return _directed(light, obj, matrix[:3, :3], where) if data.type in ("SPOT", "AREA") else light
+
+
+def too_wide(obj: Any, place: np.ndarray) -> str:
+    """Return what is wrong with a light that is too wide to be taken as its centre at a place (3,), "" for others."""
+    data = obj.data
+    if data.type != "AREA":
+        return ""
+    matrix = world_matrix(obj)
+    sides = (data.size, data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size)
+    width = float(max(side * np.linalg.norm(matrix[:3, axis]) for axis, side in enumerate(sides)))
+    distance = float(np.linalg.norm(matrix[:3, 3] - place))
+    if width <= WIDEST * distance:
+        return ""
+    return (
+        f"light '{obj.name}' is {width:.3g} wide, {distance:.3g} from the subject, and is taken as its centre; make it"
+        f" at most {WIDEST * distance:.3g} wide, or move it away, for highlights as sharp as the material's"
+    )
+
+
+def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
+    """Return the light of a spot or an area light, which look along their −z."""
+    data = obj.data
+    axis = tuple(map(float, -axes[:, 2] / np.linalg.norm(axes[:, 2])))
+    if EMISSION in obj:
+        cone, cosine = obj[EMISSION]
+        return replace(light, axis=axis, cone=float(cone) or None, cosine=bool(cosine))
+    if data.type == "AREA":
+        if data.spread < math.pi - _EVEN:
+            raise InputError(
+                f"{where} has a Spread of {math.degrees(data.spread):.0f}°, which is not read; set it to 180°"
+            )
+        return replace(light, axis=axis, cosine=True)
+    scales = np.linalg.norm(axes, axis=0)
+    if data.use_square or np.ptp(scales) > _EVEN * scales.max():
+        raise InputError(f"{where} has a cone that is not round; turn Square off, and scale it evenly")
+    cone = spot_cone(data.spot_size, data.spot_blend)
+    if cone <= 0:
+        raise InputError(f"{where} has its full strength nowhere; lower Blend")
+    return replace(light, axis=axis, cone=cone)
+
+
+def _node_gain(data: Any, where: str) -> np.ndarray:
+    """Return (3,) what a light's nodes multiply its colour by: the strength and colour of a plain Emission."""
+    if not data.use_nodes or data.node_tree is None:
+        return np.ones(3)
+    output = data.node_tree.get_output_node("ALL")
+    links = output.inputs["Surface"].links if output else ()
+    node = links[0].from_node if links else None
+    if node is None or node.bl_idname != "ShaderNodeEmission" or any(socket.is_linked for socket in node.inputs):
+        raise InputError(f"{where} has nodes other than a plain Emission; remove them, or turn Use Nodes off")
+    return np.array(node.inputs["Color"].default_value[:3]) * node.inputs["Strength"].default_value

@@ -1,0 +1,91 @@
+"""A camera and a light of a capture as Blender's objects; ``geometry.scene_capture`` reads them back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ...capture.camera import Camera
+from ...capture.types import Light
+from .light_units import area_power, point_power, spot_power, sun_strength
+from .scene import DISTORTION
+from .scene_capture import ASPECT
+from .scene_lights import EMISSION
+
+RESOLUTION = "irpso_resolution"  # custom property of a camera: its image's size (width, height)
+_SENSOR = 36.0  # mm, Blender's own default
+_AREA_SIZE = 1e-3  # of an area light, world units: a capture knows its centre alone
+_WIDEST_SPOT = 90.0  # degrees from the axis: the widest cone that Blender's spots have
+_POWER = {"SUN": sun_strength, "POINT": point_power, "SPOT": spot_power, "AREA": area_power}
+
+
+def set_camera(obj, camera: Camera) -> None:
+    """Give a camera object the projection and place of a camera: ``geometry.scene.camera_from_object`` undoes it."""
+    from mathutils import Matrix
+
+    data, (width, height) = obj.data, (camera.width, camera.height)
+    tall = camera.scale[0] / camera.scale[1]  # of a pixel, over its width
+    data.type = "PERSP" if camera.perspective else "ORTHO"
+    data.sensor_fit = "HORIZONTAL"
+    if camera.perspective:
+        data.sensor_width = max(_SENSOR, width / camera.scale[0])  # a lens is 1 mm or longer
+        data.lens = data.sensor_width * camera.scale[0] / width
+    else:
+        data.ortho_scale = width / camera.scale[0]
+    data.shift_x = (width / 2 - camera.centre[0]) / width
+    data.shift_y = (height / 2 - camera.centre[1]) * tall / width
+    obj[RESOLUTION] = width, height
+    obj[ASPECT] = (max(1.0, 1 / tall), max(1.0, tall))
+    _keep(obj, DISTORTION, camera.distortion)
+    obj.rotation_mode = "QUATERNION"  # Euler angles lose half of the digits near a quarter turn
+    obj.matrix_world = Matrix(camera.matrix.tolist())
+
+
+def set_light(obj, light: Light, centre=(0.0, 0.0, 0.0), radius: float = 1.0) -> None:
+    """Make a light object that light: ``geometry.scene_lights.light_of`` undoes it. A distant one is put on a dome.
+
+    centre, radius: of the dome, world units. A light with an axis that differs with no direction becomes a Point.
+    """
+    from mathutils import Vector
+
+    strongest = max(light.intensity)
+    obj.data.type = _type_of(light)
+    data = obj.data  # its class has changed with its type
+    data.color = [value / strongest for value in light.intensity]
+    for name, value in (("exposure", 0.0), ("normalize", True), ("use_temperature", False)):
+        if hasattr(data, name):  # since Blender 4.5
+            setattr(data, name, value)
+    data.energy = _POWER[data.type](strongest)
+    _set_shape(data, light)
+    both = light.cosine and light.cone is not None
+    _keep(obj, EMISSION, (light.cone or 0.0, float(light.cosine)) if both or (light.cone or 0) > _WIDEST_SPOT else ())
+    vector = Vector(light.vector)
+    backward = vector if light.distant else -Vector(light.axis or (0, 0, -1))
+    obj.rotation_mode = "QUATERNION"
+    obj.rotation_quaternion = backward.to_track_quat("Z", "Y")
+    obj.location = Vector(centre) + radius * vector if light.distant else vector
+
+
+def _type_of(light: Light) -> str:
+    if light.distant:
+        return "SUN"
+    return "AREA" if light.cosine else "POINT" if light.cone is None else "SPOT"
+
+
+def _set_shape(data, light: Light) -> None:
+    if data.type == "SUN":
+        data.angle = 0.0
+    elif data.type == "AREA":
+        data.shape, data.size, data.spread = "SQUARE", _AREA_SIZE, math.pi
+    else:
+        data.shadow_soft_size = 0.0
+    if data.type == "SPOT":
+        data.spot_size, data.spot_blend, data.use_square = 2 * math.radians(min(light.cone, _WIDEST_SPOT)), 0.0, False
+
+
+def _keep(obj, name: str, values: Sequence[float]) -> None:
+    """Give an object a custom property, or take it away where there is nothing to keep."""
+    if values:
+        obj[name] = [float(value) for value in values]
+    elif name in obj:
+        del obj[name]

@@ -1,0 +1,57 @@
+"""Blender's tiled images: their pixels tile by tile, which Blender itself shows scripts of the first tile alone."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..core.errors import InputError
+from ..core.udim import ONE_SQUARE, PATTERN, tile_place
+
+
+@contextmanager
+def tile_images(image, tiles: Sequence[int]) -> Iterator[list]:
+    """Yield an image of its own for each of the UDIM tiles, gone afterwards; of one square the image itself.
+
+    Raises InputError where the image is not tiled though the maps are, or has no file for a tile.
+    """
+    import bpy
+
+    if image.source != "TILED":
+        if tuple(tiles) != ONE_SQUARE:
+            names = ", ".join(map(str, tiles))
+            raise InputError(
+                f"image '{image.name}' is one picture, the UV map has the UDIM tiles {names}; choose a tiled image"
+            )
+        yield [image]
+        return
+    made = []
+    try:
+        with tempfile.TemporaryDirectory(prefix="irpso-") as folder:
+            for number in tiles:
+                made.append(_loaded(image, number, Path(folder)))
+                made[-1].size[:]  # read while the file is there
+            yield made
+    finally:
+        for one in made:
+            bpy.data.images.remove(one)
+
+
+def _loaded(image, number: int, folder: Path):
+    import bpy
+
+    packed = next((file for file in image.packed_files if file.tile_number == number), None)
+    if packed is not None:
+        path = folder / f"{number}{Path(image.filepath).suffix}"
+        path.write_bytes(packed.packed_file.data)
+    else:
+        column, row = tile_place(number)
+        name = image.filepath.replace(PATTERN, str(number)).replace("<UVTILE>", f"u{column + 1}_v{row + 1}")
+        path = Path(bpy.path.abspath(name, library=image.library))
+    if number not in {tile.number for tile in image.tiles} or not path.is_file():
+        raise InputError(f"image '{image.name}' has no file for UDIM tile {number}; add the tile, and save the image")
+    one = bpy.data.images.load(str(path), check_existing=False)
+    one.colorspace_settings.name, one.alpha_mode = image.colorspace_settings.name, image.alpha_mode
+    return one

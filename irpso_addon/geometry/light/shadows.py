@@ -1,0 +1,215 @@
+"""Cast and attached shadows that the mesh itself predicts: how far each texel can see a light.
+
+A shadow map (Williams 1978, Casting curved shadows on curved surfaces) that holds the number of the triangle which the
+light sees rather than a depth: a texel is then compared with that triangle's plane at the texel's own place, so a
+surface cannot shade itself for its slope alone, and the bias is a distance across the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...capture.types import Light
+from ..project import ROUNDING, blocks, filled
+from ..surface.bake import SurfaceBake, camera_triangles
+from ..surface.footprint import texel_steps
+from ..surface.mesh import MeshData
+
+_PIXELS_A_TEXEL = 1.5  # along a side: between lit and dark a texel's weight then changes over less than two texels
+_SMALLEST, _LARGEST = 256, 4096  # pixels along a side of a map
+_BORDER = 2  # pixels of a map around what it is to hold
+_WIDEST = math.radians(50)  # half the angle over which one picture is taken of what a near light shines on
+# A texel is shaded by a plane that is more than a pixel in front of it, measured across the plane. With half a pixel
+# 0.6 to 1.5 % of the head scan that is lit was taken for shaded, nearly all at n·l < 0.2; with one, under 1 %.
+_BIAS = 1.0
+# And, as that is far along the light where the plane is seen edge on, by one so many pixels nearer to the light.
+_FARTHEST = 8.0
+# Cosine to the light below zero at which a face tells nothing any more: 95 % of the normals in the head scan's normal
+# map are within 7° of the mesh's own, so that what the mesh has turned away by less may still be lit.
+_TURNED = 0.12
+
+
+class ShadowCaster:
+    """A mesh as the lights of a capture see it; ``weights`` draws one shadow map at a time.
+
+    mesh: what casts shadows, all of its triangles. bake: the texels they fall on. texel: how wide one is in the world
+    (``texel_size``); maps have about 1.5 pixels to a texel along each side, 256 to 4096 in all.
+    """
+
+    def __init__(self, mesh: MeshData, bake: SurfaceBake, texel: float):
+        self._mesh, self._bake, self._texel = mesh, bake, texel
+        corners = mesh.positions.astype(np.float64)
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+        offset = -np.einsum("ij,ij->i", across, corners[:, 0])
+        self._planes = np.concatenate([across, offset[:, None]], axis=1)
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        self._centre = (low + high) / 2
+        self._radius = float(np.linalg.norm(corners - self._centre, axis=-1).max())
+        self._rounding = ROUNDING * float(np.abs(corners).max())
+        self._points = _lifted(mesh, bake)
+
+    def weights(self, light: Light, texels: np.ndarray) -> np.ndarray:
+        """Return (N,) float32 what a sample of each texel under a light is worth: 1 lit, 0 in shadow.
+
+        texels: (N,) flat indices into the bake. Between, at the border of a cast shadow, the part of the four pixels of
+        the map around a texel that see the light is taken, twice less one: a sample in half a shadow is off by half.
+        Where both the face and the shading normal turn away from the light, the weight falls to 0 at 7°.
+        """
+        result = self._turned(light, texels)
+        planes = self._oriented(light)
+        for view, chosen in self._views(light, texels, np.flatnonzero(result > 0)):
+            numbers = camera_triangles(self._mesh, view)
+            for part in blocks(chosen):
+                lit = self._lit(light, view, numbers, planes, texels[filled(part)])
+                result[part] *= np.clip(2 * lit - 1, 0, 1)[: len(part)]
+        return result
+
+    def _turned(self, light: Light, texels: np.ndarray) -> np.ndarray:
+        """Return the weights of attached shadow."""
+        result = np.zeros(len(texels), np.float32)
+        for part in blocks(np.arange(len(texels))):
+            block = texels[filled(part)]
+            toward = _toward(light, self._points[block].astype(np.float64))
+            cosines = [
+                np.einsum("ij,ij->i", normals.reshape(-1, 3)[block].astype(np.float64), toward)
+                for normals in (self._bake.face_normal, self._bake.normal)
+            ]
+            result[part] = np.clip(1 + np.maximum(*cosines) / _TURNED, 0, 1)[: len(part)]
+        return result
+
+    def _views(self, light: Light, texels: np.ndarray, left: np.ndarray) -> Iterator[tuple[Camera, np.ndarray]]:
+        """Yield cameras at the light, and which of the texels that are left each is for."""
+        if not len(left):
+            return
+        vector = np.asarray(light.vector, np.float64)
+        if light.distant:
+            toward = vector / np.linalg.norm(vector)
+            size = self._size(2 * self._radius)
+            scale = (size - 2 * _BORDER) / (2 * max(self._radius, 1e-30))
+            place = self._centre + 2 * self._radius * toward
+            yield Camera(size, size, (scale, scale), (size / 2, size / 2), _looking(place, toward), False), left
+            return
+        away = vector - self._centre
+        distance = float(np.linalg.norm(away))
+        if distance * math.sin(_WIDEST) > self._radius:
+            half = math.tan(math.asin(self._radius / distance))
+            yield _perspective(vector, away / distance, half, self._size(2 * half * distance)), left
+            return
+        # From within, the six sides of a cube.
+        size = self._size(2 * (distance + self._radius))
+        side = np.empty(len(left), np.uint8)
+        for part in blocks(np.arange(len(left))):
+            points = self._points[texels[left[part]]] - vector
+            longest = np.abs(points).argmax(axis=1)
+            side[part] = 2 * longest + (np.take_along_axis(points, longest[:, None], axis=1)[:, 0] < 0)
+        for number in range(6):
+            if (side == number).any():
+                backward = np.zeros(3)
+                backward[number // 2] = 1 if number % 2 else -1
+                yield _perspective(vector, backward, 1.0, size), left[side == number]
+
+    def _size(self, width: float) -> int:
+        """Return how many pixels a map has along a side that is so wide in the world."""
+        return int(np.clip(math.ceil(_PIXELS_A_TEXEL * width / max(self._texel, 1e-30)), _SMALLEST, _LARGEST))
+
+    def _oriented(self, light: Light) -> np.ndarray:
+        """Return (T, 4) the planes of the triangles, with the light on their positive side."""
+        vector = np.asarray(light.vector, np.float64)
+        height = self._planes[:, :3] @ vector + (0 if light.distant else self._planes[:, 3])
+        return self._planes * np.where(height < 0, -1.0, 1.0)[:, None]
+
+    def _lit(
+        self, light: Light, view: Camera, numbers: np.ndarray, planes: np.ndarray, texels: np.ndarray
+    ) -> np.ndarray:
+        """Return (N,) the part of the map's pixels around each texel that see it lit."""
+        own = self._bake.triangle.ravel()[texels]
+        points = self._points[texels].astype(np.float64)
+        place, depth = view.project(points)
+        place = np.clip(place - 0.5, 0, [view.width - 1.001, view.height - 1.001])
+        corner = np.floor(place).astype(np.int64)
+        x, y = (place - corner).T
+        first = corner[:, 0] + corner[:, 1] * view.width
+        pixel = (depth if view.perspective else np.ones_like(depth)) / view.scale[0]
+        toward = _toward(light, points)
+        lit = np.ones(len(texels))
+        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            weight = (x if dx else 1 - x) * (y if dy else 1 - y)
+            number = numbers.ravel()[first + dx + dy * view.width]
+            other = np.flatnonzero((number >= 0) & (number != own))
+            plane, point = planes[number[other]], points[other]
+            height = np.einsum("ij,ij->i", plane[:, :3], point) + plane[:, 3]
+            slope = np.einsum("ij,ij->i", plane[:, :3], toward[other])
+            bias = pixel[other] * np.minimum(_BIAS, _FARTHEST * np.abs(slope)) + self._rounding
+            lit[other] -= weight[other] * (height < -bias)
+        return lit
+
+
+def texel_size(mesh: MeshData, bake: SurfaceBake) -> float:
+    """Return how wide a texel is in the world: the root of the mean area of those that a bake of the whole covers."""
+    height, width = bake.coverage.shape
+    steps = texel_steps(mesh, width, height)
+    areas = np.linalg.norm(np.cross(steps[:, 0], steps[:, 1]), axis=1)
+    counts = np.bincount(bake.triangle[bake.coverage], minlength=len(areas))
+    return math.sqrt(float((areas * counts).sum()) / max(int(counts.sum()), 1))
+
+
+def _lifted(mesh: MeshData, bake: SurfaceBake) -> np.ndarray:
+    """Return (H · W, 3) float32: texels moved from flat triangles to the curved surface that their normals stand for.
+
+    Without it the facets of a smooth mesh shade each other near the border of the light (Hanika 2021, Hacking the
+    shadow terminator): a point goes up by how far it lies under the planes at the corners.
+    """
+    lifted = bake.position.reshape(-1, 3).copy()
+    for part in blocks(np.flatnonzero(bake.coverage)):
+        numbers = bake.triangle.ravel()[part]
+        corners, normals = mesh.positions[numbers].astype(np.float64), mesh.normals[numbers].astype(np.float64)
+        points = lifted[part].astype(np.float64)
+        below = np.minimum(np.einsum("nkj,nkj->nk", points[:, None] - corners, normals), 0)
+        lifted[part] = points - np.einsum("nk,nkj->nj", _corner_weights(corners, points) * below, normals)
+    return lifted
+
+
+def _toward(light: Light, points: np.ndarray) -> np.ndarray:
+    """Return (N, 3) unit vectors from points toward a light."""
+    vector = np.asarray(light.vector, np.float64)
+    if light.distant:
+        return np.broadcast_to(vector / np.linalg.norm(vector), points.shape)
+    toward = vector - points
+    return toward / np.maximum(np.linalg.norm(toward, axis=1), 1e-300)[:, None]
+
+
+def _corner_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return (N, 3) barycentric weights, 0…1, of points (N, 3) in triangles (N, 3, 3); thirds in collapsed ones."""
+    a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    aa, ab, bb = (np.einsum("ij,ij->i", u, v) for u, v in ((a, a), (a, b), (b, b)))
+    pa, pb = (np.einsum("ij,ij->i", p, v) for v in (a, b))
+    area = aa * bb - ab * ab
+    flat = area <= 1e-12 * aa * bb
+    area = np.where(flat, 1, area)
+    second, third = (bb * pa - ab * pb) / area, (aa * pb - ab * pa) / area
+    weights = np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
+    weights[flat] = 1 / 3
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _perspective(place: np.ndarray, backward: np.ndarray, half: float, size: int) -> Camera:
+    """Return a camera that looks against ``backward`` and sees as far to the sides as ``half``, a tangent."""
+    scale = (size / 2 - _BORDER) / half
+    return Camera(size, size, (scale, scale), (size / 2, size / 2), _looking(place, backward))
+
+
+def _looking(place: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Return (4, 4) the matrix of a camera at a place, with its z axis along a unit vector."""
+    aside = np.zeros(3)
+    aside[np.abs(backward).argmin()] = 1
+    right = np.cross(aside, backward)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(backward, right), backward], axis=1)
+    matrix[:3, 3] = place
+    return matrix

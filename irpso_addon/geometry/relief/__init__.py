@@ -1,0 +1,1 @@
+"""Heights from recovered normals: the relief of a card, the detail on a mesh."""

@@ -1,0 +1,1 @@
+"""Surfaces as texels: meshes, UV layouts, bakes, footprints of texels in images."""

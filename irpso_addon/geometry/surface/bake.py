@@ -1,0 +1,201 @@
+"""Geometry bakes: the surface that each texel of a UV square, or each pixel of a camera, shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ...core.errors import InputError
+from ...gpu import context, raster
+from ..domain import GeometryBake
+from .lens import undistorted_frame
+from .mesh import MeshData
+from .slots import OPTION, overlapping_slots
+
+# What islands may share of the covered texels: neighbours packed to within rounding touch, they do not overlap.
+OVERLAP_LIMIT = 0.005
+_OVERLAP_SIZE = 1024  # texels along the square on which overlaps are looked for
+_LARGEST_SIDE = 16384  # texels drawn at once at most along a side, whatever the device allows
+_BLOCK = 1024  # texels along the square in which coverage is looked for
+_NEAREST = 1e-4  # the near plane, as a part of the farthest depth
+
+
+@dataclass(frozen=True)
+class SurfaceBake(GeometryBake):
+    """A geometry bake of a mesh, with the triangles themselves.
+
+    face_normal: (H, W, 3) float32 unit normal of the flat triangle, on the side that the shading normal is on.
+    triangle: (H, W) int32 its number, −1 where there is none.
+    """
+
+    face_normal: np.ndarray
+    triangle: np.ndarray
+
+
+def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> SurfaceBake:
+    """Return the surface over each texel's centre of the UV square, at any resolution.
+
+    The tangent is made orthogonal to the normal in every texel, so (t, sign · n × t, n) is an orthonormal frame: the
+    solver's tangent space. Raises InputError, naming the mesh, where more than 0.5 % of the covered texels show
+    several triangles (unless allowed: then the last of them counts).
+    """
+    if not allow_overlap:
+        _refuse_overlap(mesh)
+    places = _uv_places(mesh, width, height)
+    context.ensure()
+    side = min(context.max_texture_size(), _LARGEST_SIDE)
+    if max(width, height) <= side:
+        return _bake(mesh, places, width, height, nearest=False)
+    # Wider than a texture can be, as UDIM tiles side by side may well stand.
+    rows = []
+    for y in range(0, height, side):
+        blocks = [
+            _bake(mesh, places - np.array([x, y, 0, 0]), min(side, width - x), min(side, height - y), nearest=False)
+            for x in range(0, width, side)
+        ]
+        rows.append(_joined(blocks, axis=1))
+    return _joined(rows, axis=0)
+
+
+def _joined(parts: list[SurfaceBake], axis: int) -> SurfaceBake:
+    names = [item.name for item in fields(SurfaceBake)]
+    return SurfaceBake(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names})
+
+
+def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    """Return (H, W) bool: the texels whose centre a triangle covers, found in blocks and so with little memory.
+
+    Where an edge runs through a centre it may differ from ``bake_uv`` in rounding.
+    """
+    places = _uv_places(mesh, width, height)
+    covered = np.zeros((height, width), bool)
+    for y in range(0, height, _BLOCK):
+        for x in range(0, width, _BLOCK):
+            size = min(_BLOCK, width - x), min(_BLOCK, height - y)
+            moved = places - np.array([x, y, 0, 0])
+            covered[y : y + _BLOCK, x : x + _BLOCK] = raster.triangle_numbers(moved, *size, first=False) > 0
+    return covered
+
+
+def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
+    """Return the nearest surface that the centre of each of a camera's pixels sees; back faces are surface too.
+
+    A perspective camera sees what is farther than 1e-4 of the farthest depth; an orthographic one, which has no place,
+    sees all along its direction. Triangles are drawn with straight edges: where the lens distorts, a camera without
+    distortion is drawn, at the camera's own scale, and each pixel shows that one's pixel nearest to it.
+    """
+    if any(camera.distortion):
+        plain, index = undistorted_frame(camera)
+        return _picked(bake_camera(mesh, plain), index)
+    return _bake(mesh, _camera_places(mesh, camera), camera.width, camera.height, nearest=True)
+
+
+def camera_triangles(mesh: MeshData, camera: Camera) -> np.ndarray:
+    """Return (H, W) int32: the number of the triangle that ``bake_camera`` shows, −1 for none; of a plain camera."""
+    places = _camera_places(mesh, camera)
+    return raster.nearest_triangles(places, camera.width, camera.height) - 1
+
+
+def _picked(bake: SurfaceBake, index: np.ndarray) -> SurfaceBake:
+    """Return a bake of some pixels of another, (H, W) flat indices, −1 for a pixel that shows nothing."""
+    nothing = {"triangle": -1}
+    arrays = {}
+    for item in fields(SurfaceBake):
+        values = getattr(bake, item.name)
+        picked = values.reshape(-1, *values.shape[2:])[np.maximum(index, 0)]
+        picked[index < 0] = nothing.get(item.name, 0)
+        arrays[item.name] = picked
+    return SurfaceBake(**arrays)
+
+
+def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:
+    """Return which part of the covered texels of the UV square lies under more than one triangle, 0…1.
+
+    A UDIM tile is looked at in size × size texels.
+    """
+    return _shared(*_first_and_last(mesh, size))
+
+
+def _first_and_last(mesh: MeshData, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last triangle over each texel, from 1; 0 for none. Tiles stand on each other."""
+    places = _uv_places(mesh, size * len(mesh.tiles), size)
+    found = [
+        [raster.triangle_numbers(places - np.array([x, 0, 0, 0]), size, size, first) for first in (True, False)]
+        for x in range(0, size * len(mesh.tiles), size)
+    ]
+    first, last = (np.concatenate(part) for part in zip(*found, strict=True))
+    return first, last
+
+
+def _shared(first: np.ndarray, last: np.ndarray) -> float:
+    return float((first != last).sum() / max((last > 0).sum(), 1))
+
+
+def _refuse_overlap(mesh: MeshData) -> None:
+    first, last = _first_and_last(mesh, _OVERLAP_SIZE)
+    shared = _shared(first, last)
+    if shared > OVERLAP_LIMIT:
+        where = f"UV map '{mesh.uv_map}' of '{mesh.name}' overlaps itself over {100 * shared:.3g} % of its texels"
+        if slots := overlapping_slots(mesh.materials, first, last):
+            names = ", ".join(f"'{mesh.slots[slot]}'" if slot < len(mesh.slots) else str(slot) for slot in slots)
+            raise InputError(
+                f"{where}, because the material slots {names} share it; recover them one by one ({OPTION}), or unwrap"
+                " them side by side"
+            )
+        if mesh.copied_by and _repeated(mesh, first, last):
+            names = " or ".join(f"'{name}'" for name in mesh.copied_by)
+            raise InputError(
+                f"{where}, because modifier {names} makes copies that share it; switch that off in the viewport until"
+                " the maps are kept, or apply it and unwrap the mesh again"
+            )
+        raise InputError(f"{where}; unwrap the mesh so that every place has texels of its own")
+
+
+def _repeated(mesh: MeshData, first: np.ndarray, last: np.ndarray) -> bool:
+    """Return whether most of what overlaps does so with triangles of the very same texture coordinates."""
+    shared = first != last
+    corners = mesh.uvs[..., 0] + 1j * mesh.uvs[..., 1]
+    one, other = (np.sort(corners[numbers[shared] - 1], axis=-1) for numbers in (first, last))
+    return bool((one == other).all(axis=-1).mean() > 0.5)
+
+
+def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:
+    corners = {name: getattr(mesh, name) for name in ("positions", "normals", "tangents", "uvs")}
+    drawn = raster.rasterize(places, corners, width, height, nearest)
+    return SurfaceBake(
+        position=drawn["position"][..., :3].copy(),
+        normal=drawn["normal"][..., :3].copy(),
+        tangent=drawn["tangent"],
+        coverage=drawn["position"][..., 3] > 0.5,
+        uv=drawn["uv"][..., :2].copy(),
+        face_normal=drawn["face"][..., :3].copy(),
+        triangle=drawn["face"][..., 3].astype(np.int32) - 1,
+    )
+
+
+def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
+    places = np.zeros((*mesh.uvs.shape[:2], 4))
+    places[..., :2] = mesh.texel_uvs * np.array([width, height], np.float64)
+    places[..., 3] = 1.0
+    return places
+
+
+def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
+    """Return (T, 3, 4) pixel coordinates, depth in −1…1 and w of a camera, all but w multiplied by w."""
+    inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
+    local = mesh.positions.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+    depth = -local[..., 2]
+    w = depth if camera.perspective else np.ones_like(depth)
+    plane = local[..., :2] * np.asarray(camera.scale) + w[..., None] * np.asarray(camera.centre)
+    span = max(float(np.ptp(depth)), 1e-6 * float(np.abs(depth).max()), 1e-30)
+    if camera.perspective:
+        far = max(float(depth.max()), 1e-30) + 1e-3 * span
+        near = max(float(depth.min()) - 1e-3 * span, _NEAREST * far)
+        clip = ((far + near) * depth - 2 * far * near) / (far - near)
+    else:
+        # A margin, so that rounding cuts nothing away.
+        near, far = float(depth.min()) - 1e-3 * span, float(depth.max()) + 1e-3 * span
+        clip = (2 * depth - far - near) / (far - near)
+    return np.concatenate([plane, clip[..., None], w[..., None]], axis=-1)

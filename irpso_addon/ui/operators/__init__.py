@@ -1,0 +1,1 @@
+"""Operators, one file a job: import, set up, recover, restore, export."""

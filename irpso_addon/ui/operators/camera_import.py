@@ -1,0 +1,117 @@
+"""Cameras that a photogrammetry program placed, as camera objects of the scene, beside the mesh that it made."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, StringProperty
+
+from ...blender.scenes.scene_objects import set_camera
+from ...capture.poses import PoseFile, read_poses
+from ...core.errors import InputError
+from ..common.file_paths import absolute
+
+# Custom properties: of a collection, its empty and its cameras, the file that they came from; of a camera, its image.
+_SOURCE, _IMAGE = "irpso_cameras", "irpso_camera_image"
+_EXTENSIONS = ".xml;.sfm;.json;.txt"
+_SMALL = 0.1  # of the cameras' distance from their middle: how large they are drawn
+_FAR = 10.0  # of the same: how far they see
+_AXES = (
+    ("AUTO", "Automatic", "Of COLMAP, whose meshes are PLY, as in the file; of others as for an OBJ"),
+    ("OBJ", "For an OBJ", "Turned by 90° about X, as Blender turns the OBJ files that it imports"),
+    ("FILE", "As in the File", "As Blender leaves PLY and STL files, and OBJ files imported with Y Forward and Z Up"),
+)
+
+
+def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
+    """Make a camera object for each camera of a file, below an empty, in a collection; return them.
+
+    Those that were made of the same file before are brought up to date, and their empty stays where it was put. axes:
+    of ``_AXES``. Pixels, lens, sensor, shift and distortion are kept: a light that names a camera is seen by it.
+    """
+    source, title = str(poses.path.resolve()), f"Cameras {poses.path.stem}"
+    collection = next((c for c in scene.collection.children_recursive if c.get(_SOURCE) == source), None)
+    if collection is None:
+        collection = bpy.data.collections.new(title)
+        collection[_SOURCE] = source
+        scene.collection.children.link(collection)
+    empty = next((obj for obj in collection.objects if obj.type == "EMPTY" and _SOURCE in obj), None)
+    if empty is None:
+        empty = bpy.data.objects.new(title, None)
+        empty[_SOURCE] = source
+        empty.empty_display_type = "ARROWS"
+        turned = axes == "OBJ" or (axes == "AUTO" and poses.program != "COLMAP")
+        empty.rotation_euler = (math.pi / 2 if turned else 0.0, 0.0, 0.0)
+        collection.objects.link(empty)
+    places = np.array([camera.position for camera in poses.cameras.values()])
+    size = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max()) or 1.0
+    empty.empty_display_size = _SMALL * size
+    made = {obj[_IMAGE]: obj for obj in collection.objects if _IMAGE in obj}
+    for image, camera in poses.cameras.items():
+        obj = made.get(image)
+        if obj is None:
+            name = image.replace("\\", "/").rpartition("/")[2]
+            obj = made[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+            obj[_SOURCE], obj[_IMAGE] = source, image
+            collection.objects.link(obj)
+        obj.parent = None  # set_camera sets places of the world; the empty's comes on top
+        set_camera(obj, camera)
+        obj.parent = empty
+        obj.data.display_size, obj.data.clip_end = _SMALL * size, max(obj.data.clip_end, _FAR * size)
+    return [made[image] for image in poses.cameras]
+
+
+class ImportCameras(bpy.types.Operator):
+    """Make camera objects of the cameras that COLMAP (text), Agisoft Metashape (.xml) or Meshroom (.sfm) placed. Move
+    their empty where the mesh was moved. A light's photograph is seen by the camera that is set for the light"""
+
+    bl_idname = "irpso.import_cameras"
+    bl_label = "Import Cameras"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default=_EXTENSIONS.replace(".", "*."), options={"HIDDEN"})
+    axes: EnumProperty(name="Axes", description="Which way up the mesh was imported", items=_AXES, default="AUTO")
+
+    def invoke(self, context, event):
+        """Ask for the file, or COLMAP's folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Make them, and tell which cameras of the file cannot be had."""
+        chosen = self.filepath or self.directory
+        try:
+            if not chosen:
+                raise InputError("no file was chosen; give COLMAP's cameras.txt, Metashape's .xml or Meshroom's .sfm")
+            poses = read_poses(absolute(chosen, "Cameras"))
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        made = create_cameras(context.scene, poses, self.axes)
+        text = f"{len(made)} camera{'s' * (len(made) > 1)} of {poses.program}"
+        if poses.unusable:
+            name, why = next(iter(poses.unusable.items()))
+            text += f"; {len(poses.unusable)} left out: '{name}' {why}"
+        self.report({"WARNING"} if poses.unusable else {"INFO"}, text)
+        return {"FINISHED"}
+
+
+def _menu(self, context) -> None:
+    self.layout.operator(ImportCameras.bl_idname, text="IRPSO Cameras (COLMAP, Metashape, Meshroom)")
+
+
+CLASSES = (ImportCameras,)
+
+
+def register() -> None:
+    """Add the entry of File > Import."""
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    """Take the entry out."""
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)

@@ -1,0 +1,314 @@
+"""Choosing a capture's files: a file browser, drag and drop, File > Import; and looking them over without a pause."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.props import StringProperty
+
+from ...blender.images import decode
+from ...blender.scenes.scene import middle_of
+from ...blender.scenes.scene_capture import wide_lights
+from ...capture.inspect import sufficiency
+from ...capture.inspect.report import Finding, Report, inspect_steps
+from ...capture.places import card_depth, card_middle
+from ...capture.read import read_spec
+from ...capture.spec import CaptureSpec
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ..common import drawing, failures
+from ..common.file_paths import absolute
+from ..properties import findings
+from ..properties.scene_settings import REACTIONS, model_of
+from ..session.job import subject_object
+from ..session.scene_capture import capture_of, capture_path, keep_places
+
+# Seconds of checking at a time, between which Blender answers: as long as Blender took for itself, within these. Its
+# loader has all views drawn anew after each image; where that takes a second (a software renderer on a busy machine),
+# slices of the shortest would leave nearly all of the time to it.
+_SHORTEST, _LONGEST = 0.02, 0.5
+_PAUSE = 0.005  # seconds until the next slice
+_SHOWN = 0.25  # seconds between drawings of what the check does
+_EXTENSIONS = ".lp;.toml;.txt"
+_TABLES = (".lp", ".toml")  # of what lies in a capture, what may be one by itself
+_CAMERA = "camera.toml"  # that is part of a folder's capture
+_AREAS = ("VIEW_3D", "IMAGE_EDITOR")
+
+
+@dataclass
+class _Check:
+    """A capture that is being looked over. scene: its number in this session; path: as the settings have it.
+
+    paused, shown: when it did so last, by ``time.perf_counter``.
+    """
+
+    scene: int
+    path: str
+    steps: Generator[str, None, Report]
+    doing: str = ""
+    paused: float = 0.0
+    shown: float = 0.0
+
+
+_running: list[_Check] = []  # at most one
+
+
+def checking(scene) -> str:
+    """Return what the check of a scene's capture does now, in words; "" while there is none."""
+    if not _running or _running[0].scene != scene.session_uid or not bpy.app.timers.is_registered(_tick):
+        return ""
+    return _running[0].doing
+
+
+def capture_at(path: Path) -> Path:
+    """Return what a person means by a path: an .lp or .toml itself, of any other file its folder."""
+    if path.is_file() and (path.suffix.lower() not in _TABLES or path.name.lower() == _CAMERA):
+        return path.parent
+    return path
+
+
+def subject_of(spec: CaptureSpec) -> str:
+    """Return "MESH" where cameras have places, as around an object, "CARD" where one camera looks straight down."""
+    return "CARD" if len(spec.views) == 1 and not spec.views[0].placed else "MESH"
+
+
+def asked_of(settings) -> tuple[str, ...]:
+    """Return what is to be recovered, of ``sufficiency.ASKS``: what the lights are to be judged for."""
+    try:
+        model = model_of(settings)
+    except InputError:
+        return ("normals",)
+    given = {item.name for item in settings.parameters if not item.recover}
+    wanted = [parameter for parameter in model.parameters if parameter.name not in given]
+    asked = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
+    if any(parameter.kind == "search" and not parameter.is_normal for parameter in wanted):
+        asked.append("two lobes" if model.ordered else "roughness")
+    return tuple(asked)
+
+
+def check_capture(scene) -> None:
+    """Begin the check of files, or make the one of the scene's cameras and lights."""
+    settings = scene.irpso
+    if settings.source == "SCENE":
+        _check_scene(scene)
+    elif settings.capture_path:
+        begin_check(scene)
+
+
+def begin_check(scene) -> None:
+    """Look the scene's capture over: in the background at once, in a window bit by bit while it goes on working."""
+    settings = scene.irpso
+    asked = dict.fromkeys(("normals", *asked_of(settings)))  # a panel leaves out what does not matter
+    steps = inspect_steps(
+        capture_path(settings), decode, settings.colour_space, tuple(asked), settings.card_distance or None,
+        settings.skip_damaged,
+    )  # fmt: skip
+    _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
+    if bpy.app.background:
+        _slice(_running[0], math.inf)
+    elif not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=_PAUSE)
+
+
+def _tick() -> float | None:
+    """Go on for a slice; called by Blender's timer, which ends with None."""
+    if not _running:
+        return None
+    check, now = _running[0], time.perf_counter()
+    more = False
+    with failures.told("The check"):
+        more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
+    if not more:
+        _running.clear()
+    check.paused = time.perf_counter()
+    if not more or check.paused - check.shown > _SHOWN:
+        check.shown = check.paused
+        drawing.redraw_sidebars()
+    return _PAUSE if more else None
+
+
+def _slice(check: _Check, seconds: float) -> bool:
+    """Go on with a check for a slice of time and return whether there is more to do."""
+    scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
+    if scene is None or scene.irpso.capture_path != check.path:
+        _running.clear()
+        return False
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        try:
+            check.doing = next(check.steps)
+        except StopIteration as stop:
+            _running.clear()
+            _store(scene.irpso, stop.value)
+            return False
+    return True
+
+
+def _store(settings, report: Report) -> None:
+    settings.checked_path = settings.capture_path
+    settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
+    folder = report.path if report.path.is_dir() else report.path.parent
+    findings.keep(settings, report.findings, f"{folder}{os.sep}")
+
+
+class ImportCapture(bpy.types.Operator):
+    """Choose photographs with known lights: a folder of them, an .lp list, a capture.toml, or any file beside them"""
+
+    bl_idname = "irpso.import_capture"
+    bl_label = "Import Capture"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default=_EXTENSIONS.replace(".", "*."), options={"HIDDEN"})
+
+    def invoke(self, context, event):
+        """Ask for a file, unless one was dropped."""
+        if self.filepath or self.directory:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Make the files the scene's capture and begin to check them; settings stay as they are where they are none."""
+        settings, chosen = context.scene.irpso, self.filepath or self.directory
+        try:
+            if not chosen:
+                raise InputError("no file or folder was chosen; give the path of a capture")
+            path = capture_at(absolute(chosen, "Capture"))
+            spec = read_spec(path, settings.colour_space)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        settings.source = "FILES"
+        if settings.capture_path != (kept := _kept_path(path)):  # else the card's distance that was set stays
+            settings.capture_path = kept
+        keep_places(settings, spec)
+        settings.subject = subject_of(spec)
+        settings.summary = f"kind: {spec.kind}\nimages: {len(spec.observations)}"
+        settings.findings.clear()
+        settings.checked_path = ""
+        settings.view.observation = 1
+        begin_check(context.scene)
+        self.report({"INFO"}, f"{spec.name}: {len(spec.observations)} images")
+        _warn(self, settings)
+        return {"FINISHED"}
+
+
+def _kept_path(path: Path) -> str:
+    """Return the path as the .blend file is to keep it: relative to it where the user has set that for new files."""
+    text = str(path.resolve())
+    wanted = bpy.context.preferences.filepaths.use_relative_paths
+    if not (wanted and bpy.data.filepath):
+        return text
+    try:
+        return bpy.path.relpath(text)
+    except ValueError:  # Windows has no relative path from one drive to another
+        return text
+
+
+def _warn(operator, settings) -> None:
+    """Report the first of the findings, errors before warnings."""
+    if found := findings.shown(settings):
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        operator.report({"WARNING"}, found[0].message + more)
+
+
+class CheckCapture(bpy.types.Operator):
+    """Look the capture over again: are all images there, sharp against each other, well exposed and rightly listed"""
+
+    bl_idname = "irpso.check_capture"
+    bl_label = "Check Capture"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture."""
+        settings = context.scene.irpso
+        there = settings.source == "SCENE" or bool(settings.capture_path)
+        if not there:
+            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return there
+
+    def execute(self, context):
+        """Begin the check of files, or make the one of the scene's cameras and lights."""
+        check_capture(context.scene)
+        _warn(self, context.scene.irpso)
+        return {"FINISHED"}
+
+
+def _check_scene(scene) -> None:
+    """Find what keeps the scene's own cameras, lights and images from being a capture."""
+    settings = scene.irpso
+    settings.checked_path, settings.summary = "", ""
+    try:
+        capture = capture_of(scene)
+        place = _subject_place(settings, capture)
+    except InputError as error:
+        findings.keep(settings, [Finding("error", getattr(error, "code", "scene"), failures.words(error))])
+        return
+    sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
+    settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
+    found = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
+    if lack := sufficiency.no_normal([one.light for one in capture.observations]):
+        found.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
+    wide = [] if place is None else wide_lights(scene, place)
+    findings.keep(settings, [*found, *(Finding("warning", "light_wide", text) for text in wide)])
+
+
+def _subject_place(settings, capture: Capture) -> np.ndarray | None:
+    """Return (3,) the middle of the mesh, None where none is chosen, or of a card. Raises InputError."""
+    if settings.subject == "CARD":
+        camera = capture.cameras[0]
+        return camera.matrix[:3, :3] @ card_middle(camera, card_depth(capture)) + camera.position
+    obj = subject_object(bpy.context)
+    return None if obj is None else middle_of(obj)
+
+
+class CaptureFiles(bpy.types.FileHandler):
+    """Captures that are dragged into a 3D viewport or an Image editor."""
+
+    bl_idname = "IRPSO_FH_capture"
+    bl_label = "IRPSO Capture"
+    bl_import_operator = ImportCapture.bl_idname
+    bl_file_extensions = _EXTENSIONS
+
+    @classmethod
+    def poll_drop(cls, context) -> bool:
+        """Whether the area under the cursor takes captures."""
+        return context.area is not None and context.area.type in _AREAS
+
+
+def _menu(self, context) -> None:
+    self.layout.operator(ImportCapture.bl_idname, text="IRPSO Capture (.lp, .toml, folder)")
+
+
+CLASSES = (ImportCapture, CheckCapture, CaptureFiles)
+REACTIONS["skip_damaged"] = lambda settings: check_capture(settings.id_data)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    _running.clear()  # with the frames that it holds: the file that it was of goes
+
+
+def register() -> None:
+    """Add the entry of File > Import, and watch for another file being loaded."""
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+    bpy.app.handlers.load_pre.append(_on_load)
+
+
+def unregister() -> None:
+    """Take the entry out, and end a check that is going on."""
+    bpy.app.handlers.load_pre.remove(_on_load)
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    _running.clear()
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)

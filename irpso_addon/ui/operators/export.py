@@ -1,0 +1,176 @@
+"""Export: what was found as files, its own or those of other programs. The file browser has the options."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+
+from ...core.errors import InputError, IrpsoError
+from ...exports.formats import FORMATS, ONE_FILE, export
+from ...exports.place import file_stem
+from ...exports.result import Result
+from ...exports.textures import CONVENTIONS
+from ...results.derived_map import NORMAL_SPACES
+from ...results.derived_maps import DerivedMaps
+from ...results.report import mode_warnings
+from ...results.write import write_maps
+from ..common.file_paths import absolute
+from ..session import session
+from ..session.keep import NOTHING, derived_maps_of, found_maps, has_found, pictures_of, report_of
+
+MAPS = "maps"
+_FORMATS = {MAPS: ("Maps", "PNG of 16 bits, EXR of 32 bits, a report and a preview, in a folder"), **FORMATS}
+_ITEMS = [(name, title, what) for name, (title, what) in _FORMATS.items()]
+_CONVENTIONS = [(name, name.title(), f"Names and normals that {name.title()} expects") for name in CONVENTIONS]
+# What a format may hold besides the model's maps.
+_ALSO = {MAPS: (*(f"normal_{space}" for space in NORMAL_SPACES), "height"), "textures": ("height",)}
+
+
+class IRPSO_OT_export(bpy.types.Operator):
+    """Write what was found into files: its maps, or what another program reads"""
+
+    bl_idname = "irpso.export"
+    bl_label = "Export Material"
+
+    filepath: StringProperty(name="File or Folder", description="Where it is written", subtype="FILE_PATH")
+    check_existing: BoolProperty(default=True, options={"HIDDEN"})
+    format: EnumProperty(name="Format", description="What is written", items=_ITEMS, default=MAPS)
+    convention: EnumProperty(
+        name="Names", description="What files are called, and which way normals point", items=_CONVENTIONS
+    )
+    normal_object: BoolProperty(
+        name="Normal (Object Space)", description="Write normals in the object's own axes as well"
+    )
+    normal_world: BoolProperty(name="Normal (World Space)", description="Write normals in the world's axes as well")
+    normal_directx: BoolProperty(
+        name="Normal (DirectX)", description="Write the normal map with green turned over as well"
+    )
+    height: BoolProperty(name="Height", description="Write the relief as well, found by integrating the normals")
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is something to export."""
+        return has_found(cls)
+
+    def invoke(self, context, event):
+        """Ask where to, and propose a place."""
+        running = session.current()
+        self.filepath = f"{proposed_folder(running)}{os.sep}{_proposed_name(running, self.format)}"
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def check(self, context) -> bool:
+        """Give a proposed name that of another format when that is chosen; return whether the name has changed."""
+        running = session.current()
+        folder, name = os.path.split(self.filepath)
+        if running is None or name not in {_proposed_name(running, kind) for kind in _FORMATS}:
+            return False
+        former, self.filepath = self.filepath, os.path.join(folder, _proposed_name(running, self.format))
+        return self.filepath != former
+
+    def draw(self, context) -> None:
+        """Draw the format, and the options that it has."""
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(self, "format")
+        if self.format == "textures":
+            column.prop(self, "convention")
+        column = self.layout.column()  # not split: half of that narrow panel cuts the names off
+        if options := _ALSO.get(self.format):
+            column.label(text="Also Write:")
+            for name in options:
+                column.prop(self, name)
+
+    def execute(self, context):
+        """Write everything, or nothing; what runs rests meanwhile."""
+        running = session.current()
+        if running is None or running.recovery is None:  # it may have ended while the place was chosen
+            self.report({"ERROR"}, NOTHING)
+            return {"CANCELLED"}
+        if not self.filepath:
+            self.report({"ERROR"}, "No place: choose where it is to be written")
+            return {"CANCELLED"}
+        running.pause()
+        try:
+            path = absolute(self.filepath, "Export")
+            text, warnings = (self._write_maps if self.format == MAPS else self._write_format)(running, path)
+        except IrpsoError as error:
+            self.report({"ERROR"}, " ".join(str(error).splitlines()))
+            return {"CANCELLED"}
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, text)
+        return {"FINISHED"}
+
+    def _write_maps(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
+        maps, written = found_maps(running, confidence=True)
+        spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
+        derived, height = derived_maps_of(running, DerivedMaps(spaces, self.height), maps, written)
+        report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
+        files = write_maps(written, folder, report, pictures_of(running, maps), derived)
+        return f"{len(files)} files written to {folder}", mode_warnings(maps, running.job.schedule.fitness.priors)
+
+    def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
+        found, written = found_maps(running, confidence=False)
+        wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
+        _, height = derived_maps_of(running, wanted, found, written)
+        result = Result(file_stem(running.job.name), written, height)
+        said = export(result, self.format, path, self.convention, lambda: _subject(running))
+        return f"{FORMATS[self.format][0]} written to {said['output']}", said.get("warnings", [])
+
+
+class IRPSO_MT_export(bpy.types.Menu):
+    """What was recovered, in the formats of this and of other programs"""
+
+    bl_label = "Recovered Material (IRPSO)"
+
+    def draw(self, context) -> None:
+        """List the formats."""
+        for name, (title, _) in _FORMATS.items():
+            text = f"{title} ({ONE_FILE.get(name, 'folder')})"
+            self.layout.operator("irpso.export", text=text).format = name
+
+
+def proposed_folder(running: session.Session) -> Path:
+    """Return the folder that an export proposes: that of the .blend, or the one that the photographs' folder is in.
+
+    It is never the photographs' own: what is written there would be read as photographs of the capture.
+    """
+    source = running.job.capture.source
+    photographs = None if source is None else source if source.is_dir() else source.parent
+    blend = Path(bpy.data.filepath).parent if bpy.data.filepath else None
+    places = (blend, None if photographs is None else photographs.parent, Path.home())
+    return next(place for place in places if place is not None and place != photographs)
+
+
+def _proposed_name(running: session.Session, kind: str) -> str:
+    name = running.job.name
+    return f"{name}{ONE_FILE[kind]}" if kind in ONE_FILE else f"{name} {_FORMATS[kind][0].lower()}"
+
+
+def _subject(running: session.Session) -> Any:
+    subject = running.subject()
+    if subject is None:
+        raise InputError(f"'{running.job.name}' has no object to export yet: press Keep first")
+    return subject
+
+
+def _draw_menu(self, context) -> None:
+    self.layout.menu("IRPSO_MT_export")
+
+
+def register() -> None:
+    """Add the formats to File ▸ Export."""
+    bpy.types.TOPBAR_MT_file_export.append(_draw_menu)
+
+
+def unregister() -> None:
+    """Take them out again."""
+    bpy.types.TOPBAR_MT_file_export.remove(_draw_menu)
+
+
+CLASSES = (IRPSO_OT_export, IRPSO_MT_export)

@@ -1,0 +1,394 @@
+"""A capture's cameras, lights and photographs as objects of the scene, one light lit at a time."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from mathutils import Matrix, Vector
+
+from ...blender.images import decode
+from ...blender.materials import material
+from ...blender.scenes import scene_images
+from ...blender.scenes.scene_capture import ASPECT, CAPTURE, lights_in_order, photographed_lights
+from ...blender.scenes.scene_lights import LIGHT_TYPES
+from ...blender.scenes.scene_objects import RESOLUTION, set_camera, set_light
+from ...capture.camera import Camera
+from ...capture.images.headers import read_header
+from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.raw import is_raw
+from ...capture.inspect.damage import naming_remedy
+from ...capture.places import card_depth, card_middle, card_size
+from ...capture.spec import CaptureSpec, build_capture
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ...core.files import natural
+from ...core.steps import run_steps
+from ..common import failures
+from ..common.file_paths import absolute
+from ..properties.scene_settings import REACTIONS
+from ..session import session
+from ..session.card_place import is_free, show_card
+from ..session.job import subject_object
+from ..session.scene_capture import spec_steps
+
+_ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
+_DOME = 2.0  # the dome's radius over the subject's
+_SMALL = 0.3  # of the dome's radius: how large cameras are drawn
+
+
+@dataclass(frozen=True)
+class _Dome:
+    """Where distant lights are put for show: around centre (3,), at radius, in world units."""
+
+    centre: np.ndarray
+    radius: float
+
+
+def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
+    """Make the capture's cameras and lights in the scene, or bring its own ones up to date; return the lights.
+
+    spec: of the same capture. Nothing that the user made is changed, but for a scene without a camera, which gets one
+    and its resolution. ``scene_capture.capture_from_scene`` of the result is the capture again, to float32.
+    """
+    owned = {obj[_ROLE]: obj for obj in _own(scene) if obj[CAPTURE] == capture.name}
+    made: list = []
+    collection = _collection(scene, capture.name)
+    images = _Images()
+    dome = _dome(scene, capture)
+    views = []
+    for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
+        obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", _new_camera, collection, capture)
+        set_camera(obj, camera)
+        obj.data.clip_end = max(obj.data.clip_end, 10 * float(np.linalg.norm(camera.position - dome.centre)))
+        obj.data.display_size = _SMALL * dome.radius
+        obj.irpso.image = None if view.mask is None or mask.all() else images.of(view.mask, mask=True)
+        views.append(obj)
+    lights = []
+    for index, (shot, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
+        name = f"Light {index:03d} {observation.name}"
+        obj = _object(owned, made, f"light {index}", name, _new_light, collection, capture)
+        set_light(obj, observation.light, dome.centre, dome.radius)
+        obj.irpso.image, obj.irpso.camera = images.of(shot.image), views[observation.camera]
+        lights.append(obj)
+    _remove(set(owned.values()) - set(made))
+    if scene.camera is None:
+        scene.camera = views[0]
+    scene[CAPTURE] = capture.name
+    show_observation(scene, scene.irpso.view.observation)
+    return lights
+
+
+def observation_count(scene) -> int:
+    """Return how many observations there are to choose from: the recovery's, else the capture's lights in the scene."""
+    running = session.current()
+    return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
+
+
+def _observation_changed(view) -> None:
+    if 0 < (count := observation_count(view.id_data)) < view.observation:
+        view.observation = count  # which calls this again
+        return
+    show_observation(view.id_data, view.observation)
+
+
+def show_observation(scene, number: int) -> None:
+    """Light the scene with one observation's light alone, and show its photograph behind its camera's view.
+
+    number: of the observation, from 1. Lights without a photograph stay as they are, as do cameras that
+    ``create_scene`` did not make. The scene's camera changes if it is one of these.
+    """
+    bpy.context.view_layer.update()  # else objects that were added or removed just now are not in it
+    lights = capture_lights(scene)
+    if not lights:
+        return
+    shown = lights[min(number, len(lights)) - 1]
+    for obj in {*lights, *_own_lights(scene)}:
+        # Written only where it changes: each write has Blender build its dependencies anew.
+        if obj.hide_render != (obj != shown):
+            obj.hide_render = obj != shown
+        if obj.hide_viewport != (obj != shown):
+            obj.hide_viewport = obj != shown
+    camera = shown.irpso.camera
+    if camera is None or CAPTURE not in camera:
+        return
+    _set_background(camera.data, shown.irpso.image)
+    if scene.camera is not None and CAPTURE in scene.camera:
+        scene.camera = camera
+        _set_resolution(scene, camera)
+
+
+def capture_lights(scene) -> list:
+    """Return the lights in the scene that observations have, in their order; none where the capture has none there.
+
+    Of files those that ``create_scene`` made; with the scene as source all that have a photograph.
+    """
+    if scene.irpso.source == "SCENE":
+        return photographed_lights(scene)
+    lights = _own_lights(scene)
+    current = {obj[_ROLE]: obj for obj in lights if obj[CAPTURE] == scene.get(CAPTURE)}  # copies have the same role
+    return [current[role] for role in sorted(current, key=natural)]
+
+
+def place_card(card, camera: Camera, distance: float) -> None:
+    """Put a card object (``material.card_object``) at a distance, where the camera's image covers it exactly."""
+    width, height = card_size(camera, distance)
+    # Both sides of the card are in units of its width.
+    size = Matrix.Diagonal((width, height * camera.width / camera.height, 1.0, 1.0))
+    place = Matrix.Translation(card_middle(camera, distance).tolist())
+    card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
+
+
+def _own(scene) -> list:
+    return [obj for obj in scene.objects if CAPTURE in obj and _ROLE in obj and obj.library is None]
+
+
+def _own_lights(scene) -> list:
+    return [obj for obj in _own(scene) if obj.type == "LIGHT"]
+
+
+def _object(owned: dict, made: list, role: str, name: str, new, collection, capture: Capture):
+    """Return the own object of this role, new and tagged where there is none."""
+    obj = owned.get(role)
+    if obj is None:
+        obj = new(name)
+        obj[CAPTURE], obj[_ROLE] = capture.name, role
+        collection.objects.link(obj)
+    made.append(obj)
+    return obj
+
+
+def _new_camera(name: str):
+    return bpy.data.objects.new(name, bpy.data.cameras.new(name))
+
+
+def _new_light(name: str):
+    return bpy.data.objects.new(name, bpy.data.lights.new(name, "SUN"))
+
+
+def _collection(scene, name: str):
+    for collection in scene.collection.children_recursive:
+        if collection.get(CAPTURE) == name:
+            return collection
+    collection = bpy.data.collections.new(f"IRPSO {name}")
+    collection[CAPTURE] = name
+    scene.collection.children.link(collection)
+    return collection
+
+
+def _remove(objects: set) -> None:
+    """Delete objects, and their data where nothing else uses them."""
+    data = {obj.data for obj in objects}
+    bpy.data.batch_remove(list(objects))
+    bpy.data.batch_remove([item for item in data if item.users == 0])
+
+
+def _dome(scene, capture: Capture) -> _Dome:
+    """Return a dome around the subject: the mesh, else the card of a single camera, else the world's origin."""
+    settings = scene.irpso
+    obj = subject_object(bpy.context) if settings.subject == "MESH" else None
+    if obj is not None:
+        corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    elif len(capture.cameras) == 1:
+        # Without distortion: a lens may show nothing in its corners.
+        plain = replace(capture.cameras[0], distortion=())
+        corners = plain.points(capture.card_distance or 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    else:
+        near = min(float(np.linalg.norm(camera.position)) for camera in capture.cameras) or 1.0
+        corners = np.array([(-near / 4,) * 3, (near / 4,) * 3])
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    around = float(np.linalg.norm(corners - centre, axis=1).max()) or 1.0
+    return _Dome(centre, settings.view.dome_radius or _DOME * around)
+
+
+def _set_background(data, image) -> None:
+    data.show_background_images = True
+    background = data.background_images[0] if data.background_images else data.background_images.new()
+    if background.image != image:
+        background.image = image
+
+
+def _set_resolution(scene, camera) -> None:
+    """Give the scene the size and the pixels of a camera's photographs."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = camera[RESOLUTION]
+    render.resolution_percentage = 100
+    render.pixel_aspect_x, render.pixel_aspect_y = camera[ASPECT]
+
+
+class _Images:
+    """The open file's images by what they are of; loaded where there is none, with no pixels yet."""
+
+    def __init__(self):
+        self._found = {self._key_of(image): image for image in bpy.data.images if self._is_file(image)}
+
+    @staticmethod
+    def _is_file(image) -> bool:
+        return image.source == "FILE" and image.library is None and bool(image.filepath)
+
+    @staticmethod
+    def _key_of(image) -> tuple:
+        path = scene_images.file_of(image).resolve()
+        return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
+
+    def of(self, reference: ImageRef, mask: bool = False):
+        """Return the image of a capture's file. Raises CaptureError, with nothing loaded, where its header is none."""
+        path = reference.path.resolve()
+        exr = path.suffix.lower() == ".exr"
+        space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
+        key = path, reference.part, reference.layer, space
+        if key not in self._found:
+            deep = space is None and not (exr or mask) and (is_raw(path) or read_header(path).bits == 16)
+            image = bpy.data.images.load(str(path), check_existing=False)
+            names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
+            for name, value in zip(names, key[1:], strict=True):
+                if value is not None:
+                    image[name] = value
+            if mask:
+                image.colorspace_settings.name = "Non-Color"
+            elif deep or space == "linear":
+                image.colorspace_settings.name = "Linear Rec.709"
+            self._found[key] = image
+        return self._found[key]
+
+
+class CreateScene(bpy.types.Operator):
+    """Make the capture's cameras and lights as objects: each light with its photograph, lit one at a time as the
+    observation is chosen. Running it again brings them up to date and leaves everything else as it is"""
+
+    bl_idname = "irpso.create_scene"
+    bl_label = "Create Cameras and Lights"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture of files."""
+        chosen = bool(context.scene.irpso.capture_path)
+        if not chosen:
+            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
+        return chosen
+
+    def execute(self, context):
+        """Make them; on a card the card as well, where the camera's image covers it."""
+        scene = context.scene
+        settings = scene.irpso
+        try:
+            spec = run_steps(spec_steps(settings))
+            with naming_remedy(settings.skip_damaged):
+                capture = build_capture(spec, decode)
+            on_card = settings.subject == "CARD" and len(capture.cameras) == 1
+            depth = card_depth(capture) if on_card else None
+        except InputError as error:
+            self.report({"ERROR"}, failures.words(error))
+            return {"CANCELLED"}
+        lights = create_scene(scene, spec, capture)
+        if on_card:
+            settings.card_distance = capture.card_distance or 0.0  # for the same scene as the capture
+            rows, columns = capture.masks[0].shape
+            card = material.card_object(capture.name, rows, columns)
+            if is_free(card):  # else somebody has moved it
+                place_card(card, capture.cameras[0], depth)
+            if context.window is not None:
+                show_card(context, card, np.array(card.matrix_world), rows / columns)
+        cameras = len(capture.cameras)
+        text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
+        if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):
+            text += "; other lights shine as well: hide them, and darken the world, to compare with the photographs"
+        self.report({"INFO"}, text)
+        return {"FINISHED"}
+
+
+class ShowObservation(bpy.types.Operator):
+    """Light the scene as this observation was: its light alone shines, its photograph lies behind its camera's view"""
+
+    bl_idname = "irpso.show_observation"
+    bl_label = "Show Observation"
+    bl_options = {"REGISTER", "UNDO"}
+
+    number: IntProperty(name="Observation", description="Counted from 1", min=1, default=1)
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether the scene has lights of a capture."""
+        there = bool(capture_lights(context.scene))
+        if not there:
+            cls.poll_message_set("No lights of a capture: press Create Cameras and Lights, or assign images to lights")
+        return there
+
+    def execute(self, context):
+        """Choose the observation; the scene follows."""
+        context.scene.irpso.view.observation = self.number
+        return {"FINISHED"}
+
+
+class AssignImages(bpy.types.Operator):
+    """Choose the photographs of the scene's lights: the first image by name goes to the first light by name, and so on.
+    Where lights are selected, only those get images"""
+
+    bl_idname = "irpso.assign_images"
+    bl_label = "Assign Images to Lights"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"})
+    filter_image: BoolProperty(default=True, options={"HIDDEN"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are lights that can have images."""
+        there = bool(_assignable(context))
+        if not there:
+            cls.poll_message_set("The scene has no lights: add one for each photograph")
+        return there
+
+    def invoke(self, context, event):
+        """Ask for the files."""
+        if bpy.data.filepath:  # else the browser proposes the open file itself
+            self.directory = f"{Path(bpy.data.filepath).parent}{os.sep}"
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        """Give them to the lights in the order of names, and tell what was left over."""
+        names = sorted((item.name for item in self.files if item.name), key=natural)
+        context.view_layer.update()  # else what a script has just added is not in it
+        lights = _assignable(context)
+        if not names:
+            self.report({"ERROR"}, "no image was chosen; select the photographs of the lights in the file browser")
+            return {"CANCELLED"}
+        store, images = ImageStore(decode), _Images()
+        try:
+            references = [ImageRef(absolute(self.directory, "Folder") / name) for name in names]
+            for reference in references:
+                store.size(reference)  # all are looked at before a light is given one
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for light, reference in zip(lights, references, strict=False):
+            light.irpso.image = images.of(reference)
+        if len(names) == len(lights):
+            self.report({"INFO"}, f"{len(names)} images assigned to {len(lights)} lights")
+            return {"FINISHED"}
+        count = min(len(names), len(lights))
+        left = f"light '{lights[count].name}'" if len(lights) > count else f"image '{names[count]}'"
+        more = abs(len(names) - len(lights))
+        self.report(
+            {"WARNING"},
+            f"{len(names)} images for {len(lights)} lights: {count} assigned, {more} left over, from {left} on; check"
+            " the selection",
+        )
+        return {"FINISHED"}
+
+
+def _assignable(context) -> list:
+    lights = [obj for obj in lights_in_order(context.scene) if obj.data.type in LIGHT_TYPES]
+    return [obj for obj in lights if obj.select_get()] or lights
+
+
+CLASSES = (CreateScene, ShowObservation, AssignImages)
+REACTIONS["observation"] = _observation_changed

@@ -1,0 +1,64 @@
+"""The panels of the Image editor's sidebar: the maps flat, and what can be done with them."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..session import session
+from .sidebar import Failures, draw_progress, draw_result
+from .view import draw_probes, draw_shown
+
+
+class _ImageSidebar:
+    bl_space_type = "IMAGE_EDITOR"
+    bl_region_type = "UI"
+    bl_category = "IRPSO"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are maps to be seen."""
+        running = session.current()
+        return running is not None and running.display is not None
+
+
+class IRPSO_PT_image_failures(Failures, _ImageSidebar, bpy.types.Panel):
+    """What has failed."""
+
+
+class IRPSO_PT_image_maps(_ImageSidebar, bpy.types.Panel):
+    """The maps while they converge, flat."""
+
+    bl_label = "Maps"
+
+    def draw_header(self, context) -> None:
+        """Draw the switch of it all."""
+        self.layout.prop(context.scene.irpso.view, "show", text="")
+
+    def draw(self, context) -> None:
+        """Draw what is shown."""
+        if context.scene.irpso.view.show:
+            draw_shown(self.layout, context, session.current())
+
+
+class IRPSO_PT_image_recover(_ImageSidebar, bpy.types.Panel):
+    """How far it is, and what can be done with it."""
+
+    bl_label = "Recover"
+
+    def draw(self, context) -> None:
+        """Draw progress, or the result."""
+        running = session.current()
+        (draw_result if running.state == "done" else draw_progress)(self.layout, context, running)
+
+
+class IRPSO_PT_image_probes(_ImageSidebar, bpy.types.Panel):
+    """Texels that are watched."""
+
+    bl_label = "Probes"
+
+    def draw(self, context) -> None:
+        """Draw the list."""
+        draw_probes(self.layout, context)
+
+
+CLASSES = (IRPSO_PT_image_failures, IRPSO_PT_image_maps, IRPSO_PT_image_recover, IRPSO_PT_image_probes)

@@ -1,0 +1,148 @@
+"""What is drawn of a recovery, chosen in the 3D viewport's sidebar and in the Image editor's."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..common import drawing
+from ..overlay.handlers import why_hidden
+from ..session import session
+from .sidebar import Sidebar, draw_observation
+
+# Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
+_PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
+_OF_A_MAP = ("PARAMETER", "CONFIDENCE")
+_OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
+_OF_A_PHOTOGRAPH = ("REFERENCE", "SPLIT", "BLINK")
+_IN_FALSE_COLORS = ("ERROR", "CONFIDENCE")
+
+
+def draw_shown(layout, context, running: session.Session) -> None:
+    """Draw which picture is shown, and the settings that matter for it."""
+    view, column = context.scene.irpso.view, layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(view, "shown")
+    if view.shown in _OF_A_MAP:
+        column.prop(view, "parameter")
+    if view.shown == "PARAMETER":
+        column.prop(view, "mark_unknown")
+    if view.shown in _IN_FALSE_COLORS:
+        column.prop(view, _red_of(view, running))
+    if view.shown in _OF_A_LIGHT:
+        observations = running.job.capture.observations
+        column.prop(view, "observation")
+        index = running.observation(view)
+        drawing.fact(column, context, f"of {len(observations)}", observations[index].name)
+        chosen, number = view.index(len(observations)), running.job.numbers[index]
+        if chosen != number:
+            drawing.wrapped(column, context, f"Observation {chosen + 1} is held out: {number + 1} is shown", "INFO")
+        column.prop(view, "exposure")
+    if view.shown in _OF_A_PHOTOGRAPH:
+        column.prop(view, "mark_unused")
+    if view.shown == "SPLIT":
+        column.prop(view, "split", slider=True)
+    if reason := why_hidden(context):
+        drawing.wrapped(layout, context, reason, "HIDE_ON")
+
+
+def _red_of(view, running: session.Session) -> str:
+    """Return the property that says what is drawn red, in the unit of the legend."""
+    if view.shown == "ERROR":
+        return "red_error"
+    normal = any(p.is_normal and p.name == view.parameter for p in running.job.model.parameters)
+    return "red_angle" if normal else "red_deviation"
+
+
+class IRPSO_PT_view(Sidebar, bpy.types.Panel):
+    """The maps while they converge, on the subject."""
+
+    bl_label = "View"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are maps to be seen."""
+        running = session.current()
+        return running is not None and running.recovery is not None
+
+    def draw_header(self, context) -> None:
+        """Draw the switch of it all."""
+        self.layout.prop(context.scene.irpso.view, "show", text="")
+
+    def draw(self, context) -> None:
+        """Draw what is shown and how."""
+        view = context.scene.irpso.view
+        if not view.show:
+            self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
+            return
+        draw_shown(self.layout, context, session.current())
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(view, "opacity", slider=True)
+
+
+class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
+    """The lights and cameras of the capture, around the subject."""
+
+    bl_label = "Lights and Cameras"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a capture to be drawn."""
+        return session.current() is not None
+
+    def draw(self, context) -> None:
+        """Draw the switches."""
+        view = context.scene.irpso.view
+        column = self.layout.column(heading="Show")
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(view, "show_lights")
+        column.prop(view, "show_cameras")
+        if view.show_lights:
+            column.prop(view, "dome_radius")
+        draw_observation(self.layout, context)
+
+
+def draw_probes(layout, context) -> None:
+    """Draw the probed texels with their errors, and what is drawn of them."""
+    view, running = context.scene.irpso.view, session.current()
+    layout.operator("irpso.probe", icon="EYEDROPPER")
+    column = layout.column(align=True)
+    for index, probe in sorted(enumerate(running.probes), key=lambda item: item[1].number):
+        row = column.row(align=True)
+        error = f"   {drawing.percent(probe.curve[-1][1])}" if probe.curve else ""
+        text = f"{probe.number}:  {probe.column}, {probe.row}{error}"
+        row.label(text=text, icon=_PROBE_ICONS[probe.slot], translate=False)
+        row.operator("irpso.probe_remove", text="", icon="X", emboss=False).index = index
+    if not running.probes:
+        return
+    column = layout.column(heading="Show")
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(view, "show_curves")
+    column.prop(view, "show_swarm")
+    if view.show_swarm and len(running.probes) > 1:
+        column.prop(view, "probe", text="Swarm of Probe")
+    if view.show_swarm:
+        axes = column.column(align=True)
+        for axis in ("swarm_x", "swarm_y", "swarm_z"):
+            axes.prop(view, axis)
+        column.prop(view, "goal")
+
+
+class IRPSO_PT_probes(Sidebar, bpy.types.Panel):
+    """Texels that are watched."""
+
+    bl_label = "Probes"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there are texels to be watched."""
+        running = session.current()
+        return running is not None and running.display is not None
+
+    def draw(self, context) -> None:
+        """Draw the list."""
+        draw_probes(self.layout, context)
+
+
+CLASSES = (IRPSO_PT_view, IRPSO_PT_dome, IRPSO_PT_probes)

@@ -1,0 +1,1 @@
+"""What the user sets: scene settings, schedule, preferences; and the same as plain data."""

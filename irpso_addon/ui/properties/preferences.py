@@ -1,0 +1,184 @@
+"""The add-on's preferences: memory, passes, how often pictures are drawn, where maps go; and a report on the GPU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, IntProperty, StringProperty
+
+from ...core.errors import GpuUnavailableError, InputError
+from ...core.paths import BASE_PACKAGE
+from ...gpu import context as gpu_context
+from ...gpu import probe
+from ...results.report import versions
+from ...solver.planning.machine import fact_lines, machine_facts
+from ...solver.planning.memory import parse_memory
+from ..common.features import RELATIVE_PATH
+from ..common.file_paths import absolute
+
+DISPLAY_RATE = 10  # pictures a second
+_SPARING_SECONDS = 10.0  # between two pictures where draws are numbered (gpu/context.py)
+_ENTRIES = (
+    ("auto", "Automatic", "Compute shaders where a test finds them at least 1.5 times as fast, else fragment passes"),
+    ("fragment", "Fragment", "Always draw, as the paper does: the fastest on most GPUs for desktops and laptops"),
+    ("compute", "Compute", "Always use compute shaders: the fastest on most GPUs for data centres"),
+)
+
+_report: dict[str, str] = {}  # the facts of the last report on this machine; gone with the session
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the preferences say. memory: as --memory has it, None to go by what the machine has.
+
+    entry: "auto", "fragment" or "compute". display_rate: pictures a second, 1…60. output_folder: where pictures of maps
+    are kept, "" to pack them into the .blend file.
+    """
+
+    memory: str | None = None
+    entry: str = "auto"
+    display_rate: int = DISPLAY_RATE
+    output_folder: str = ""
+
+    def folder(self) -> Path | None:
+        """Return the output folder, None for packing. Raises InputError for a // path while the file is not saved."""
+        return absolute(self.output_folder, "Output Folder") if self.output_folder else None
+
+
+def current(context) -> Wanted:
+    """Return what the preferences say; where the add-on is registered without being enabled, what they say at first."""
+    addon = context.preferences.addons.get(BASE_PACKAGE)
+    if addon is None or addon.preferences is None:
+        return Wanted()
+    chosen = addon.preferences
+    return Wanted(chosen.memory.strip() or None, chosen.entry, chosen.display_rate, chosen.output_folder)
+
+
+def picture_seconds(context) -> float:
+    """Return the seconds between two pictures of a recovery that is under way."""
+    return max(1 / current(context).display_rate, _SPARING_SECONDS if gpu_context.on_software_vulkan() else 0.0)
+
+
+def memory_fault(text: str) -> str:
+    """Return what is wrong with a budget of memory, "" where nothing is."""
+    try:
+        if text.strip():
+            parse_memory(text)
+    except InputError as error:
+        return str(error).partition(": ")[2]
+    return ""
+
+
+def report() -> str:
+    """Return the last report on this machine as text, "" where there was none."""
+    return "\n".join(fact_lines(_report)) if _report else ""
+
+
+class Preferences(bpy.types.AddonPreferences):
+    """What holds for all files of this user."""
+
+    bl_idname = BASE_PACKAGE
+
+    memory: StringProperty(
+        name="Memory Budget",
+        description="How much memory a recovery may take, as in 4G, or device=4G,host=8G; larger ones are solved in"
+        " tiles. Empty goes by what the machine has free",
+    )
+    entry: EnumProperty(name="Passes", description="How the GPU is made to work", items=_ENTRIES, default="auto")
+    display_rate: IntProperty(
+        name="Display Rate", description="How many times a second the converging maps are drawn, at most", min=1,
+        max=60, default=DISPLAY_RATE,
+    )  # fmt: skip
+    output_folder: StringProperty(
+        name="Output Folder",
+        description="Where the pictures of recovered maps are kept. Empty packs them into the .blend file",
+        subtype="DIR_PATH",
+        **RELATIVE_PATH,
+    )
+
+    def draw(self, context) -> None:
+        """Draw the settings and the report."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "memory", **_PLACEHOLDER)
+        if fault := memory_fault(self.memory):
+            row = layout.row()
+            row.alert = True
+            row.label(text=fault[:1].upper() + fault[1:], icon="ERROR")
+        layout.prop(self, "entry")
+        layout.prop(self, "display_rate")
+        layout.prop(self, "output_folder")
+        row = layout.row()
+        row.operator(Doctor.bl_idname, icon="INFO")
+        row.operator(CopyReport.bl_idname, icon="COPYDOWN")
+        if _report:
+            box = layout.box().column(align=True)
+            for name, value in _report.items():
+                row = box.split(factor=0.25)
+                row.label(text=name[:1].upper() + name[1:])
+                row.label(text=value)
+
+
+# Since Blender 4.3 an empty field can say what it means.
+_HAS_PLACEHOLDER = "placeholder" in bpy.types.UILayout.bl_rna.functions["prop"].parameters
+_PLACEHOLDER = {"placeholder": "Automatic"} if _HAS_PLACEHOLDER else {}
+
+
+class Doctor(bpy.types.Operator):
+    """Test the GPU with a real kernel and tell what it is, what it can hold, and what will be used"""
+
+    bl_idname = "irpso.doctor"
+    bl_label = "Examine This Machine"
+
+    def execute(self, context):
+        """Examine the machine; the report is kept until the next one."""
+        _report.clear()
+        try:
+            _report.update(machine_facts(_found()))
+        except GpuUnavailableError as error:
+            _report.update({f"version of {name}": value for name, value in versions().items()})
+            _report["GPU"] = f"none that is of use: {error}"
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, "The report is in the add-on's preferences")
+        return {"FINISHED"}
+
+
+class CopyReport(bpy.types.Operator):
+    """Copy the report on this machine, to be pasted where help is asked for"""
+
+    bl_idname = "irpso.copy_report"
+    bl_label = "Copy Report"
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether there is a report."""
+        if not _report:
+            cls.poll_message_set("There is no report yet: press Examine This Machine first")
+        return bool(_report)
+
+    def execute(self, context):
+        """Put the report into the clipboard."""
+        context.window_manager.clipboard = report()
+        self.report({"INFO"}, "The report is in the clipboard")
+        return {"FINISHED"}
+
+
+CLASSES = (Preferences, Doctor, CopyReport)
+
+
+def unregister() -> None:
+    """Forget the report."""
+    _report.clear()
+
+
+def _found() -> dict:
+    """Return what a probe finds: here where there is a window, for its own context is the one that will be used.
+
+    Without one a child process is asked, since a machine that has no usable EGL kills the process that tries.
+    """
+    if bpy.app.background:
+        return probe.probe()
+    return {**gpu_context.describe(), **probe.check()}

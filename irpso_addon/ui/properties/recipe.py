@@ -1,0 +1,77 @@
+"""What a scene's settings ask of a recovery, as plain data that outlive the file, and set again from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+
+from ...core.errors import InputError
+from ...solver.settings.schedule import SETTINGS
+from ..common.file_paths import absolute
+from .scene_settings import CUSTOM
+
+_KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # of settings that are data by themselves
+_NOT_ASKED = {"name", "checked_path", "summary", "slots", "slot_list"}
+_SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it fills the others
+_PARAMETER = ("recover", "value")
+
+
+def asked_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
+    """Return the settings of a scene. obj: the mesh object, None for a card. slots: those that are asked for.
+
+    Objects and images are named; paths are whole. Raises InputError as ``absolute`` does.
+    """
+    return {
+        "settings": {name: _data(getattr(settings, name)) for name in _plain(settings)}
+        | {
+            "capture_path": str(absolute(settings.capture_path, "Capture")) if settings.source == "FILES" else "",
+            "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
+        },
+        "object": None if obj is None else obj.name,
+        "slots": None if slots is None else ", ".join(map(str, slots)),
+        "parameters": {
+            item.name: {name: getattr(item, name) for name in _PARAMETER}
+            | {"color": _data(item.color), "image": item.image.name if item.image is not None else None}
+            for item in settings.parameters
+        },
+        "schedule": schedule_asked(settings.schedule),
+    }  # fmt: skip
+
+
+def _plain(settings: Any) -> list[str]:
+    """Return the names of the settings that are numbers, texts or choices."""
+    known = settings.bl_rna.properties
+    return [p.identifier for p in known if p.type in _KINDS and not p.is_readonly and p.identifier not in _NOT_ASKED]
+
+
+def _data(value: Any) -> Any:
+    """Return a setting's value as JSON has it: a list for a vector."""
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def schedule_asked(schedule: Any) -> dict[str, Any]:
+    """Return the settings of the search."""
+    return {name: getattr(schedule, name) for name in _SCHEDULE}
+
+
+def ask_again(settings: Any, asked: dict[str, Any]) -> None:
+    """Set a scene's settings to what ``asked_of`` returned. Raises InputError where an object or an image is gone."""
+    objects, images = bpy.data.objects, bpy.data.images
+    if (name := asked["object"]) is not None and name not in objects:
+        raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")
+    given = asked["parameters"]
+    for name, values in given.items():
+        if values["image"] is not None and values["image"] not in images:
+            raise InputError(f"this file has no image '{values['image']}', given for {name}; open the file that has it")
+    for name in _plain(settings):
+        if name in asked["settings"] and asked["settings"][name] != _data(getattr(settings, name)):
+            setattr(settings, name, asked["settings"][name])
+    settings.object = None if asked["object"] is None else objects[asked["object"]]
+    settings.slots, settings.slot_list = ("ALL", "") if asked["slots"] is None else ("NAMED", asked["slots"])
+    for item in settings.parameters:
+        for name, value in given.get(item.name, {}).items():
+            setattr(item, name, value if name != "image" or value is None else images[value])
+    for name, value in asked["schedule"].items():
+        setattr(settings.schedule, name, value)

@@ -1,0 +1,362 @@
+"""From a scene's settings to all that a recovery needs, and what is still missing for it."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...blender.materials import material
+from ...blender.materials.tangent_frames import from_blender, turned_normals
+from ...blender.mesh import extract_mesh
+from ...blender.tiled_images import tile_images
+from ...capture.inspect.damage import naming_remedy
+from ...capture.inspect.sufficiency import FEWEST, check_normal, no_normal
+from ...capture.read import read_spec
+from ...capture.types import Capture
+from ...core.encode import linear_from_srgb, srgb_from_linear
+from ...core.errors import InputError
+from ...core.udim import ONE_SQUARE
+from ...geometry.build import card_steps, mesh_steps
+from ...geometry.domain import Domain
+from ...geometry.surface.mesh import MeshData
+from ...geometry.surface.slots import listed, slot_names, slots_of_text
+from ...reflectance.model import Parameter, ReflectanceModel
+from ...solver.lights.refine import Intensities, Lights, can_tell, chosen_steps
+from ...solver.lights.sample import LightSample
+from ...solver.planning.plan import Plan
+from ...solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
+from ...solver.settings.schedule import Schedule
+from ...solver.state.prepare import Prepared
+from ...solver.views.held_out import FEWEST_SPARING, held_out_last, order_of, spared
+from ..properties import findings, preferences
+from ..properties.recipe import asked_of
+from ..properties.scene_settings import model_of
+from ..properties.schedule_settings import schedule_of
+from .card_place import free_place
+from .scene_capture import capture_of, capture_path, wants_distance
+
+_MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
+
+
+@dataclass(frozen=True)
+class LightWish:
+    """What is to be found of the lights. degrees: how far off their directions are believed to be, 0 to leave them."""
+
+    intensities: Intensities = "auto"
+    degrees: float = 0.0
+
+
+@dataclass
+class Job:
+    """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
+
+    name: of material and images. origin: what they are recovered from. scene_uid: the session's own number of the scene
+    whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
+    parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
+    the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
+    the mesh hides from a light is left out. known: as the solver takes them, of ``know``. asked: the
+    settings, of ``asked_of``. resumed: the checkpoint that it goes on from. held_out: the numbers, from 0, that
+    observations have in their files or scene that are not fitted; ``capture`` has these last.
+    """
+
+    capture: Capture
+    name: str
+    origin: str
+    scene_uid: int
+    object_uid: int | None
+    mesh: MeshData | None
+    model: ReflectanceModel
+    schedule: Schedule
+    seed: int
+    given: dict[str, np.ndarray]
+    resolution: int
+    entry: str
+    memory: str | None
+    scratch: Path
+    place: np.ndarray
+    source: tuple[Any, ...] | None = None
+    shadows: bool = True
+    lights: LightWish = LightWish()
+    fixed: dict[str, np.ndarray] = field(default_factory=dict)
+    asked: dict[str, Any] = field(default_factory=dict)
+    resumed: Path | None = None
+    held_out: tuple[int, ...] = ()
+
+    @property
+    def fitted(self) -> range:
+        """The indices of the capture's observations that are fitted."""
+        return range(len(self.capture.observations) - len(self.held_out))
+
+    @property
+    def unseen(self) -> range:
+        """The indices of those that are not."""
+        return range(len(self.fitted), len(self.capture.observations))
+
+    @property
+    def numbers(self) -> list[int]:
+        """The number, from 0, that each of the capture's observations has in its files or scene."""
+        return order_of(len(self.capture.observations), self.held_out)
+
+    def fitted_at(self, number: int) -> int:
+        """Return the index of the observation of a number, or where it is held out of the next that is fitted."""
+        numbers = self.numbers[: len(self.fitted)]
+        return min(bisect_left(numbers, number), len(numbers) - 1)
+
+    def loading(self) -> Generator[None, None, Domain]:
+        """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
+        # What a plan refuses, it refuses before the images are read.
+        size = (self.resolution,) * 2 if self.mesh is None else self.mesh.domain_size(*(self.resolution,) * 2)
+        coverage = covered_texels(self.capture, self.mesh, size)
+        plan = self.plan(coverage)
+        scratch = self.scratch if plan.stack_on == "scratch" else None
+        with naming_remedy(skipping=False):
+            if self.mesh is None:
+                return (yield from card_steps(self.capture, scratch=scratch))
+            return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
+
+    def notes(self) -> list[str]:
+        """Return what is to be said of how the images were read, once they have been."""
+        encoding = self.capture.encoding
+        text = encoding.message() if encoding is not None and encoding.known_by == "guess" else ""
+        return [text] if text else []
+
+    def know(self, domain: Domain) -> None:
+        """Find ``known``, which is in the frames of a domain's texels."""
+        self.fixed = dict(self.given)
+        if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
+            self.fixed = turned_normals(self.model, self.fixed, self.mesh, domain.bake, from_blender)
+
+    def asks_for_lights(self, domain: Domain) -> bool:
+        """Return whether the lights of a domain are to be looked for."""
+        wish = self.lights
+        return (
+            wish.intensities == "estimate"
+            or wish.degrees != 0
+            or (wish.intensities == "auto" and can_tell(domain, np.asarray(self.fitted)))
+        )
+
+    def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights | None]:
+        """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
+        return chosen_steps(
+            domain, self.model, self.seed, self.fixed, intensities=self.lights.intensities,
+            refine_degrees=self.lights.degrees, fitted=self.fitted, entry=self.entry, sample=sample,
+        )  # fmt: skip
+
+    def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
+        """Return the recovery that is planned, with what is ``known``. Raises InputError, ShaderError.
+
+        domain: of the observations that are fitted.
+        """
+        return planned_recovery(
+            plan, domain, self.model, self.schedule, self.seed, self.fixed, self.entry,
+            self.scratch, prepared,
+        )  # fmt: skip
+
+    def plan(self, coverage: np.ndarray) -> Plan:
+        """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
+        return make_plan(
+            coverage, self.model, self.schedule, self.given, len(self.capture.observations), len(self.held_out),
+            memory=self.memory, entry=self.entry, mesh=self.mesh, resumed=self.resumed,
+        )  # fmt: skip
+
+
+def missing(context) -> str:
+    """Return what is missing for a recovery and what to do about it, "" where nothing is. Opens no file."""
+    settings = context.scene.irpso
+    if settings.source == "FILES" and not settings.capture_path:
+        return "No capture: import a folder of photographs, an .lp list or a capture.toml"
+    if text := findings.obstacle(settings):
+        return text
+    if settings.source == "SCENE":
+        count = sum(obj.type == "LIGHT" and obj.irpso.image is not None for obj in context.scene.objects)
+        if not count:
+            return "No light of this scene has a photograph: assign images to the lights, or import a capture"
+        if count < FEWEST and findings.wants_normal(settings):
+            lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
+            return f"Only {lights}: a normal needs at least three; add some, or give the normals"
+    if wants_distance(context.scene) and not (settings.card_distance or _stated_distance(settings)):
+        return "No distance of the card: its lights have places; set Card Distance, in the unit of the places"
+    if settings.subject == "MESH":
+        obj = subject_object(context)
+        if obj is None:
+            return "No mesh: choose the object whose maps are to be recovered, or make it active"
+        if not obj.data.uv_layers:
+            return f"'{obj.name}' has no UV map: unwrap it first"
+        if settings.slots == "NAMED" and len(obj.material_slots) > 1 and not settings.slot_list.strip():
+            return f"No slot is chosen: name those to be recovered, of {listed(slot_names(obj))}"
+    if settings.parameters and not any(item.recover for item in settings.parameters):
+        return "Nothing to recover: tick at least one map"
+    return ""
+
+
+def _stated_distance(settings) -> float:
+    return settings.stated_distance if settings.source == "FILES" else 0.0
+
+
+def subject_object(context):
+    """Return the mesh object that the settings name, or the active one; None where neither is a mesh."""
+    obj = context.scene.irpso.object or context.view_layer.objects.active
+    return obj if obj is not None and obj.type == "MESH" else None
+
+
+def make_job(context) -> Job:
+    """Return the job that the scene's settings describe. Raises InputError naming the setting and the remedy."""
+    if text := missing(context):
+        raise InputError(text)
+    settings, wanted = context.scene.irpso, preferences.current(context)
+    model, schedule = model_of(settings), schedule_of(settings.schedule)
+    capture = capture_of(context.scene)
+    if findings.wants_normal(settings):
+        check_normal(f"capture '{capture.name}'", [one.light for one in capture.observations])
+    unseen = _held_out(settings, capture)
+    capture, _ = held_out_last(capture, unseen)
+    obj = subject_object(context) if settings.subject == "MESH" else None
+    mesh = slots = None
+    if obj is not None:
+        material.check_object(obj)
+        slots = wanted_slots(settings, obj)
+        mesh = extract_mesh(obj, slots)
+    origin = _MESH if obj is not None else str(capture.source or context.scene.name)
+    name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
+    name = material.subject_name(name, origin)
+    material.check_material(model, name)
+    size = capture.masks[0].shape
+    if mesh is not None:
+        size = mesh.domain_size(settings.resolution, settings.resolution)[::-1]
+    tiles = ONE_SQUARE if mesh is None else mesh.tiles
+    return Job(
+        capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
+        schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
+        scratch_folder((wanted.folder() or Path.home()) / "x"),
+        free_place(context, size[0] / size[1]), _source(settings, capture, mesh, unseen), settings.shadows,
+        LightWish(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
+        asked=asked_of(settings, obj, slots), held_out=unseen,
+    )  # fmt: skip
+
+
+def _held_out(settings, capture: Capture) -> tuple[int, ...]:
+    """Return the observations that are not to be fitted, as ``--hold-out`` does. Raises InputError."""
+    if settings.hold_out == "OFF":
+        return ()
+    count = capture.listed
+    if not (chosen := spared(count)):
+        photographs = "1 photograph" if count == 1 else f"{count} photographs"
+        raise InputError(
+            f"Hold Out: of {photographs} none can be spared; set it to Off, or add some, to {FEWEST_SPARING} or more"
+        )
+    unseen = tuple(capture.numbers(chosen))
+    fitted = [one.light for k, one in enumerate(capture.observations) if k not in unseen]
+    if findings.wants_normal(settings) and (lack := no_normal(fitted)):
+        raise InputError(f"Hold Out: what is left to fit gives no normal: {lack.message}; or set it to Off")
+    return unseen
+
+
+def wanted_slots(settings, obj) -> tuple[int, ...] | None:
+    """Return the material slots that are asked for, None for all. Raises InputError."""
+    if settings.slots == "ALL" or len(obj.material_slots) < 2:
+        return None
+    if settings.slots == "ACTIVE":
+        return (obj.active_material_index,)
+    return slots_of_text(settings.slot_list, slot_names(obj))
+
+
+def _given(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """Return the maps of the parameters that are not to be recovered."""
+    items = {item.name: item for item in settings.parameters}
+    return {
+        parameter.name: _given_map(items[parameter.name], parameter, size, tiles)
+        for parameter in model.parameters
+        if parameter.name in items and not items[parameter.name].recover
+    }
+
+
+def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]) -> np.ndarray:
+    low, high = np.float32(parameter.range)  # Blender keeps 0.02 as 0.0199999996
+    if item.image is not None:
+        return image_map(item.image, parameter, size, tiles)
+    if parameter.is_normal:
+        return np.float32((0, 0, 1))
+    values = item.color if parameter.components == 3 else [item.value] * parameter.components
+    values = np.float32(values)
+    if values.min() < low or values.max() > high:
+        raise InputError(f"{parameter.name}: the given value must lie between {low:g} and {high:g}")
+    return values
+
+
+def image_map(image, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE) -> np.ndarray:
+    """Return (H, W, components) of a Blender image, in the parameter's own units.
+
+    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Of what is no colour the numbers of the file are
+    meant, though Blender takes every PNG for sRGB until told otherwise. tiles: the UDIM tiles of the domain, which a
+    tiled image must have.
+    """
+    with tile_images(image, tiles) as parts:
+        size = size[0], size[1] // len(tiles)
+        return np.concatenate([_picture_map(part, parameter, size) for part in parts], axis=1)
+
+
+def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+    height, width = size
+    if not image.has_data and not image.size[0]:
+        raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
+    if tuple(image.size) != (width, height):
+        raise InputError(
+            f"image '{image.name}', given for {parameter.name}, is {image.size[0]} × {image.size[1]}, the maps"
+            f" {width} × {height}; scale it"
+        )
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, image.channels)[..., : parameter.components]
+    if values.shape[-1] < parameter.components:
+        raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
+    encoded = image.colorspace_settings.name == "sRGB"  # and where they are floats, Blender has decoded them
+    if encoded and image.is_float and parameter.color_space != "sRGB":
+        values = srgb_from_linear(values)
+    if parameter.is_normal:
+        return _normals(values, image.is_float and not encoded)
+    if encoded and not image.is_float and parameter.color_space == "sRGB":
+        values = linear_from_srgb(values)
+    return np.clip(values, *parameter.range).astype(np.float32)
+
+
+def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
+    """Return the unit vectors of a normal map: its values, or 2v − 1, whichever have lengths nearer to 1."""
+    shifted = 2 * values - 1
+    off, shifted_off = (np.median(np.abs(np.linalg.norm(v, axis=-1) - 1)) for v in (values, shifted))
+    vectors = values if may_be_vectors and off < shifted_off else shifted
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # What has the length 1 but for rounding stays, bit for bit, as the command line takes it.
+    return np.where(np.abs(lengths - 1) < 1e-6, vectors, vectors / np.maximum(lengths, 1e-8))
+
+
+def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int, ...]) -> tuple[Any, ...] | None:
+    """Return what tells whether a domain is still the one of these settings: images with their times, lights, mesh.
+
+    Lights and cameras by their values: a folder's own time does not change with the lists that lie in it. unseen: the
+    observations held out, which are read last.
+    """
+    if settings.source != "FILES":
+        return None
+    spec = read_spec(capture_path(settings), settings.colour_space)
+    gone = {one.index for one in capture.left_out}
+    images = (
+        *(shot.image for k, shot in enumerate(spec.observations) if k not in gone),
+        *(view.mask for view in spec.views if view.mask),
+    )
+    files = {image.path: image.path.stat() for image in images}
+    stamps = tuple((image, files[image.path].st_mtime_ns, files[image.path].st_size) for image in images)
+    lights = tuple((observation.light, observation.camera) for observation in capture.observations)
+    cameras = (capture.card_distance, *(camera.key for camera in capture.cameras))
+    shape = None
+    if mesh is not None:
+        arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)
+        solved = None if mesh.solved is None else mesh.solved.tobytes()
+        made = (settings.resolution, settings.shadows, mesh.tiles, solved)
+        shape = hash((*(array.tobytes() for array in arrays), *made))
+    return stamps, lights, cameras, shape, unseen

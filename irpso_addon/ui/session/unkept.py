@@ -1,0 +1,104 @@
+"""Recoveries that were not kept when their file was closed: stored for the next one, listed, forgotten."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.errors import CheckpointError, GpuUnavailableError
+from ...core.paths import BASE_PACKAGE
+from ...exports.place import file_stem
+from ...solver.state.checkpoint import read_note
+
+_ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
+_log = logging.getLogger(__name__)
+_listed: list[Unkept] | None = None  # what lies in the folder, once it has been looked at
+
+
+@dataclass(frozen=True)
+class Unkept:
+    """A stored recovery. fraction: how far it was. asked: of ``asked.asked_of``. file: its .blend."""
+
+    path: Path
+    name: str
+    fraction: float
+    file: str
+    asked: dict[str, Any]
+
+
+def folder() -> Path | None:
+    """Return the extension's own folder for them; None where it is not installed as one, or Blender has no window."""
+    if bpy.app.background:
+        return None
+    try:
+        return Path(bpy.utils.extension_path_user(BASE_PACKAGE, path="unkept"))
+    except ValueError:  # not installed as an extension
+        return None
+
+
+def store(running: Any) -> None:
+    """Write what a session has found and nobody has kept; what keeps that from being done is logged alone.
+
+    Blender closes its file meanwhile, or ends: nobody can be asked.
+    """
+    if running.recovery is None or running.kept or (place := folder()) is None:
+        return
+    job, file = running.job, bpy.data.filepath
+    about = {"name": job.name, "fraction": running.fraction, "file": file, "asked": job.asked}
+    digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
+    try:
+        if not running.in_own_context:
+            raise GpuUnavailableError("the graphics context in which it was made is not current")
+        notes = {
+            _ABOUT: np.frombuffer(json.dumps(about).encode(), np.uint8),
+            HISTORY: np.array(running.history).reshape(-1, 2),
+            SECONDS: np.array(running.seconds),
+        }
+        running.recovery.save(job.resumed or place / f"{file_stem(job.name)}-{digest}.npz", notes)
+    except Exception:  # noqa: BLE001  a full disk, a device that is gone: the file must close all the same
+        _log.exception("the recovery of %s could not be stored", job.name)
+    look()
+
+
+def listed() -> list[Unkept]:
+    """Return what is stored, the newest first; the folder is looked at once, and after each change."""
+    if _listed is None:
+        look()
+    return _listed or []
+
+
+def look() -> None:
+    """Look into the folder again. A file that is no checkpoint, or cannot be read, is left out."""
+    global _listed
+    place = folder()
+    try:
+        paths = [] if place is None or not place.is_dir() else place.glob("*.npz")
+        newest = sorted(paths, key=lambda path: path.stat().st_mtime, reverse=True)
+    except OSError:
+        newest = []
+    _listed = [found for path in newest if (found := _read(path)) is not None]
+
+
+def forget(path: Path | None) -> None:
+    """Delete a stored recovery; do nothing for None."""
+    if path is None:
+        return
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        _log.exception("%s could not be deleted", path)
+    look()
+
+
+def _read(path: Path) -> Unkept | None:
+    try:
+        return Unkept(path, **json.loads(bytes(read_note(path, _ABOUT))))
+    except (CheckpointError, ValueError, TypeError):
+        return None
