@@ -22,6 +22,8 @@ MODULES = (
     "operators.recover",
     "session.keep",
     "panels.sidebar",
+    "panels.capture",
+    "panels.recovery",
     "operators.export",
     "panels.view",
     "panels.image_editor",

@@ -22,7 +22,8 @@ def there():
 def drawing_times():
     \"\"\"Return the seconds that each panel of the tab takes to be drawn, the longest of some redraws.\"\"\"
     took, real = {{}}, {{}}
-    classes = [c for n in ("panels.sidebar", "panels.view") for c in importlib.import_module("{UI}." + n).CLASSES]
+    names = ("sidebar", "capture", "recovery", "view")
+    classes = [c for n in names for c in importlib.import_module("{UI}.panels." + n).CLASSES]
     def timed(cls, draw):
         def measured(self, context):
             begun = time.perf_counter()

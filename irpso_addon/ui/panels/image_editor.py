@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..session import session
-from .sidebar import Failures, draw_progress, draw_result
+from .recovery import draw_progress, draw_result
+from .sidebar import Failures
 from .view import draw_probes, draw_shown
 
 

@@ -7,7 +7,8 @@ import bpy
 from ..common import drawing
 from ..overlay.handlers import why_hidden
 from ..session import session
-from .sidebar import Sidebar, draw_observation
+from .capture import draw_observation
+from .sidebar import Sidebar
 
 # Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")

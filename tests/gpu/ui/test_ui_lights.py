@@ -50,7 +50,7 @@ def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(se
 
 
 def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_result(settings, truth, monkeypatch):
-    from irpso_addon.ui.panels import sidebar as panels
+    from irpso_addon.ui.panels import recovery as panels
     from irpso_addon.ui.session import keep, session
 
     settings.light_strengths = "ESTIMATE"
@@ -85,7 +85,7 @@ def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_resul
 
 
 def test_the_panel_offers_both_settings(settings):
-    from irpso_addon.ui.panels import sidebar as panels
+    from irpso_addon.ui.panels import capture as panels
 
     drawn = Drawn()
     panels.IRPSO_PT_capture.draw(type("Panel", (), {"layout": drawn})(), bpy.context)

@@ -76,11 +76,9 @@ class Drawn:
 
 def panels(space="VIEW_3D"):
     """Return the panels of the tab that are there now, those inside others included."""
-    from irpso_addon.ui.panels import image_editor as image_panels
-    from irpso_addon.ui.panels import sidebar as main_panels
-    from irpso_addon.ui.panels import view as view_panels
+    from irpso_addon.ui.panels import capture, image_editor, recovery, sidebar, view
 
-    classes = [*main_panels.CLASSES, *view_panels.CLASSES, *image_panels.CLASSES]
+    classes = [one for module in (sidebar, capture, recovery, view, image_editor) for one in module.CLASSES]
     own = [cls for cls in classes if cls.bl_space_type == space]
     shown = [cls for cls in own if not hasattr(cls, "poll") or cls.poll(bpy.context)]
     names = {cls.__name__ for cls in shown}

@@ -1,0 +1,198 @@
+"""Panels of the sidebar during a recovery: start, progress, result, search settings."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...solver.settings.schedule import GROUPS
+from ..common import drawing
+from ..operators.presets import label_of
+from ..operators.restore import draw_unkept
+from ..session import session
+from ..session.job import missing
+from ..session.keep import is_standard_view
+from .sidebar import Sidebar
+
+
+class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
+    """The button, and how far it is."""
+
+    bl_label = "Recover"
+
+    def draw(self, context) -> None:
+        """Draw what can be done now."""
+        running = session.current()
+        if running is None:
+            draw_unkept(self.layout, context)
+            _draw_start(self.layout, context, "Recover")
+        elif running.state == "done":
+            draw_result(self.layout, context, running)
+            self.layout.separator()
+            _draw_start(self.layout, context, "Recover Again")
+        else:
+            draw_progress(self.layout, context, running)
+
+
+def draw_presets(layout, settings) -> None:
+    """Draw the menu of presets with its + and −; shipped ones have no −."""
+    row = layout.row(align=True)
+    row.menu("IRPSO_MT_presets", text=label_of(settings.schedule), translate=False)
+    row.operator("irpso.preset_add", text="", icon="ADD")
+    if settings.schedule.own:
+        row.operator("irpso.preset_add", text="", icon="REMOVE").remove_active = True
+
+
+def _draw_start(layout, context, text: str) -> None:
+    draw_presets(layout, context.scene.irpso)
+    row = layout.row()
+    row.scale_y = 2
+    row.operator("irpso.recover", text=text, icon="PLAY")
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(context.scene.irpso, "hold_out")  # below the button, which a row above would push out of sight
+    if wanting := missing(context):
+        drawing.wrapped(layout, context, wanting, "INFO")
+
+
+def draw_progress(layout, context, running: session.Session) -> None:
+    """Draw what is done, how far it is, how well, how fast, how long still; and the buttons."""
+    layout.label(text=running.job.name, icon="TEXTURE", translate=False)
+    progress = running.progress
+    title = running.title.replace("_", " ").replace(" + ", ", ")
+    text = f"Paused at {running.fraction:.0%}" if running.state == "paused" else f"{running.fraction:.0%}"
+    layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
+    column = layout.column(align=True)
+    column.scale_y = 0.9
+    drawing.fact(column, context, "Now", title[:1].upper() + title[1:], lines=2)  # buttons must not jump
+    if progress is not None:
+        drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
+        drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
+        drawing.fact(column, context, "Evaluations", drawing.rate(running.rate))
+        left = running.seconds_left
+        drawing.fact(column, context, "Time Left", "–" if left is None else drawing.clock(left))
+    if running.state == "paused":
+        draw_presets(layout, context.scene.irpso)
+    row = layout.row()
+    row.scale_y = 1.5
+    if running.state == "paused":
+        row.operator("irpso.resume", icon="PLAY")
+    elif running.state == "running":
+        row.operator("irpso.pause", icon="PAUSE")
+    row = layout.row(align=True)
+    if running.recovery is not None:
+        row.operator("irpso.stop", text="Stop and Keep", icon="CHECKMARK")
+    row.operator("irpso.cancel", text="Cancel", icon="X")
+    if running.recovery is not None and running.state == "paused":
+        _draw_displacement(layout, context)
+        layout.operator("irpso.export", text="Export…", icon="EXPORT")
+
+
+def draw_result(layout, context, running: session.Session) -> None:
+    """Draw what has been found, and what can be done with it."""
+    kept, stopped = running.kept, running.stopped
+    column = layout.column(align=True)
+    state = ["Stopped Early"] * stopped + ["Kept"] * kept or ["Done"]
+    column.label(text=f"{running.job.name}: {', '.join(state)}", icon="PAUSE" if stopped else "CHECKMARK",
+                 translate=False)  # fmt: skip
+    if stopped:
+        progress = running.progress
+        drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
+    if running.error is not None:
+        drawing.fact(column, context, "Error", drawing.percent(running.error))
+    drawing.fact(column, context, "Search Time", drawing.clock(running.seconds))
+    if running.unseen:
+        drawing.wrapped(layout, context, running.unseen, "HIDE_ON")
+    if running.lights is not None:
+        drawing.fact(column, context, "Lights", running.lights.summary())
+        for text in running.lights.warnings(running.job.lights.intensities != "auto"):
+            drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
+    for text in running.job.notes():
+        drawing.wrapped(layout, context, text, "ERROR")
+    if stopped:
+        layout.operator("irpso.resume", icon="PLAY")
+    row = layout.row()
+    row.scale_y = 1.0 if kept else 2.0
+    row.operator("irpso.keep", text="Keep Again" if kept else "Keep", icon="MATERIAL")
+    _draw_displacement(layout, context)
+    row = layout.row(align=True)
+    row.operator("irpso.export", text="Export…", icon="EXPORT")
+    row.operator("irpso.cancel", text="Close" if kept else "Discard", icon="X")
+    if kept and not is_standard_view(context.scene):
+        drawing.wrapped(
+            layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
+        )
+        layout.operator("irpso.standard_view", icon="COLOR")
+
+
+def _draw_displacement(layout, context) -> None:
+    """Draw what Keep adds to the material."""
+    column = layout.column(heading="Keep With")
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(context.scene.irpso, "displacement")
+
+
+class IRPSO_PT_search(Sidebar, bpy.types.Panel):
+    """All settings of the search."""
+
+    bl_label = "Search Settings"
+    bl_parent_id = "IRPSO_PT_recover"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether settings are heeded now: before and after a run, and while it is paused."""
+        running = session.current()
+        return running is None or running.state in ("paused", "done")
+
+    def draw(self, context) -> None:
+        """Draw the seed, which one that is paused keeps; the rest is in panels of its own."""
+        running = session.current()
+        if running is not None and running.state == "paused":
+            return
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(context.scene.irpso, "seed")
+
+
+def _shown(settings, name: str) -> bool:
+    """Return whether a setting does anything with the others as they are."""
+    schedule = settings.schedule
+    switch = {"prefit": "prefit_iterations", "refinement": "refinement_iterations", "prior": "prior_rounds"}
+    part = name.partition("_")[0]
+    if part in switch and name != switch[part]:
+        return getattr(schedule, switch[part]) > 0
+    if name in ("delta", "shadow", "highlight_power"):
+        return schedule.loss == "robust"
+    if name in ("seeded", "seed_spread"):
+        return schedule.seed != "random"
+    if name == "level_iterations":
+        return schedule.levels > 1
+    return True
+
+
+def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]:
+    """Return the closed panel of one group of settings."""
+
+    def draw(self, context) -> None:
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        for name in names:
+            if _shown(context.scene.irpso, name):
+                column.prop(context.scene.irpso.schedule, name)
+
+    idname = f"IRPSO_PT_{title.lower()}"
+    return type(
+        idname,
+        (Sidebar, bpy.types.Panel),
+        {
+            "__doc__": f"Settings of the search: {title.lower()}.", "__module__": __name__, "bl_label": title,
+            "bl_parent_id": "IRPSO_PT_search", "bl_options": {"DEFAULT_CLOSED"}, "draw": draw,
+        },
+    )  # fmt: skip
+
+
+CLASSES = (
+    IRPSO_PT_recover,
+    IRPSO_PT_search,
+    *(_settings_panel(title, names) for title, names in GROUPS.items()),
+)
