@@ -58,7 +58,7 @@ def linear_weights(model: ReflectanceModel, solved: Sequence[Parameter]) -> Line
     if weights.components > MAX_WEIGHTS:
         raise InputError(
             f"model {model.name}: {weights.components} linear components, at most {MAX_WEIGHTS} are solved in closed"
-            " form; give some as known, or search them with linear = \"search\""
+            " form; fix some (--fixed), or search them with linear = \"search\""
         )  # fmt: skip
     return weights
 

@@ -173,57 +173,55 @@ def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tup
 def resolve(
     schedule: Schedule, model: ReflectanceModel, fixed: set[str], observations: int = 0
 ) -> tuple[Resolved, ...]:
-    """Return what a model's unknown parameters leave to be done: the prefit, all stages, the refinement, the prior.
+    """Return the phases that find a model's free parameters: prefit, stages, refinement, shared materials, prior.
 
-    observations: how many there are; a prefit needs some. Raises InputError.
+    observations: their number; a prefit needs ``schedule.prefit.observations``. Raises InputError.
     """
+    asked = _searched_names(schedule, model)
+    free = [p for p in model.parameters if p.name not in fixed and any(_is_asked(p, s, asked) for s in schedule.stages)]
+    prefit = schedule.prefit
+    has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
+    resolved: list[Resolved] = [_resolve_prefit(prefit)] if has_prefit else []
+    for cycle in range(schedule.cycles):
+        for stage in schedule.stages:
+            wanted = [p for p in free if _is_asked(p, stage, asked) and not (has_prefit and p.is_normal)]
+            if wanted and stage.iterations:
+                resolved.append(_resolve_swarm(schedule, model, wanted, stage.iterations, cycle))
+    if free:
+        parameters = tuple(free)
+        resolved += _resolve_refinement(schedule.refinement, model, parameters)
+        if has_prefit:
+            resolved += _resolve_refinement_of_the_rest(schedule.refinement, model, parameters)
+        resolved += _resolve_materials(schedule, parameters)
+        resolved += _resolve_prior(schedule, parameters)
+    if not resolved:
+        raise InputError("search: nothing is left to find; every parameter searched is fixed")
+    return tuple(resolved)
+
+
+def _searched_names(schedule: Schedule, model: ReflectanceModel) -> set[str]:
+    """Return the names of parameters and stages that the schedule searches. Raises InputError for an unknown one."""
     names = {p.stage for p in model.parameters} | {p.name for p in model.parameters}
     asked = {name for stage in schedule.stages for name in stage.search}
     if unknown := sorted(asked - names - _USUAL_STAGES - {ALL, REST}):
         offered = ", ".join(p.name for p in model.parameters)
         raise InputError(f"search: model {model.name} has no parameter or stage '{unknown[0]}'; it has: {offered}")
-    resolved: list[Resolved] = []
-    found: set[str] = set()
-    normal = next(p for p in model.parameters if p.is_normal)
-    prefit_fitness = (
-        schedule.prefit.iterations > 0
-        and observations >= schedule.prefit.observations
-        and normal.name not in fixed
-        and any(_is_asked(normal, stage, asked) for stage in schedule.stages)
-    )
-    if prefit_fitness:
-        resolved.append(_resolve_prefit(schedule.prefit))
-    for cycle in range(schedule.cycles):
-        for stage in schedule.stages:
-            wanted = [p for p in model.parameters if p.name not in fixed and _is_asked(p, stage, asked)]
-            found |= {p.name for p in wanted}
-            wanted = [p for p in wanted if not (prefit_fitness and p is normal)]
-            if not wanted or stage.iterations == 0:
-                continue
-            closed = {p.name for p in wanted if p.kind == "linear" and p.name in model.bases}
-            closed = closed if schedule.swarm.linear == "solve" else set()
-            result = ResolvedSwarm(
-                tuple(p for p in wanted if p.name not in closed),
-                stage.iterations,
-                cycle,
-                tuple(p for p in wanted if p.name in closed),
-            )
-            if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
-                raise InputError(
-                    f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
-                    ' search fewer, set linear = "solve", give some as known, or search the normal on the hemisphere'
-                )
-            resolved.append(result)
-    if found:
-        parameters = tuple(p for p in model.parameters if p.name in found)
-        resolved += _resolve_refinement(schedule.refinement, model, parameters)
-        if prefit_fitness:
-            resolved += _resolve_refinement_of_the_rest(schedule.refinement, model, parameters)
-        resolved += _resolve_materials(schedule, parameters)
-        resolved += _resolve_prior(schedule, parameters)
-    if not resolved:
-        raise InputError("search: nothing is left to find; every parameter searched is given as known")
-    return tuple(resolved)
+    return asked
+
+
+def _resolve_swarm(
+    schedule: Schedule, model: ReflectanceModel, wanted: list[Parameter], iterations: int, cycle: int
+) -> ResolvedSwarm:
+    solve = schedule.swarm.linear == "solve"
+    closed = [p for p in wanted if solve and p.kind == "linear" and p.name in model.bases]
+    searched = tuple(p for p in wanted if p not in closed)
+    result = ResolvedSwarm(searched, iterations, cycle, tuple(closed))
+    if (n := result.dimensions(schedule.swarm.normal)) > MAX_DIMENSIONS:
+        raise InputError(
+            f"search: {result.title} are {n} dimensions together, at most {MAX_DIMENSIONS} fit;"
+            ' search fewer, set linear = "solve", fix some (--fixed), or search the normal on the hemisphere'
+        )
+    return result
 
 
 def _is_asked(parameter: Parameter, stage: Stage, asked: set[str]) -> bool:

@@ -136,7 +136,7 @@ def test_more_weights_than_eight_are_refused(tmp_path):
     )
     model = load_model(tmp_path / "many.toml")
     stage = resolve(load_schedule("standard").replaced(prefit_iterations=0), model, set())[0]
-    with pytest.raises(InputError, match=r"9 linear components, at most 8 .*; give some as known, or search them"):
+    with pytest.raises(InputError, match=r"9 linear components, at most 8 .*; fix some .*, or search them"):
         linear_weights(model, stage.solved)
     assert linear_weights(model, stage.solved[:2]).components == 6
 
