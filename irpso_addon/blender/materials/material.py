@@ -344,6 +344,12 @@ def _principled(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[
             set_input(node, name, value)
         except (TypeError, ValueError) as error:
             raise InputError(f"model {model.name}: [material.settings] '{name}' cannot be {value!r}") from error
+    missing = [p for p in model.parameters if p.socket and p.socket not in node.inputs]
+    if missing and model.material.get("shader") == "principled":
+        raise InputError(
+            f"model {model.name}: parameter {missing[0].name} names the socket '{missing[0].socket}', which Principled"
+            " BSDF does not have"
+        )
     sockets = [(p.name, node.inputs[p.socket]) for p in model.parameters if p.socket and p.socket in node.inputs]
     if "Coat Weight" in driven:  # left alone, a coat has the normal of the mesh
         sockets += [(p.name, node.inputs["Coat Normal"]) for p in model.parameters if p.is_normal]

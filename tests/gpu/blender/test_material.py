@@ -192,6 +192,15 @@ def test_settings_of_the_model_reach_the_principled_node_and_unknown_ones_are_na
     assert counts() == before
 
 
+def test_a_socket_that_principled_bsdf_lacks_is_named_and_nothing_is_made():
+    model = load_model("principled")
+    odd = tuple(replace(p, socket="Roughnes") if p.name == "roughness" else p for p in model.parameters)
+    before = counts()
+    with pytest.raises(InputError, match="parameter roughness names the socket 'Roughnes'"):
+        build_material(random_maps(replace(model, parameters=odd)), "icon")
+    assert counts() == before
+
+
 def test_a_two_lobe_model_without_a_weight_or_with_unknown_words_is_refused():
     model = load_model("cook_torrance_two_lobe")
     with pytest.raises(InputError, match="Weight"):
