@@ -1,4 +1,4 @@
-"""The guide agrees with the program: links, settings, presets, public names, and the examples that need no GPU."""
+"""The pages agree with the program: links, settings, presets, public names, modules, and examples that need no GPU."""
 
 import re
 import subprocess
@@ -68,7 +68,7 @@ def test_the_table_of_settings_is_the_panels_own():
 def test_every_button_that_is_named_is_there(name):
     labels = set(re.findall(r"\*\*(.+?)\*\*", (DOCS / name).read_text(encoding="utf-8")))
     sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "irpso_addon" / "ui").rglob("*.py"))
-    sources += (ROOT / "shaders" / "models" / "principled.toml").read_text(encoding="utf-8")
+    sources += "".join(path.read_text(encoding="utf-8") for path in (ROOT / "shaders" / "models").glob("*.toml"))
     assert [label for label in labels if f'"{label}' not in sources] == []
 
 
@@ -93,26 +93,50 @@ def test_every_public_name_is_listed():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_module_that_is_named_exists(page):
+    names = re.findall(r"irpso_addon(?:\.\w+)+", page.read_text(encoding="utf-8"))
+    assert [name for name in names if not exists(name)] == []
+
+
+def exists(name):
+    """Whether a dotted name is a module of the program, or is defined in one."""
+    module, last = (ROOT.joinpath(*parts) for parts in (name.split("."), name.split(".")[:-1]))
+    if module.is_dir() or module.with_suffix(".py").is_file():
+        return True
+    home = last / "__init__.py" if last.is_dir() else last.with_suffix(".py")
+    own = name.rpartition(".")[2]
+    return home.is_file() and re.search(
+        rf"^(?:(?:def|class) {own}\b|{own} =|from .*\b{own}\b)", home.read_text("utf-8"), re.M
+    )
+
+
+def test_every_file_that_the_page_on_architecture_names_exists():
+    names = re.findall(r"`((?:[\w]+/)+\w*(?:\.\w+)?)`", (DOCS / "architecture.md").read_text(encoding="utf-8"))
+    assert len(names) > 20
+    assert [name for name in names if not any((base / name).exists() for base in (ROOT, ROOT / "irpso_addon"))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_example_in_python_compiles(page):
     for language, code in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "python":
             compile(code, name_of(page), "exec")
 
 
-def test_the_ball_of_the_guide_tells_where_the_lamp_was(tmp_path):
+def test_the_script_of_the_guide_finds_the_lamp_from_highlights_on_a_ball(tmp_path):
     script, rows = tmp_path / "lights_from_ball.py", ["ball 2510 1730 96"]
     blocks = FENCE.findall((DOCS / "shooting.md").read_text(encoding="utf-8"))
     script.write_text(next(code for language, code in blocks if language == "python"), encoding="utf-8")
     rng = np.random.default_rng(3)
     lamps = rng.normal(size=(20, 3)) + (0, 0, 1.5)
     lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
-    # A far camera sees the lamp where the ball's normal halves the angle between both directions.
+    # A distant camera sees the lamp where the ball's normal bisects the directions to lamp and camera.
     halves = lamps + (0, 0, 1)
     halves /= np.linalg.norm(halves, axis=1, keepdims=True)
     rows += [f"IMG {k}.jpg {2510 + 96 * h[0]:.6f} {1730 - 96 * h[1]:.6f}" for k, h in enumerate(halves)]
     (tmp_path / "highlights.txt").write_text("\n".join(rows) + "\n", encoding="utf-8")
     command = [sys.executable, script, tmp_path / "highlights.txt"]
     first, *lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-    told = np.array([[float(number) for number in line.rsplit(maxsplit=3)[1:]] for line in lines])
+    directions = np.array([[float(number) for number in line.rsplit(maxsplit=3)[1:]] for line in lines])
     assert int(first) == 20 and lines[3].startswith("IMG 3.jpg ")
-    assert np.allclose(told, lamps, atol=1e-6)
+    assert np.allclose(directions, lamps, atol=1e-6)
