@@ -47,9 +47,10 @@ test-gui: environment-test ## the tests in a real Blender window: BLENDER=/path/
 docs-images: environment ## the guide's pictures, from a Blender window as in test-gui, into docs/images
 	$(RUN) scripts/docs_images.py
 
-lint: environment-test ## style only
+lint: environment-test ## style and types only
 	$(RUN) -m ruff check --quiet .
 	$(RUN) -m ruff format --check --quiet .
+	$(RUN) -m mypy --no-error-summary
 
 format: environment-test ## rewrite the sources in the style that lint asks for
 	$(RUN) -m ruff check --quiet --fix .

@@ -67,8 +67,8 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
             raise InputError(f"{request.mask}: shows no ball; paint the ball white and the rest black")
         return fit_ball(outline_of_mask(mask), camera, f"{name} ({request.mask.name})", radius)
     if len(request.numbers) == 3:
-        x, y, size = request.numbers
-        return fit_ball(outline_of_circle(x, camera.height - y, size), camera, name, radius, measured=False)
+        x, y, across = request.numbers
+        return fit_ball(outline_of_circle(x, camera.height - y, across), camera, name, radius, measured=False)
     points = np.reshape(request.numbers, (-1, 2)) * (1, -1) + (0, camera.height)
     return fit_ball(points, camera, name, radius, measured=False)
 

@@ -53,7 +53,7 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
     keys = camera_keys(path / CAMERA) if (path / CAMERA).exists() else {}
     mask = next((path / m for m in diligent.MASKS if (path / m).exists() and (path / m).resolve() not in hidden), None)
     make, lens = camera_maker(keys, str(path / CAMERA)), has_lens(keys)
-    view = ViewSpec("camera", make, str(path), None, mask and ImageRef(mask), lens=lens)
+    view = ViewSpec("camera", make, str(path), None, ImageRef(mask) if mask else None, lens=lens)
     return CaptureSpec(path.resolve().name, "images", path, shots, (view,))
 
 

@@ -98,20 +98,20 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
         pixels = pixels + change
         if np.abs(change).max() < _ALIGNED:
             break
-    for k in np.flatnonzero(~trusted):  # a light far from the mean's may still agree with one of its neighbours
+    for k in np.flatnonzero(~trusted).tolist():  # a light far from the mean's may agree with one of its neighbours
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
         if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
             pixels[k], trusted[k] = best[:2], True
     return pixels, trusted
 
 
-def _phases(shape: tuple[int, int], right: float, up: float) -> np.ndarray:
+def _phases(shape: tuple[int, ...], right: float, up: float) -> np.ndarray:
     """Return what turns the ``rfft2`` of a frame into that of the frame moved back by (right, up)."""
     rows, columns = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
     return (np.exp(2j * np.pi * rows * up)[:, None] * np.exp(2j * np.pi * columns * right)).astype(np.complex64)
 
 
-def _peak(cross: np.ndarray, shape: tuple[int, int]) -> tuple[float, float, float]:
+def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, float]:
     """Return where the correlation of a cross spectrum is largest (right, up), and by how many deviations it is so."""
     cross = whitened(cross, shape)
     field = np.fft.fftshift(np.fft.irfft2(cross, shape))
@@ -127,7 +127,7 @@ def _peak(cross: np.ndarray, shape: tuple[int, int]) -> tuple[float, float, floa
         left = np.exp(2j * np.pi * np.outer(up + offsets, rows))
         near = (left @ cross @ (twice[:, None] * np.exp(2j * np.pi * np.outer(columns, right + offsets)))).real
         i, j = np.unravel_index(near.argmax(), near.shape)
-        up, right = up + offsets[i], right + offsets[j]
+        up, right = up + float(offsets[i]), right + float(offsets[j])
     return right, up, float(height)
 
 
@@ -202,7 +202,7 @@ def _slid(array: np.ndarray, distance: float, axis: int, outside: bool = False) 
     whole = int(np.floor(distance))
     taps = np.arange(1 - _LOBES, _LOBES + 1)
     kernel = np.sinc(taps - (distance - whole)) * np.sinc((taps - (distance - whole)) / _LOBES)
-    kernel /= kernel.sum()
+    kernel = kernel / kernel.sum()
     size, margin = array.shape[axis], abs(whole) + _LOBES
     widths = [(margin, margin) if a == axis else (0, 0) for a in range(array.ndim)]
     padded = np.pad(array, widths, constant_values=1) if outside else np.pad(array, widths, "edge")

@@ -13,8 +13,8 @@ from .camera import Camera
 from .errors import CaptureError, raise_all
 from .images.encoding import Encoding, LitImage, encoding_of
 from .images.image import ImageRef, ImageStore
-from .images.linearise import Decoder
-from .types import Capture, LeftOut, Light, Observation
+from .images.linearise import Decoder, Samples
+from .types import Capture, LeftOut, Light, Observation, triple
 
 
 @dataclass(frozen=True)
@@ -87,29 +87,31 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         yield
         sizes.append(_size(shot.image, store, faults))
     raise_all(faults)
+    read = zip(spec.observations, lights, sizes, strict=True)
+    shots = [(shot, light, size) for shot, light, size in read if light and size]
     cameras, masks = [], []
     for index, view in enumerate(spec.views):
         yield
-        seen = [(s, size) for s, size in zip(spec.observations, sizes, strict=True) if s.camera == index]
+        seen = [(shot, size) for shot, _, size in shots if shot.camera == index]
         width, height = _camera_size(view, seen, faults)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
     raise_all(faults)
     tested = [
         LitImage(shot.image, light.vector, float(np.mean(light.intensity)), shot.camera)
-        for shot, light in zip(spec.observations, lights, strict=True)
+        for shot, light, _ in shots
         if light.distant and shot.image.colour_space == "auto"
     ]
     encoding = encoding_of(tested, masks, store)
     observations = tuple(
         Observation(
             shot.name,
-            _Reader(shot.image, store, cameras[shot.camera], encoding),
+            ImageReader(shot.image, store, cameras[shot.camera], encoding),
             light,
             shot.camera,
             store.coarse(shot.image),
         )  # fmt: skip
-        for shot, light in zip(spec.observations, lights, strict=True)
+        for shot, light, _ in shots
     )
     return Capture(
         spec.name, observations, tuple(cameras), tuple(masks), spec.source, spec.card_distance, spec.left_out,
@@ -118,8 +120,8 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
 
 
 @dataclass(frozen=True)
-class _Reader:
-    """Reads one observation: what Observation.read is."""
+class ImageReader:
+    """Reads one observation: what Observation.read is of a capture that was built here."""
 
     image: ImageRef
     store: ImageStore
@@ -129,7 +131,7 @@ class _Reader:
     def __call__(self) -> np.ndarray:
         return self.samples().bounds
 
-    def samples(self):
+    def samples(self) -> Samples:
         """Return the Samples of the image, checked against the camera's size."""
         found = self.store.samples(self._decoded())
         height, width = found.rgba.shape[:2]
@@ -149,7 +151,7 @@ def written_lights(spec: CaptureSpec) -> list[Light]:
     """Return the lights of a spec's observations; none where one of them is not sound."""
     faults: list[CaptureError] = []
     lights = [_light(shot, faults) for shot in spec.observations]
-    return [] if faults else lights
+    return [light for light in lights if light] if not faults else []
 
 
 def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
@@ -169,10 +171,8 @@ def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
         fault = f"{shot.where}: the intensity is {what}; write what the light gives, or take the image out", "intensity"
     else:
         direction = vector / length if shot.distant else vector
-        towards = None if shot.axis is None else tuple(map(float, axis / np.linalg.norm(axis)))
-        return Light(
-            tuple(map(float, direction)), tuple(map(float, intensity)), shot.distant, towards, shot.cone, shot.cosine
-        )
+        towards = None if shot.axis is None else triple(axis / np.linalg.norm(axis))
+        return Light(triple(direction), triple(intensity), shot.distant, towards, shot.cone, shot.cosine)
     faults.append(CaptureError(*fault))
     return None
 

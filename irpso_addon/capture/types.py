@@ -14,6 +14,12 @@ from .errors import CaptureError
 from .images.encoding import Encoding
 
 
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
+    """Return three numbers, those of an array (3,) for one, as floats."""
+    x, y, z = map(float, values)
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class Light:
     """One light of a capture.
@@ -45,7 +51,7 @@ class Light:
         """Return (…) what reaches points (…, 3) of the intensity along the axis, distance left out: 0 to 1."""
         if self.axis is None:
             return np.ones(points.shape[:-1])
-        away = points - np.asarray(self.vector, np.float64)
+        away: np.ndarray = points - np.asarray(self.vector, np.float64)
         cosine = away @ np.asarray(self.axis) / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
         share = np.maximum(cosine, 0) if self.cosine else np.ones_like(cosine)
         # Half of a degree's millionth: what lies on the cone's border by rounding is inside.

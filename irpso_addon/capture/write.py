@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.files import new_folder
 from ..core.toml_text import toml_value
@@ -103,5 +104,5 @@ def _camera(camera: Camera) -> Iterator[str]:
         yield f"distortion = {_numbers(camera.distortion)}"
 
 
-def _numbers(values) -> str:
+def _numbers(values: ArrayLike) -> str:
     return toml_value(np.asarray(values, np.float64))

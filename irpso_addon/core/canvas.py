@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from PIL.ImageFont import FreeTypeFont
+    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 BACKGROUND = (0.106, 0.106, 0.110)
 PANEL = (0.150, 0.150, 0.156)
@@ -50,7 +50,7 @@ class Canvas:
         codes = np.rint(np.clip(image[::-1], 0, 1) * 255).astype(np.uint8)
         self._sheet.paste(Image.fromarray(codes), (x, y))
 
-    def lines(self, strokes: Iterable[Sequence[tuple[float, float]]], width: float, color: Color) -> None:
+    def lines(self, strokes: Iterable[Sequence[tuple[float, float]] | np.ndarray], width: float, color: Color) -> None:
         """Draw chains of points with round joints; where they cross, the ink is not laid on twice."""
         from PIL import Image, ImageDraw
 
@@ -58,13 +58,13 @@ class Canvas:
         if not points:
             return
         every, reach = np.concatenate(points), width / 2 + 1
-        corner = np.floor(every.min(axis=0) - reach).astype(int)
-        size = np.ceil(every.max(axis=0) + reach).astype(int) - corner
-        ink = Image.new("L", tuple(map(int, size * _FINE)))
+        left, top = np.floor(every.min(axis=0) - reach).astype(int).tolist()
+        right, bottom = np.ceil(every.max(axis=0) + reach).astype(int).tolist()
+        ink = Image.new("L", ((right - left) * _FINE, (bottom - top) * _FINE))
         pen = ImageDraw.Draw(ink)
         for stroke in points:
-            pen.line(((stroke - corner) * _FINE).ravel().tolist(), 255, round(width * _FINE), joint="curve")
-        self._sheet.paste(_code(color), tuple(map(int, corner)), ink.reduce(_FINE))
+            pen.line(((stroke - (left, top)) * _FINE).ravel().tolist(), 255, round(width * _FINE), joint="curve")
+        self._sheet.paste(_code(color), (left, top), ink.reduce(_FINE))
 
     def ring(self, x: float, y: float, radius: float, width: float, color: Color) -> None:
         """Draw a circle."""
@@ -91,7 +91,7 @@ class Canvas:
 
 
 @cache
-def _font(height: float) -> FreeTypeFont:
+def _font(height: float) -> FreeTypeFont | ImageFont:
     from PIL import ImageFont
 
     return ImageFont.load_default(height / _CAPITAL)

@@ -50,9 +50,8 @@ def fill_margin(
     values = np.asarray(values, np.float32)
     if covered.all():
         return values.copy()
-    if far is None:
-        far = values[covered].mean(axis=0, dtype=np.float64) if covered.any() else np.zeros(values.shape[-1])
-    result = np.where(covered[..., None], values, np.asarray(far, np.float32))
+    mean = values[covered].mean(axis=0, dtype=np.float64) if covered.any() else np.zeros(values.shape[-1])
+    result = np.where(covered[..., None], values, np.asarray(mean if far is None else far, np.float32))
     row, column, source_row, source_column = nearest_covered(covered, texels)
     result[row, column] = values[source_row, source_column]
     return result if given is None else np.where(given[..., None], values, result)
@@ -74,7 +73,8 @@ def nearest_covered(
         row, column = row[~hit], column[~hit]
         if not row.size:
             break
-    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+    rows, columns, source_rows, source_columns = map(np.concatenate, zip(*found, strict=True))
+    return rows, columns, source_rows, source_columns
 
 
 def _offsets_by_distance(reach: int) -> list[tuple[int, int]]:

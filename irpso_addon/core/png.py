@@ -47,7 +47,8 @@ def png_chunks(data: bytes) -> dict[bytes, bytes]:
 
     Pillow finds EXIF behind the pixels only by decoding them, and drops cICP.
     """
-    chunks, at = {}, len(SIGNATURE)
+    chunks: dict[bytes, bytes] = {}
+    at = len(SIGNATURE)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
         if (end := at + 12 + length) <= len(data):

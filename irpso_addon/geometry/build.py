@@ -315,8 +315,8 @@ def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
     shown = np.isfinite(position).all(axis=-1)
     return GeometryBake(
         position=np.where(shown[..., None], position, 0).astype(np.float32),
-        normal=np.tile(np.float32([0, 0, 1]), (height, width, 1)),
-        tangent=np.tile(np.float32([1, 0, 0, 1]), (height, width, 1)),
+        normal=np.tile(np.asarray([0, 0, 1], np.float32), (height, width, 1)),
+        tangent=np.tile(np.asarray([1, 0, 0, 1], np.float32), (height, width, 1)),
         coverage=mask & shown,
         uv=np.stack([u, v], axis=-1).astype(np.float32),
     )

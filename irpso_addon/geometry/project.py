@@ -45,7 +45,7 @@ class _Group:
     counts: np.ndarray
     worth: np.ndarray
 
-    def part(self, chosen) -> _Group:
+    def part(self, chosen: np.ndarray) -> _Group:
         """Return the group of some of the texels."""
         arrays = (self.texels, self.first, self.fraction, self.sides, self.counts, self.worth)
         return _Group(self.along, *(array[chosen] for array in arrays))
@@ -57,7 +57,7 @@ class _Group:
             return
         for j in range(self.along[1]):
             for i in range(self.along[0]):
-                along, across = np.float32([place(i, self.along[0]), place(j, self.along[1])])
+                along, across = np.asarray([place(i, self.along[0]), place(j, self.along[1])], np.float32)
                 yield j * MOST + i, self.fraction + along * self.sides[:, :, 0] + across * self.sides[:, :, 1]
 
 

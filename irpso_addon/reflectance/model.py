@@ -24,7 +24,7 @@ _PRIORS = ("normal", "concave")
 _COLOR_SPACES = ("Non-Color", "sRGB")
 # What the keys of the TOML hold, where it is no number.
 _KIND_OF = {"ordered": list, "complement": list, "material": dict}
-_WORDS = {str: "a text", list: "a list of names", dict: "a table"}
+_WORDS: dict[type, str] = {str: "a text", list: "a list of names", dict: "a table"}
 
 
 Start = tuple[tuple[str, tuple[float, ...]], ...]  # parameters' names, each with its components; the mirror's has none
@@ -277,7 +277,7 @@ def _components(value: Any, count: int, within: tuple[float, float], where: str)
 
 def _check_kind(table: dict[str, Any], key: str, kind: type, where: str) -> None:
     value = table.get(key, kind())
-    if not isinstance(value, kind) or (kind is list and not all(isinstance(item, str) for item in value)):
+    if not isinstance(value, kind) or (isinstance(value, list) and not all(isinstance(item, str) for item in value)):
         raise InputError(f"{where}: {key} must be {_WORDS[kind]}, not {value!r}")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...capture.types import Light
+from ...capture.types import Light, triple
 from ...core.errors import InputError
 from . import matte, mirror
 from .ball import Ball
@@ -127,7 +127,7 @@ def _by_shading(views: list[BallView], centre: np.ndarray, request: Request) -> 
         meeting = _of_fit(fit, views)
         sights = tuple(_brightest(view.ball, fit, meeting) for view in views)
         white = np.asarray(request.albedo) if request.albedo else first
-        intensity = tuple(float(v) for v in np.maximum(fit.radiance / np.maximum(white, 1e-12), 0))
+        intensity = triple(np.maximum(fit.radiance / np.maximum(white, 1e-12), 0))
         warnings = _doubts(fit)
         found.append(_placed(meeting, sights, views[0].ball, centre, request, near, usual, intensity, warnings))
     return Calibration("matte", near, how, _scaled(found, centre, request), tuple(views), bounce)
@@ -141,7 +141,7 @@ def _scaled(found: list[FoundLight], centre: np.ndarray, request: Request) -> tu
     first = np.asarray(lit[0].intensity)
 
     def relative(light: Light) -> Light:
-        return Light(light.vector, tuple(float(v) for v in np.asarray(light.intensity) / first), light.distant)
+        return Light(light.vector, triple(np.asarray(light.intensity) / first), light.distant)
 
     return tuple(
         f if f.light is None else FoundLight(relative(f.light), f.error, f.distance_error, f.sights, f.warnings)
@@ -261,8 +261,8 @@ def _placed(
         inverse, relative = usual, 1.0
     if not near:
         vector = matrix[:3, :3] @ meeting.direction
-        light = Light(tuple(map(float, vector)), radiance)
+        light = Light(triple(vector), radiance)
         return FoundLight(light, degrees, None, sights, tuple(warnings))
     place = matrix[:3, :3] @ (centre + meeting.direction / inverse) + matrix[:3, 3]
-    at_one = tuple(float(v) / inverse**2 for v in radiance)
-    return FoundLight(Light(tuple(map(float, place)), at_one, False), degrees, relative, sights, tuple(warnings))
+    at_one = triple(v / inverse**2 for v in radiance)
+    return FoundLight(Light(triple(place), at_one, False), degrees, relative, sights, tuple(warnings))

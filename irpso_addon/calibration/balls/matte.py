@@ -153,7 +153,7 @@ def _joint(states: Sequence[_State], centre: np.ndarray, near: bool) -> np.ndarr
             return np.zeros(3)
         left += _BOUNCE_PRIOR * np.trace(left) * np.eye(3)
         step = np.linalg.solve(left, right)
-        step *= min(1.0, 0.1 / max(np.linalg.norm(step), 1e-300))
+        step *= min(1.0, 0.1 / max(float(np.linalg.norm(step)), 1e-300))
         ground = ground + step
         if np.linalg.norm(ground) < _LEAST_BOUNCE:
             return np.zeros(3)

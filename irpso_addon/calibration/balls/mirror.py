@@ -173,9 +173,9 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
         # A box of nine values has a third of the noise.
         if peak <= _LEAST_SIGNAL * noise / 3 or peak < _HALF * highest or peak <= 0:
             break
-        seed = np.unravel_index(np.argmax(np.where(left, smooth, -np.inf)), smooth.shape)
+        row, column = np.unravel_index(np.argmax(np.where(left, smooth, -np.inf)), smooth.shape)
         threshold = max(_SKIRT * peak, 2 * noise)
-        region = _grown(inside & (smooth > threshold), seed)
+        region = _grown(inside & (smooth > threshold), (int(row), int(column)))
         left &= ~region
         blobs.append(_measured(signal, clipped, region, inside, noise))
     return blobs
@@ -212,7 +212,10 @@ def _boxed(values: np.ndarray) -> np.ndarray:
     """Return the mean over 3×3 values, so that a hot pixel is no highlight."""
     padded = np.pad(values, 1)
     height, width = values.shape
-    return sum(padded[y : y + height, x : x + width] for y in range(3) for x in range(3)) / 9
+    total = np.zeros_like(values)
+    for y, x in np.ndindex(3, 3):
+        total = total + padded[y : y + height, x : x + width]
+    return total / 9
 
 
 def _grown(mask: np.ndarray, seed: tuple[int, int]) -> np.ndarray:

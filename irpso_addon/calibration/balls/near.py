@@ -55,7 +55,13 @@ def meet(
     for _ in range(_ITERATIONS):
         across, upward = tangents(axis)
 
-        def residual(step: np.ndarray, axis=axis, inverse=inverse, across=across, upward=upward) -> np.ndarray:
+        def residual(
+            step: np.ndarray,
+            axis: np.ndarray = axis,
+            inverse: float = inverse,
+            across: np.ndarray = across,
+            upward: np.ndarray = upward,
+        ) -> np.ndarray:
             light = axis + step[0] * across + step[1] * upward
             toward = light / np.linalg.norm(light) - (inverse + step[2]) * (points - centre)
             toward /= np.linalg.norm(toward, axis=-1, keepdims=True)

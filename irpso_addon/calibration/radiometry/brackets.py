@@ -72,11 +72,12 @@ def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) 
     """
     if by == "exif":
         return [(path.stem, exif_amount(path)) for path in paths]
-    found = [name_amount(path.stem, exposures) for path in paths]
-    for path, one in zip(paths, found, strict=True):
-        if one is None:
+    found = []
+    for path in paths:
+        if (one := name_amount(path.stem, exposures)) is None:
             kind = "_0, _1, … for --exposures" if exposures else "as in name_1-60s.jpg, name_16ms.jpg or name_ev-2.jpg"
             raise InputError(f"{path}: its name tells no exposure; end it {kind}")
+        found.append(one)
     kinds = {kind for _, _, kind in found}
     if len(kinds) > 1:
         raise InputError(f"{paths[0].parent}: some names tell seconds and some EV; write them all in one way")
@@ -85,7 +86,9 @@ def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) 
     return [(stem, amount) for stem, amount, _ in found]
 
 
-def _indexed(paths, found: list[tuple[str, int]], exposures: Sequence[float]) -> list[tuple[str, float]]:
+def _indexed(
+    paths: Sequence[Path], found: list[tuple[str, int]], exposures: Sequence[float]
+) -> list[tuple[str, float]]:
     first = 0 if any(index == 0 for _, index in found) else 1
     for path, (_, index) in zip(paths, found, strict=True):
         if index - first >= len(exposures):

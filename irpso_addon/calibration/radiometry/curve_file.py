@@ -58,10 +58,9 @@ def read_response(path: Path | str) -> Response:
     widths = {len(row) for _, row in rows}
     if widths not in ({2}, {4}):
         raise CaptureError(f"{path}: is no response curve; {_REMEDY}", "value")
-    table = np.array([row for _, row in rows], np.float64)
-    linear = np.repeat(table[:, 1:], 3, axis=1) if widths == {2} else table[:, 1:]
-    used = np.tile(table[[0, -1], 0], (3, 1))
-    return _checked(path, table[:, 0], linear, used, float("nan"))
+    values = np.array([row for _, row in rows], np.float64)
+    linear = np.repeat(values[:, 1:], 3, axis=1) if widths == {2} else values[:, 1:]
+    return _checked(path, values[:, 0], linear, np.tile(values[[0, -1], 0], (3, 1)), float("nan"))
 
 
 def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray, residual: float) -> Response:

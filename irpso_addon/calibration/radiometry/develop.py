@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from ...capture.images.image import ImageRef, ImageStore
+from ...capture.inspect.checks import middle_window
 from ...core.errors import InputError
 from ...core.steps import told_as
 from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
@@ -82,7 +84,7 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
         if corrections.align_brackets and len(frames) > 1:
             frames, figures["bracket_shifts"] = _aligned(frames, amounts)
         rgba = merge(frames, amounts, corrections.saturated)
-    rgba[..., :3] *= np.float32(corrections.gains)
+    rgba[..., :3] *= np.asarray(corrections.gains, np.float32)
     not_finite = ~np.isfinite(rgba).all(axis=-1)
     rgba[not_finite] = 0
     seen = rgba[..., 3] > 0
@@ -97,7 +99,7 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
 
 def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame], list[list[float]]]:
     """Return the frames of a bracket, moved onto the middle one, and by how much each was off."""
-    window = window_of(np.ones(frames[0].weight.shape, bool))
+    window = middle_window(np.ones(frames[0].weight.shape, bool), _CROP)
     greys = [np.minimum(f.rgb.mean(axis=-1)[window], 1.0) / a for f, a in zip(frames, amounts, strict=True)]
     shifts = find_shifts(np.stack(greys), len(frames) // 2)
     result = []
@@ -112,12 +114,8 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
     return result, shifts.pixels.round(4).tolist()
 
 
-def window_of(mask: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns about the middle of a mask (H, W), 384 at most, in which shifts are looked for."""
-    return tuple(
-        slice(start := int(np.clip(np.median(at) - _CROP // 2, 0, max(0, size - _CROP))), min(size, start + _CROP))
-        for at, size in zip(np.nonzero(mask), mask.shape, strict=True)
-    )
+def _part_of(done: float, share: float, part: float) -> float:
+    return done + share * part
 
 
 def registration_steps(
@@ -134,10 +132,11 @@ def registration_steps(
     for k, shot in enumerate(shots):
         yield 0.5 * k / count
         rgba = developed(store, shot, corrections).rgba
-        crops.append(rgba[(*window_of(masks[shot.camera]), slice(3))].mean(axis=-1))
+        crops.append(rgba[(*middle_window(masks[shot.camera], _CROP), slice(3))].mean(axis=-1))
     for camera in sorted({shot.camera for shot in shots}):
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
-        found = yield from told_as(steps, lambda part, own=own: 0.5 + 0.5 * (own[0] + part * len(own)) / count)
+        done, share = 0.5 + 0.5 * own[0] / count, 0.5 * len(own) / count
+        found = yield from told_as(steps, partial(_part_of, done, share))
         pixels[own], agreement[own], trusted[own] = found.pixels, found.agreement, found.trusted
     return pixels, agreement, trusted

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -94,10 +95,10 @@ class Dark:
 
 def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = False) -> Dark:
     """Return the means of dark frames (exposure or None, (H, W, 3) linear), one for each exposure, read one by one."""
-    groups: list[tuple[float | None, list]] = []  # exposure, [sum, count]
+    groups: list[tuple[float | None, list[Any]]] = []  # exposure, [sum, count]
     for amount, rgb in frames:
         for other, total in groups:
-            if amount is other or (None not in (amount, other) and abs(np.log2(amount / other)) < SAME_STOPS):
+            if amount is other or (amount and other and abs(np.log2(amount / other)) < SAME_STOPS):
                 total[0] = total[0] + rgb
                 total[1] += 1
                 break
@@ -128,7 +129,8 @@ def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
     Each is divided by its own mean first, so that their exposures may differ. Not usable is what is clipped in one of
     them, or below ``floor`` times the mean. Raises InputError where that is more than half.
     """
-    field, usable = np.float32(0), np.True_
+    field: np.ndarray = np.zeros(3, np.float32)
+    usable = np.ones((), bool)
     for frame in frames:
         seen = frame.weight > 0
         usable = usable & seen

@@ -34,12 +34,13 @@ def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = 
     dark = np.stack([frames[i].low <= _BLACK.get(frames[i].bits, -np.inf) for i in order])
     longest = len(order) - 1 - usable[::-1].argmax(axis=0)
     usable &= ~dark | (np.arange(len(order))[:, None, None] == longest)
-    light, time = 0.0, 0.0
+    light: np.ndarray = np.zeros(3, np.float32)
+    time, total = light, light
     for i, use in zip(order, usable, strict=True):
         light = light + np.where(use[..., None], frames[i].rgb, 0)
         time = time + use[..., None] * np.float32(amounts[i])
     first = np.maximum(light / np.where(time > 0, time, 1), 0)
-    light, total = 0.0, 0.0
+    light = np.zeros(3, np.float32)
     for i, use in zip(order, usable, strict=True):
         weight = np.where(use[..., None], 1 / (first + np.float32(_READ / amounts[i])), 0)
         light = light + np.where(use[..., None], frames[i].rgb, 0) * weight

@@ -156,24 +156,24 @@ def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> 
     All patches in the same light. Up to five give the gamma that fits them best, more a monotone curve through them
     between logarithms. Raises InputError where they are fewer than two, black, clipped, alike, or fall.
     """
-    values, reflectances = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
+    values, known = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
     if len(values) < 2:
         raise InputError(
             "one grey patch tells a scale and no curve: give two or more of different reflectance, or, where the files"
             " are linear or sRGB, --white X,Y,W,H=REFLECTANCE"
         )
-    if not (np.isfinite(reflectances).all() and (reflectances > 0).all()):
+    if not (np.isfinite(known).all() and (known > 0).all()):
         raise InputError("a patch's reflectance must be above 0, as in X,Y,W,H=0.18")
-    order = np.argsort(reflectances, kind="stable")
-    values, reflectances = values[order], reflectances[order]
+    order = np.argsort(known, kind="stable")
+    values, known = values[order], known[order]
     if values.min() <= _LOW / 2 or values.max() >= _HIGH + 0.01:
         raise InputError("a grey patch is black or clipped; choose an exposure in which none is")
-    if (np.diff(values, axis=0) <= 0).any() or (np.diff(reflectances) <= 0).any():
+    if (np.diff(values, axis=0) <= 0).any() or (np.diff(known) <= 0).any():
         raise InputError("grey patches of greater reflectance must have greater code values; check their places")
     codes = np.linspace(0, 1, TABLE)
     curves, errors = [], []
     for channel in values.T:
-        x, y = np.log(channel), np.log(reflectances)
+        x, y = np.log(channel), np.log(known)
         slope, offset = np.polyfit(x, y, 1)
         errors.append(y - slope * x - offset)
         if len(x) < _CURVE_PATCHES:

@@ -56,15 +56,15 @@ class Views:
             )
         name = self._poses.name_of(wanted, where)
         if name not in names:
-            self.specs.append(self._posed(name, image))
+            self.specs.append(self._posed(self._poses, name, image))
             names.append(name)
         return names.index(name)
 
     def _names(self) -> list[str]:
         return [view.name for view in self.specs]
 
-    def _posed(self, name: str, image: ImageRef) -> ViewSpec:
-        camera, where = self._poses.cameras[name], f"{self._poses.path}: camera '{name}'"
+    def _posed(self, poses: PoseFile, name: str, image: ImageRef) -> ViewSpec:
+        camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
 
         def make(width: int, height: int) -> Camera:
             orientation = 1 if is_exr(image.path) else read_header(image.path).orientation
@@ -93,7 +93,7 @@ def _view(row: dict[str, Any], path: Path, count: int) -> ViewSpec:
     matrix = _matrix(row["matrix"], where) if "matrix" in row else None
     size = None
     if "width" in row or "height" in row:
-        size = row.get("width"), row.get("height")
+        size = row.get("width", 0), row.get("height", 0)
         if not all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in size):
             raise CaptureError(f"{where}: width and height must both be whole numbers above 0", "value")
     mask = image_ref(row, "mask", path, where) if "mask" in row else None

@@ -43,7 +43,7 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     table = load_toml(camera) if camera.exists() else {}
     known_keys(table, CAMERA_KEYS, str(camera))
     make, lens = camera_maker(table, str(camera)), has_lens(table)
-    view = ViewSpec("camera", make, str(camera), None, mask and ImageRef(mask), lens=lens)
+    view = ViewSpec("camera", make, str(camera), None, ImageRef(mask) if mask else None, lens=lens)
     return CaptureSpec(folder.resolve().name, "DiLiGenT folder", folder, tuple(shots), (view,))
 
 

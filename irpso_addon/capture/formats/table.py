@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import CaptureError
 from ..spec import CaptureSpec, ObservationSpec
+from ..types import triple
 from .cameras import Views
 from .toml_file import image_ref, known_keys, load_toml, number, rows, text, vector
 
@@ -35,8 +36,8 @@ def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
     name = text(table, "name", str(path)) if "name" in table else path.resolve().parent.name
     distance = number(table, CARD_DISTANCE, str(path)) if CARD_DISTANCE in table else None
     views = Views(table, path)
-    defaults = {key: table[key] for key in ("image", "colour_space") if key in table}
-    asked = {} if colour_space == "auto" else {"colour_space": colour_space}
+    defaults: dict[str, Any] = {key: table[key] for key in ("image", "colour_space") if key in table}
+    asked: dict[str, Any] = {} if colour_space == "auto" else {"colour_space": colour_space}
     shots = tuple(
         _shot({**defaults, **row, **asked}, path, n, views) for n, row in enumerate(rows(table, "observation", path), 1)
     )
@@ -54,9 +55,9 @@ def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> Observat
         raise CaptureError(f"{where}: needs one of light_direction and light_position", "light_missing")
     distant = given[0] == "light_direction"
     light = vector(row, given[0], 3, where)
-    intensity = (1.0,) * 3
+    intensity = (1.0, 1.0, 1.0)
     if isinstance(row.get("light_intensity"), list):
-        intensity = vector(row, "light_intensity", 3, where)
+        intensity = triple(vector(row, "light_intensity", 3, where))
     elif "light_intensity" in row:
         intensity = (number(row, "light_intensity", where, positive=False),) * 3
     camera = views.index(row, image, where)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..camera import Camera
 from ..distortion import NAMES
@@ -94,7 +96,7 @@ def has_lens(table: Mapping[str, Any]) -> bool:
     return not {"fov_degrees", "focal_length_px", "world_width"}.isdisjoint(table)
 
 
-def camera_maker(table: dict[str, Any], where: str, matrix=None):
+def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = None) -> Callable[[int, int], Camera]:
     """Return (width, height) → Camera of the keys CAMERA_KEYS; without any, an orthographic camera 2 units wide.
 
     Raises CaptureError where keys are wrong or contradict each other.
@@ -119,7 +121,7 @@ def camera_maker(table: dict[str, Any], where: str, matrix=None):
     distortion = _distortion(table["distortion"], orthographic, where) if "distortion" in table else ()
 
     def make(width: int, height: int) -> Camera:
-        middle = centre or (width / 2, height / 2)
+        x, y = centre or (width / 2, height / 2)
         if orthographic:
             camera = Camera.orthographic(width, height, world_width, matrix)
         elif fov is not None:
@@ -127,7 +129,7 @@ def camera_maker(table: dict[str, Any], where: str, matrix=None):
         else:
             camera = Camera.from_fov(width, height, 90.0, matrix)
         scale = focal or camera.scale
-        return Camera(width, height, scale, middle, camera.matrix, camera.perspective, distortion)
+        return Camera(width, height, scale, (x, y), camera.matrix, camera.perspective, distortion)
 
     return make
 
@@ -144,8 +146,8 @@ def _distortion(value: Any, orthographic: bool, where: str) -> tuple[float, ...]
 
 def _focal(table: dict[str, Any], where: str) -> tuple[float, float]:
     if isinstance(table["focal_length_px"], list):
-        focal = vector(table, "focal_length_px", 2, where)
-        if not min(focal) > 0:
+        x, y = vector(table, "focal_length_px", 2, where)
+        if not min(x, y) > 0:
             raise CaptureError(f"{where}: focal_length_px must be above 0", "value")
-        return focal
+        return x, y
     return (number(table, "focal_length_px", where),) * 2

@@ -78,13 +78,13 @@ class Encoding:
 
     def message(self) -> str:
         """Return what is to be said about the encoding, "" where nothing is."""
-        likely = self.test.likely
-        if not likely or likely == self.taken_as:
+        likely, linear, srgb = self.test.likely, self.test.linear, self.test.srgb
+        if not likely or likely == self.taken_as or not linear or not srgb:
             return ""
         first = f"{self.images[0].image}: this and the other images"
         exponents = (
-            f"radiance goes with the power {self.test.linear.exponent:.2f} of the cosine if they are linear,"
-            f" {self.test.srgb.exponent:.2f} if they are sRGB, and 0.8 to 1.3 on matt surfaces"
+            f"radiance goes with the power {linear.exponent:.2f} of the cosine if they are linear,"
+            f" {srgb.exponent:.2f} if they are sRGB, and 0.8 to 1.3 on matt surfaces"
         )
         if self.colour_space == likely:
             return (

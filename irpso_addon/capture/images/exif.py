@@ -43,7 +43,8 @@ def tiff_tags(block: bytes) -> dict[int, Any]:
     """
     from PIL import Image
 
-    exif, tags = Image.Exif(), {}
+    exif = Image.Exif()
+    tags: dict[int, Any] = {}
     with _damage_is_no_news():
         exif.load(block)
         tags |= dict(exif)
@@ -71,7 +72,7 @@ def _damage_is_no_news() -> Iterator[None]:
 def orientation_of(tags: dict[int, Any]) -> int:
     """Return the orientation, 1 to 8; 1 where the tags hold none."""
     value = tags.get(_ORIENTATION)
-    return value if value in range(1, 9) else 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def exposure_of(data: bytes) -> Exposure | None:

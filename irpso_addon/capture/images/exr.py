@@ -7,6 +7,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from ...core.files import replacing_file
 from ..errors import CaptureError
 from .exr_header import ExrPart, read_exr_header
 from .linearise import Samples, samples
+
+if TYPE_CHECKING:
+    from OpenEXR import Part
 
 _HALF_MAX = 65504.0
 
@@ -57,7 +61,7 @@ def load_exr(path: Path) -> dict[str, ExrImage]:
     return images
 
 
-def _image(part) -> ExrImage:
+def _image(part: Part) -> ExrImage:
     (x0, y0), (x1, y1) = (np.asarray(corner, int) for corner in part.header["displayWindow"])
     (left, top), (right, bottom) = (np.asarray(corner, int) for corner in part.header["dataWindow"])
     inside = np.zeros((y1 - y0 + 1, x1 - x0 + 1), bool)

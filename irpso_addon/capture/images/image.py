@@ -83,11 +83,7 @@ class ImageStore:
             return raw_size(image.path)
         header = self._header(image.path)
         if self.decoder is None:
-            raise CaptureError(
-                f"{image.path}: is a {header.kind} file, and only EXR can be read without Blender; give read_capture"
-                " a decoder (irpso_addon.blender.images.decode) or convert the image to EXR",
-                "no_decoder",
-            )
+            raise self._no_decoder(image)
         return header.width, header.height
 
     def samples(self, image: ImageRef) -> Samples:
@@ -114,13 +110,20 @@ class ImageStore:
         if is_raw(image.path):
             return decode_raw(image.path)
         if self.decoder is None:
-            self.size(image)  # raises, naming the remedy
+            raise self._no_decoder(image)
         try:
             return self.decoder(image.path)
         except CaptureError:
             raise
         except InputError as error:  # a decoder knows no codes
             raise CaptureError(str(error), "image_truncated") from error
+
+    def _no_decoder(self, image: ImageRef) -> CaptureError:
+        return CaptureError(
+            f"{image.path}: is a {self._header(image.path).kind} file, and only EXR can be read without Blender; give"
+            " read_capture a decoder (irpso_addon.blender.images.decode) or convert the image to EXR",
+            "no_decoder",
+        )
 
     def _part(self, image: ImageRef) -> ExrPart:
         if image.path not in self._headers:

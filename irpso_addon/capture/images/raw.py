@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import CaptureError
 from .linearise import Picture
+
+if TYPE_CHECKING:
+    from rawpy import RawPy
 
 _SUFFIXES = (
     ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .rw2 .rwl .sr2 .srf"
@@ -62,7 +66,7 @@ def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:
     return Picture(np.ascontiguousarray(values[::-1]), 16)
 
 
-def _opened(path: Path):
+def _opened(path: Path) -> RawPy:
     try:
         import rawpy
     except ImportError as error:
@@ -85,7 +89,7 @@ def _damaged(path: Path, error: Exception) -> CaptureError:
     return CaptureError(f"{path}: LibRaw cannot read it ({what}); copy it again or develop it to TIFF", "image_unknown")
 
 
-def _full(raw) -> np.ndarray:
+def _full(raw: RawPy) -> np.ndarray:
     """Return (H, W) bool, top row first and upright: pixels that a full photosite has part in."""
     levels = raw.camera_white_level_per_channel
     white = min(level for level in levels if level > 0) if levels and any(levels) else raw.white_level

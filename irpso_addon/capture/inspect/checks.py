@@ -69,6 +69,17 @@ def frame_shifts(frames: np.ndarray) -> np.ndarray:
     return run_steps(shift_steps(frames))
 
 
+def middle_window(mask: np.ndarray, side: int) -> tuple[slice, slice]:
+    """Return rows and columns about the middle of a mask (H, W) that is not empty, ``side`` of each at most."""
+
+    def about(places: np.ndarray, size: int) -> slice:
+        start = int(np.clip(np.median(places) - side // 2, 0, max(0, size - side)))
+        return slice(start, min(size, start + side))
+
+    rows, columns = np.nonzero(mask)
+    return about(rows, mask.shape[0]), about(columns, mask.shape[1])
+
+
 def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
     """Yield for each frame, again and again, and return what ``frame_shifts`` does."""
     shifts = np.zeros((len(frames), 2), int)
@@ -121,7 +132,7 @@ def _confirm(frames: np.ndarray, shifts: np.ndarray) -> Generator[None, None, No
             shifts[k] = 0
 
 
-def whitened(cross: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def whitened(cross: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return a cross spectrum, as of ``rfft2`` of frames of a shape (H, W), with sizes of 1 below a Gaussian pass."""
     low_pass = np.exp(-(np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2) / (2 * _PASS**2))
     size = np.abs(cross)

@@ -54,7 +54,9 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
                 why[k] = error.message
     for index, view in enumerate(spec.views):
         seen = {k: size for k, size in sizes.items() if spec.observations[k].camera == index}
-        expected = common_size(view, list(seen.values())) if seen else None
+        if not seen:
+            continue
+        expected = common_size(view, list(seen.values()))
         why |= {k: size_fault(spec.observations[k].image, size, expected).message
                 for k, size in seen.items() if size != expected}  # fmt: skip
     if len(why) == len(spec.observations):

@@ -57,7 +57,7 @@ class EncodingTest:
     @property
     def sure(self) -> str:
         """The encoding, "linear" or "srgb", where the fall-off leaves no doubt; else ""."""
-        if not self.likely or max(self.linear.spread, self.srgb.spread) > _SPREAD:
+        if not self.likely or not self.linear or not self.srgb or max(self.linear.spread, self.srgb.spread) > _SPREAD:
             return ""
         return self.likely if (self.linear if self.likely == "linear" else self.srgb).matt else ""
 

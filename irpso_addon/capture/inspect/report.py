@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..images.image import ImageStore
 from ..images.linearise import Decoder, Samples
 from ..noise import images_read, noise_of
 from ..read import read_spec
-from ..spec import CaptureSpec, build_steps, written_lights
+from ..spec import CaptureSpec, ImageReader, build_steps, written_lights
 from ..types import Capture
 from . import checks, sufficiency
 from .damage import sound_steps
@@ -155,7 +155,7 @@ def inspect_steps(
     for index, observation in enumerate(capture.observations):
         yield f"Checking images: {index + 1} of {len(capture.observations)}"
         try:
-            found = observation.read.samples()
+            found = cast(ImageReader, observation.read).samples()
         except CaptureError as error:
             findings += _errors(error)
             continue
@@ -275,13 +275,7 @@ def _frames_of(capture: Capture, index: int) -> _Frames:
     count = max(1, sum(observation.camera == index for observation in capture.observations))
     affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
     factors = _factors((camera.height, camera.width), min(_THUMBNAIL, affordable))
-    side = min(_CROP, affordable)
-    rows, columns = np.nonzero(mask)
-    window = tuple(
-        slice(start := int(np.clip(np.median(at) - side // 2, 0, max(0, size - side))), min(size, start + side))
-        for at, size in ((rows, camera.height), (columns, camera.width))
-    )
-    return _Frames(mask, factors, window, [], [], [], [], [])
+    return _Frames(mask, factors, checks.middle_window(mask, min(_CROP, affordable)), [], [], [], [], [])
 
 
 def _keep(frames: _Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:

@@ -20,13 +20,13 @@ def scale_of(frame: np.ndarray) -> float:
     return float(np.percentile(frame, 90)) or 1.0
 
 
-def low_pass(shape: tuple[int, int]) -> np.ndarray:
+def low_pass(shape: tuple[int, ...]) -> np.ndarray:
     """Return the factors of a slight Gaussian blur for an ``rfft2`` of frames (H, W)."""
     blur = _BLUR**2 * 2 * np.pi**2
     return np.exp(-blur * (np.fft.fftfreq(shape[0])[:, None] ** 2 + np.fft.rfftfreq(shape[1])[None] ** 2))
 
 
-def fading(shape: tuple[int, int]) -> np.ndarray:
+def fading(shape: tuple[int, ...]) -> np.ndarray:
     """Return (H, W) float32 weights that fade out toward the frame."""
     return np.outer(*(np.hanning(side + 2)[1:-1] for side in shape)).astype(np.float32)
 

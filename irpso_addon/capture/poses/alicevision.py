@@ -16,7 +16,7 @@ import numpy as np
 
 from ..camera import is_rotation
 from ..errors import CaptureError
-from .posed import PoseFile, camera_from_vision, moved
+from .posed import Lens, PoseFile, camera_from_vision, moved
 
 # Distortion, by either of its names → which of OpenCV's coefficients the parameters are, in their order.
 _DISTORTIONS = {
@@ -48,8 +48,8 @@ def read_alicevision(path: Path) -> PoseFile:
         where = f"{path}: view '{name}'"
         if name in cameras or name in unusable:
             raise CaptureError(f"{where}: is there twice; {_AGAIN}", "camera")
-        lens, pose = (items.get(str(view.get(key))) for items, key in ((lenses, "intrinsicId"), (poses, "poseId")))
-        if str(view.get("intrinsicId")) not in lenses:
+        lens, pose = lenses.get(str(view.get("intrinsicId"))), poses.get(str(view.get("poseId")))
+        if lens is None:
             unusable[name] = "has no intrinsics; run StructureFromMotion"
         elif "rigId" in view and str(view.get("isPoseIndependant", "true")).lower() in ("false", "0"):
             unusable[name] = "is part of a rig, whose poses are not read; switch rigs off in CameraInit"
@@ -73,7 +73,7 @@ def _parsed(path: Path) -> dict[str, Any]:
     return table
 
 
-def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> tuple | str:
+def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | str:
     """Return (size, focal length, centre, distortion), or in words why the intrinsics are none of ours."""
     where = f"{path}: intrinsics {row.get('intrinsicId')}"
     kind = str(row.get("type", "")).lower()
@@ -109,7 +109,8 @@ def _focal(row: dict[str, Any], version: tuple[int, ...], width: float, where: s
         return (_value(row.get("focalLength"), f"{where}: focalLength") / sensor * width,) * 2
     given = row.get("pxFocalLength")
     if isinstance(given, list):
-        return tuple(_numbers(row, "pxFocalLength", 2, where))
+        x, y = _numbers(row, "pxFocalLength", 2, where)
+        return x, y
     return (_value(given, f"{where}: pxFocalLength"),) * 2
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import CaptureError
 from ..formats.lists import numbers
-from .posed import PoseFile, camera_from_vision
+from .posed import Lens, PoseFile, camera_from_vision
 
 CAMERAS, IMAGES = "cameras.txt", "images.txt"
 # Where COLMAP itself puts the two files below a project's folder.
@@ -60,9 +60,9 @@ def read_colmap(folder: Path) -> PoseFile:
     return PoseFile(here, "COLMAP", cameras, unusable)
 
 
-def _lenses(path: Path) -> dict[str, tuple | str]:
+def _lenses(path: Path) -> dict[str, Lens | str]:
     """Return by number (size, focal length, centre, distortion), or in words why the model is none of ours."""
-    lenses: dict[str, tuple | str] = {}
+    lenses: dict[str, Lens | str] = {}
     for where, line in _lines(path):
         words = line.split()
         if len(words) < 4:
@@ -81,7 +81,7 @@ def _lenses(path: Path) -> dict[str, tuple | str]:
                 "camera",
             )
         of = dict(zip(names, values[2:], strict=True))
-        focal = (of.get("fx", of.get("f")), of.get("fy", of.get("f")))
+        focal = (of["fx"], of["fy"]) if "fx" in of else (of["f"], of["f"])
         if min(*values[:2], *focal) <= 0 or any(value % 1 for value in values[:2]):
             raise CaptureError(f"{where}: size and focal length must be above 0; {_AGAIN}", "camera")
         distortion = tuple(of.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))

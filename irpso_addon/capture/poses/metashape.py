@@ -15,9 +15,9 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ..camera import is_rotation
+from ..camera import Camera, is_rotation
 from ..errors import CaptureError
-from .posed import PoseFile, camera_from_vision, similarity
+from .posed import Lens, PoseFile, camera_from_vision, similarity
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
 _NEGLIGIBLE = 0.1  # pixels that a term which Camera does not have may amount to in the image's corners
@@ -45,7 +45,8 @@ def read_metashape(path: Path) -> PoseFile:
         )
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
     places = {part.get("id"): part.find("transform") for part in chunk.iterfind("components/component")}
-    cameras, unusable = {}, {}
+    cameras: dict[str, Camera] = {}
+    unusable: dict[str, str] = {}
     for element in chunk.iterfind("cameras//camera"):
         name = element.get("label") or f"camera {element.get('id')}"
         where = f"{path}: camera '{name}'"
@@ -86,7 +87,7 @@ def _parsed(path: Path) -> ElementTree.Element:
         raise CaptureError(f"{path}: is cut short or no XML ({error}); {_AGAIN}", "not_text") from error
 
 
-def _lens(sensor: ElementTree.Element, where: str) -> tuple | str:
+def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     """Return (size, focal length, centre, distortion), or in words why the sensor is none of ours."""
     found = sensor.findall("calibration")
     calibration = next((item for item in found if item.get("class") == "adjusted"), found[0] if found else None)
@@ -119,7 +120,7 @@ def _is_term(tag: str) -> bool:
     return tag in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 
 
-def _unknown_term(of: dict[str, float], size: tuple[float, float]) -> str:
+def _unknown_term(of: dict[str, float], size: tuple[float, ...]) -> str:
     """Return the name of a term that Camera does not have and that moves the image's corners, "" without one."""
     x = (size[0] / 2 + abs(of.get("cx", 0))) / of["f"]
     y = (size[1] / 2 + abs(of.get("cy", 0))) / of["f"]

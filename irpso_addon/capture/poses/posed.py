@@ -58,6 +58,10 @@ class PoseFile:
         return []
 
 
+# (width, height), focal length, centre, distortion: see camera_from_vision.
+Lens = tuple[tuple[int, int], tuple[float, float], tuple[float, float], tuple[float, ...]]
+
+
 def camera_from_vision(
     size: tuple[int, int],
     focal: tuple[float, float],
