@@ -21,8 +21,7 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.peer_child import DATA
-from irpso_addon.geometry.domain import Domain, subset
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import Domain, subset, tile
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule

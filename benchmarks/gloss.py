@@ -189,8 +189,8 @@ def forward_error(subject: Subject, shot: Photographed, shadows: bool) -> tuple[
     }
     model = load_model("principled_metallic")
     ours = np.stack([p[..., :3] for p in render_domain(domain, model, truth, range(domain.observations))])
-    kept = domain.stack[..., 3:] > 0
-    apart, theirs = (ours - domain.stack[..., :3]) * kept, domain.stack[..., :3] * kept
+    kept = domain.stack.values[..., 3:] > 0
+    apart, theirs = (ours - domain.stack.values[..., :3]) * kept, domain.stack.values[..., :3] * kept
     whole = theirs.sum(axis=(0, 3))
     share, signed = ((a.sum(axis=(0, 3)) / whole)[whole > 0] for a in (np.abs(apart), apart))
     return float(np.median(share)), float(np.quantile(share, 0.9)), float(np.median(signed))

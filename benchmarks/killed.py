@@ -134,7 +134,7 @@ def write_card(folder: Path, shape: tuple[int, int], lights: int) -> Path:
     height, width = domain.shape
     shots = tuple(
         Observation(f"light {k}", lambda image=image: image, Light(tuple(map(float, light[:3]))))
-        for k, (image, light) in enumerate(zip(domain.stack, domain.lights, strict=True))
+        for k, (image, light) in enumerate(zip(domain.stack.values, domain.lights, strict=True))
     )
     camera = Camera.orthographic(width, height, 2.0)
     write_capture(Capture("card", shots, (camera,), (np.ones((height, width), bool),)), folder)

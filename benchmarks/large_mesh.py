@@ -101,7 +101,8 @@ def run_tiles(capture_path: Path, resolution: int, result: Path) -> None:
     inside = np.zeros(domain.shape, bool)
     for x, y, width, height in moved:
         inside[y : y + height, x : x + width] = True
-    domain = replace(domain, bake=replace(domain.bake, coverage=domain.bake.coverage & inside))
+    bake = replace(domain.bake, coverage=domain.bake.coverage & inside)
+    domain = replace(domain, bake=bake, solvable=domain.solvable & inside)
     with TiledRecovery(domain, model, schedule, boxes=moved, halo=plan.halo, on_device=2) as recovery:
         recovery.step()
         solved = recovery.maps().covered

@@ -67,7 +67,7 @@ def _thinned(domain: Domain, every: int) -> Domain:
     """Return the domain with one texel of many covered."""
     y, x = np.mgrid[: domain.shape[0], : domain.shape[1]]
     coverage = domain.bake.coverage & (y % every == 0) & (x % every == 0)
-    return replace(domain, bake=replace(domain.bake, coverage=coverage))
+    return replace(domain, bake=replace(domain.bake, coverage=coverage), solvable=domain.solvable & coverage)
 
 
 def errors_at(model: str, values: Mapping[str, np.ndarray], problem: Problem) -> dict[str, np.ndarray]:

@@ -15,13 +15,13 @@ lights, or under a connected patch of them, drawn for each texel as its shadow i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.peers.models import geometry_of, radiance
 from benchmarks.peers.problem import Problem, angles, problem_of
-from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_samples
 from irpso_addon.reflectance.model import load_model
 
 TWO_LOBES = "cook_torrance_two_lobe"
@@ -104,7 +104,7 @@ def make_card(
         seen = direct + dirt.interreflection * reached[..., None] * _blur(direct, BLUR * max(shape))
     seen = np.maximum(seen + dirt.noise * rng.normal(size=seen.shape), 0)
     stack = np.concatenate([seen, np.ones((*seen.shape[:3], 1))], axis=-1).astype(np.float32)
-    return Card(replace(domain, stack=stack), model, truth, shadowed, dirt)
+    return Card(with_samples(domain, stack), model, truth, shadowed, dirt)
 
 
 def errors_of(model: str, values: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -139,7 +139,7 @@ def _domain(shape: tuple[int, int], directions: np.ndarray) -> Domain:
     lights = np.concatenate([directions, np.zeros((count, 1))], axis=1).astype(np.float32)
     views = np.broadcast_to(np.float32([0, 0, 1, 0]), (count, 4))
     empty = np.broadcast_to(np.float32(1), (count, *shape, 4))
-    return Domain(bake, empty, lights, np.ones((count, 3), np.float32), views)
+    return domain_of(bake, empty, lights, np.ones((count, 3), np.float32), views)
 
 
 def _render(domain: Domain, model: str, truth: Mapping[str, np.ndarray]) -> np.ndarray:

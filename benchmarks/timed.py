@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import product, report, subjects
 from benchmarks.peers.problem import peak_memory_mb
 from benchmarks.product import now
-from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.domain import Domain, with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -74,7 +74,9 @@ def repeated(job: Job) -> tuple[Domain, dict[str, np.ndarray]]:
         row.domain.bake, position=place, normal=up, tangent=np.broadcast_to(np.float32([1, 0, 0, 1]), (*shape, 4)),
         coverage=coverage, uv=place[..., :2],
     )  # fmt: skip
-    domain = replace(row.domain, bake=bake, stack=np.broadcast_to(row.domain.stack, (job.lights, *shape, 4)))
+    domain = with_samples(
+        replace(row.domain, bake=bake), np.broadcast_to(row.domain.stack.values, (job.lights, *shape, 4))
+    )
     fixed = {n: np.broadcast_to(np.float32(row.truth[n]), (*shape, row.truth[n].shape[-1])) for n in job.fixed}
     return domain, fixed
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.errors import InputError
+from ..geometry.domain import Domain
+from ..solver.engine.halo import Box
 from ..solver.planning.cost import Cost
 from ..solver.planning.memory import Memory, amount
 from ..solver.planning.plan import Borders, Tile, divided, tile_of
@@ -28,7 +30,7 @@ class Split:
     state: int
 
     @property
-    def boxes(self) -> tuple[tuple[int, int, int, int] | None, ...]:
+    def boxes(self) -> tuple[Box | None, ...]:
         """The box of every rank, None for those that are left without."""
         boxes = [(tile.x0, tile.y0, tile.width, tile.height) for tile in self.tiles]
         return (*boxes, *[None] * (self.ranks - len(boxes)))
@@ -54,6 +56,27 @@ class Split:
             f"host          {amount(max(tile.host for tile in self.tiles))} at most, beside the geometry of the whole",
             f"checkpoint    {amount(self.state)}, gathered on rank 0",
         ]
+
+
+@dataclass(frozen=True)
+class Partition:
+    """What a rank holds of a domain.
+
+    whole: the domain, without its samples. boxes: of every rank, None for one that is left without texels. halo: texels
+    around them. window: the domain of this rank's box and its halo, None where it has none.
+    """
+
+    whole: Domain
+    boxes: tuple[Box | None, ...]
+    halo: int
+    window: Domain | None
+
+
+def around(shape: tuple[int, int], box: Box, halo: int) -> Box:
+    """Return a box with its halo, as far as a domain of (H, W) goes."""
+    (height, width), (x0, y0, wide, high) = shape, box
+    left, bottom = max(0, x0 - halo), max(0, y0 - halo)
+    return left, bottom, min(width, x0 + wide + halo) - left, min(height, y0 + high + halo) - bottom
 
 
 def split(coverage: np.ndarray, cost: Cost, ranks: int, borders: Borders | None = None) -> Split:

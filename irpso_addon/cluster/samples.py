@@ -1,62 +1,54 @@
-"""The sample stack of a domain whose texels lie with many ranks, as rank 0 may read it."""
+"""The distributed store of a sample stack: samples that lie with many ranks, as rank 0 reads them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .worker import Ask, Worker
+
 Part = tuple[slice, slice]  # rows, columns
-Ask = Callable[..., np.ndarray]  # an order to all ranks, by name
 
 
-class SharedStack:
-    """(K, H, W, 4) samples that no process holds as a whole: each look gathers a layer, or some texels of all.
+class RankedStack:
+    """A ``SampleStack`` (geometry/samples.py) that no process holds as a whole: each read gathers from all ranks.
 
-    ask: gives all ranks an order of Member's, by name. chosen: the observations, by the numbers they have with ranks.
+    ask: of the ``Leader``. observations: by the numbers that they have with the ranks. part: the window of the domain.
     """
 
-    dtype = np.dtype(np.float32)
-    flags = np.zeros(0).reshape(0, 1)[:, ::2].flags  # not contiguous: there is nothing to take a view of
-
-    def __init__(self, ask: Ask, chosen: Sequence[int], shape: tuple[int, int], part: Part | None = None):
-        self._ask, self._chosen = ask, np.asarray(chosen, np.intp)
-        self._part = part or (slice(0, shape[0]), slice(0, shape[1]))
-        self.shape = (len(self._chosen), *(side.stop - side.start for side in self._part), 4)
+    def __init__(self, ask: Ask, observations: Sequence[int] | np.ndarray, part: Part):
+        self._ask, self._part = ask, part
+        self._observations = np.asarray(observations, np.intp)
+        rows, columns = part
+        self.shape = len(self._observations), rows.stop - rows.start, columns.stop - columns.start
         self._last: tuple[int, np.ndarray] | None = None
 
-    def __len__(self) -> int:
-        return len(self._chosen)
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        return (self[k] for k in range(len(self)))
-
-    def __getitem__(self, index: Any) -> Any:
-        """Return a layer, or a part of one; (:, rows, columns) of all; or the stack of some observations or a window.
-
-        rows, columns: (N,) numbers, or slices with ends for a window.
-        """
-        first, *rest = index if isinstance(index, tuple) else (index,)
-        if np.ndim(first) == 0 and not isinstance(first, slice):
-            return self._layer(int(first))[tuple(rest)]
-        some = self._chosen[first]
-        if not rest:
-            return SharedStack(self._ask, some, (0, 0), self._part)
-        rows, columns = self._part
-        if isinstance(rest[0], slice):
-            part = tuple(
-                slice(whole.start + side.start, whole.start + side.stop)
-                for whole, side in zip(self._part, rest, strict=True)
-            )
-            return SharedStack(self._ask, some, (0, 0), part)
-        return self._ask("samples", some.tolist(), rest[0] + rows.start, rest[1] + columns.start)
-
-    def lit(self) -> np.ndarray:
-        """Return (H, W) bool: covered texels that one of the observations sees lit."""
-        return self._ask("lit", self._chosen.tolist())[self._part]
-
-    def _layer(self, number: int) -> np.ndarray:
-        if self._last is None or self._last[0] != number:
-            self._last = number, self._ask("layer", int(self._chosen[number]))[self._part]
+    def layer(self, observation: int) -> np.ndarray:
+        """Return (H, W, 4) the samples of one observation; the last one is kept."""
+        if self._last is None or self._last[0] != observation:
+            self._last = observation, self._ask(Worker.layer, int(self._observations[observation]))[self._part]
         return self._last[1]
+
+    def layers(self) -> Iterator[np.ndarray]:
+        """Yield the samples of every observation."""
+        return map(self.layer, range(len(self._observations)))
+
+    def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return (K, N, 4) the samples at N texels."""
+        down, across = (side.start for side in self._part)
+        return self._ask(Worker.texels, self._observations.tolist(), rows + down, columns + across)
+
+    def subset(self, observations: np.ndarray) -> RankedStack:
+        """Return the stack of some observations."""
+        return RankedStack(self._ask, self._observations[observations], self._part)
+
+    def window(self, rows: slice, columns: slice) -> RankedStack:
+        """Return the stack of a window's texels."""
+        down, across = (side.start for side in self._part)
+        part = slice(rows.start + down, rows.stop + down), slice(columns.start + across, columns.stop + across)
+        return RankedStack(self._ask, self._observations, part)
+
+    def lit(self, coverage: np.ndarray) -> np.ndarray:
+        """Return (H, W) bool: covered texels that at least one observation sees lit."""
+        return coverage & self._ask(Worker.lit, self._observations.tolist())[self._part]

@@ -1,22 +1,21 @@
-"""One rank's share of a recovery: its box of the domain, and what it does of it when all ranks are told to."""
+"""One rank's part of a recovery, and what every rank does at rank 0's orders."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
-from ..geometry.domain import Domain, subset
-from ..geometry.tiles import tile
+from ..geometry.domain import Domain, subset, tile, with_lights
+from ..geometry.samples import SampleStack
 from ..gpu import context
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
-from ..solver.engine.halo import Box, own_of, part_of, place_of, rectangle
+from ..solver.engine.halo import own_of, part_of, place_of, rectangle
 from ..solver.engine.progress import Progress
 from ..solver.engine.tiled import TileRecovery
-from ..solver.lights.sample import with_lights
 from ..solver.phases.mixture import merged
 from ..solver.settings.fixed import full_map
 from ..solver.settings.schedule import Schedule
@@ -24,73 +23,65 @@ from ..solver.state import prepare
 from ..solver.state.checkpoint import Checkpoint, named
 from ..solver.state.layout import digest_of_texels
 from .exchange import Exchange
+from .partition import Partition
 from .transport import Ranks
 
-
-@dataclass(frozen=True)
-class Share:
-    """What a rank holds of a domain.
-
-    whole: the domain, without its samples. boxes: of every rank, None for one that is left without texels. halo: texels
-    around them. window: the domain of this rank's box and its halo, None where it has none.
-    """
-
-    whole: Domain
-    boxes: tuple[Box | None, ...]
-    halo: int
-    window: Domain | None
+P, Result = ParamSpec("P"), TypeVar("Result")
 
 
-def around(shape: tuple[int, int], box: Box, halo: int) -> Box:
-    """Return a box with its halo, as far as a domain of (H, W) goes."""
-    (height, width), (x0, y0, wide, high) = shape, box
-    left, bottom = max(0, x0 - halo), max(0, y0 - halo)
-    return left, bottom, min(width, x0 + wide + halo) - left, min(height, y0 + high + halo) - bottom
+class Ask(Protocol):
+    """Has all ranks call one of their ``Worker``'s methods with the same arguments; returns what rank 0 is given."""
+
+    def __call__(
+        self, order: Callable[Concatenate[Worker, P], Result], *arguments: P.args, **named: P.kwargs
+    ) -> Result: ...  # noqa: D102
 
 
-class Member:
-    """What every rank is told to do at the same time; rank 0 is given the result.
+class Worker:
+    """What every rank does at the same time; rank 0 is given the result.
 
-    Each method is called on all ranks, in one order and with the same arguments.
+    Each method is called on all ranks, in one order and with the same arguments, unless it says otherwise.
     """
 
     def __init__(
         self,
         ranks: Ranks,
-        share: Share,
+        partition: Partition,
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
         fixed: Mapping[str, np.ndarray],
     ):
-        self.ranks, self.share = ranks, share
+        self.ranks = ranks
         self.model, self.schedule, self.seed = model, schedule, seed
-        self.fixed = {name: full_map(model, name, value, share.whole.shape) for name, value in fixed.items()}
-        self._box = share.boxes[ranks.rank]
+        self.fixed = {name: full_map(model, name, value, partition.whole.shape) for name, value in fixed.items()}
+        self._box = partition.boxes[ranks.rank]
         self.domain: Domain | None = None  # the whole, of the observations that are fitted
-        self._own: np.ndarray | None = None  # (K, h, w, 4) the samples of those, without the halo
         self._recovery: TileRecovery | None = None
         self._exchange: Exchange | None = None
         self._progress: Progress | None = None
+        self.partition = partition
+        lit = self.lit(range(partition.whole.observations))
+        self.partition = replace(partition, whole=replace(partition.whole, solvable=lit))
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
         """Take other lights than the capture's."""
-        window = self.share.window
+        held, window = self.partition, self.partition.window
         window = window and with_lights(window, lights, intensities)
-        self.share = replace(self.share, whole=with_lights(self.share.whole, lights, intensities), window=window)
+        self.partition = replace(held, whole=with_lights(held.whole, lights, intensities), window=window)
 
     def layer(self, observation: int) -> np.ndarray | None:
         """Return (H, W, 4) the samples of one observation."""
-        return self._pasted(None if self._box is None else {"layer": self._samples()[observation]}).get("layer")
+        return self._pasted(None if self._box is None else {"layer": self._samples().layer(observation)}).get("layer")
 
-    def samples(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+    def texels(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
         """Return (K, N, 4) the samples of observations at N texels."""
         found = np.zeros((len(observations), 0, 4), np.float32)
         here = np.zeros(len(rows), bool)
         if self._box is not None:
             x0, y0, width, height = self._box
             here = (columns >= x0) & (columns < x0 + width) & (rows >= y0) & (rows < y0 + height)
-            found = self._samples()[:, rows[here] - y0, columns[here] - x0][list(observations)]
+            found = self._samples().texels(rows[here] - y0, columns[here] - x0)[list(observations)]
         told = self.ranks.collected({"here": np.flatnonzero(here), "found": found})
         whole = np.zeros((len(observations), len(rows), 4), np.float32)
         for one in told:
@@ -99,12 +90,12 @@ class Member:
 
     def lit(self, observations: Sequence[int]) -> np.ndarray:
         """Return (H, W) bool: covered texels that one of the observations sees lit. Every rank is told."""
-        mask = np.zeros(self.share.whole.shape, bool)
+        mask = np.zeros(self.partition.whole.shape, bool)
         own = None
         if self._box is not None:
-            own = subset(self.share.window, observations).solvable[self._within()]
+            own = subset(self.partition.window, observations).solvable[self._within()]
         told = self.ranks.all(None if own is None else np.packbits(own))
-        for box, bits in zip(self.share.boxes, told, strict=True):
+        for box, bits in zip(self.partition.boxes, told, strict=True):
             if box is not None:
                 width, height = box[2:]
                 mask[part_of(box)] = np.unpackbits(bits, count=width * height).reshape(height, width).astype(bool)
@@ -113,14 +104,13 @@ class Member:
     def begin(self, fitted: Sequence[int], entry: str) -> Progress:
         """Set up the recovery by some observations."""
         solvable = self.lit(fitted)
-        self.domain = subset(replace(self.share.whole), fitted)
-        vars(self.domain)["solvable"] = solvable
-        boxes = self.share.boxes
+        self.domain = subset(self.partition.whole, fitted, solvable)
+        boxes = self.partition.boxes
         works = [box is not None and bool(solvable[part_of(box)].any()) for box in boxes]
         works[0] |= not any(works)
         self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
         works_here = works[self.ranks.rank]
-        part = self._tile(fitted, solvable) if works_here else None
+        part = self._tile(fitted) if works_here else None
         brightness = self._brightness(part)
         self._team = self.ranks.among(works_here)
         if part is not None:
@@ -165,7 +155,7 @@ class Member:
         values = {p.name: whole[f"value {p.name}"] for p in self.model.parameters}
         covered = np.zeros(self.domain.shape, bool)
         for rank in self.places:
-            covered[part_of(self.share.boxes[rank])] = True
+            covered[part_of(self.partition.boxes[rank])] = True
         for p in self.model.parameters:
             values[p.name][~covered] = p.default
         deviations = alternatives = None
@@ -194,22 +184,24 @@ class Member:
         for rank, arrays in enumerate(parts):
             if arrays is None:
                 continue
-            box = part_of(self.share.boxes[rank])
+            box = part_of(self.partition.boxes[rank])
             chosen = numbers[box][self.domain.solvable[box]]
             for name, value in arrays.items():
                 held = whole.setdefault(name, np.zeros((self._total, *value.shape[1:]), np.float32))
                 held[chosen] = value
         return Checkpoint(*at, self._progress.evaluations, whole)
 
-    def restore(self, stage: int, iteration: int, evaluations: int, whole: Mapping[str, np.ndarray] | None) -> Progress:
-        """Go on from what ``state`` returned; rank 0 has the arrays."""
+    def restore(self, saved: Checkpoint | None) -> Progress:
+        """Go on from what ``state`` returned to rank 0; the others give None."""
+        at = self.ranks.given(saved and (saved.stage, saved.iteration, saved.evaluations))
         parts: list[dict[str, np.ndarray] | None] = []
-        if self.ranks.leads:
+        if saved is not None:
             for rank in range(self.ranks.size):
                 chosen = self._texels(self.places[rank]) if rank in self.places else None
-                parts.append(None if chosen is None else {name: value[chosen] for name, value in whole.items()})
+                parts.append(None if chosen is None else {name: value[chosen] for name, value in saved.arrays.items()})
         arrays = self.ranks.dealt(parts)
         if self._recovery is not None:
+            stage, iteration, evaluations = at
             here = evaluations // max(1, self._total) * self._solved
             self._recovery.take_rows(Checkpoint(stage, iteration, here, arrays))
         return self._told_progress()
@@ -241,12 +233,10 @@ class Member:
         fixed = {name: value[texels] for name, value in self.fixed.items()}
         return TileRecovery(part, self.model, self.schedule, self.seed, fixed, entry, prepared)
 
-    def _tile(self, fitted: Sequence[int], solvable: np.ndarray) -> Domain:
+    def _tile(self, fitted: Sequence[int]) -> Domain:
         """This rank's own texels with their halo, as a tile of the whole would be."""
-        cut = tile(self.domain, *self._box, halo=self.share.halo)
-        part = replace(cut, stack=subset(self.share.window, fitted).stack)
-        vars(part)["solvable"] = solvable[rectangle(self._box, part.halo)]
-        return part
+        cut = tile(self.domain, *self._box, halo=self.partition.halo)
+        return replace(cut, stack=self.partition.window.stack.subset(np.asarray(fitted, np.intp)))
 
     def _brightness(self, part: Domain | None) -> float:
         """The lights' mean irradiance/π over the texels of all ranks: sums of whole numbers, exact in any order."""
@@ -271,19 +261,19 @@ class Member:
     def _within(self) -> tuple[slice, slice]:
         """Where the rank's own texels lie in its window."""
         x0, y0, width, height = self._box
-        left, bottom = x0 - self.share.window.origin[0], y0 - self.share.window.origin[1]
+        left, bottom = x0 - self.partition.window.origin[0], y0 - self.partition.window.origin[1]
         return slice(bottom, bottom + height), slice(left, left + width)
 
-    def _samples(self) -> np.ndarray:
-        return self.share.window.stack[:, *self._within()]
+    def _samples(self) -> SampleStack:
+        return self.partition.window.stack.window(*self._within())
 
     def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Return to rank 0, by name, (H, W, …) of the ranks' own (h, w, …), 0 where there is none."""
         whole: dict[str, np.ndarray] = {}
         for rank, arrays in enumerate(self.ranks.collected(parts)):
             for name, value in (arrays or {}).items():
-                held = whole.setdefault(name, np.zeros((*self.share.whole.shape, *value.shape[2:]), value.dtype))
-                held[part_of(self.share.boxes[rank])] = value
+                held = whole.setdefault(name, np.zeros((*self.partition.whole.shape, *value.shape[2:]), value.dtype))
+                held[part_of(self.partition.boxes[rank])] = value
         return whole
 
     def _numbers(self) -> np.ndarray:

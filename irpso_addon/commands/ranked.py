@@ -6,13 +6,16 @@ import signal
 import sys
 import time
 from argparse import Namespace
+from dataclasses import replace
+
+import numpy as np
 
 from ..capture.inspect.damage import naming_remedy
 from ..cluster.agreement import check_alike, choose_device, going_down_together
-from ..cluster.partition import Split, check_fits, check_gathered, split
-from ..cluster.recovery import Crew, RankedRecovery, serve
+from ..cluster.partition import Partition, Split, around, check_fits, check_gathered, split
+from ..cluster.recovery import Leader, RankedRecovery, serve
 from ..cluster.transport import Agreed, Ranks
-from ..cluster.worker import Member, Share, around
+from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, laid_on
@@ -32,26 +35,26 @@ def recover_on_ranks(ranks: Ranks, options: Namespace) -> dict:
 
     What stops one rank stops all, within seconds; the last checkpoint stays.
     """
-    crew: Crew | None = None
+    leader: Leader | None = None
     try:
-        with going_down_together(ranks, lambda: crew is None or crew.busy):
-            member, job, found = _prepared(ranks, options)
-            if member is None:
+        with going_down_together(ranks, lambda: leader is None or leader.busy):
+            worker, job, found = _prepared(ranks, options)
+            if worker is None:
                 result = _planned(found, options)
             elif ranks.leads:
-                crew = Crew(member)
-                result = _led(crew, job, options)
+                leader = Leader(worker)
+                result = _led(leader, job, options)
             else:
-                result = {"exit_code": _served(member)}
+                result = {"exit_code": _served(worker)}
     except Agreed as agreed:
         return refused(ranks, options, agreed.error)
     except BaseException as error:
-        if crew is not None:  # the others wait for an order
-            crew.end(error.exit_code if isinstance(error, IrpsoError) else 130)
+        if leader is not None:  # the others wait for an order
+            leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
             ranks.close()
         raise
-    if crew is not None:
-        crew.end()
+    if leader is not None:
+        leader.end()
     ranks.close()
     return result
 
@@ -65,8 +68,8 @@ def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict:
     return {"exit_code": error.exit_code}
 
 
-def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Split]:
-    """Check everything, and read this rank's share of the observations; of a dry run the split alone is told."""
+def _prepared(ranks: Ranks, options: Namespace) -> tuple[Worker | None, Job, Split]:
+    """Check everything, and read this rank's part of the observations; of a dry run the split alone is told."""
     started = time.perf_counter()
     job = ranks.agreed(lambda: _checked(options))
     check_alike(ranks, options, job.capture)
@@ -80,12 +83,12 @@ def _prepared(ranks: Ranks, options: Namespace) -> tuple[Member | None, Job, Spl
     ranks.agreed(lambda: _check_fits(ranks, options, found, sharing))
     if options.dry_run:
         return None, job, found
-    share = _share(ranks, options, job, found, surface)
-    ranks.agreed(lambda: settle(options, job, share.whole))
-    member = Member(ranks, share, job.model, job.schedule, options.seed, job.fixed)
-    ranks.agreed(lambda: _check_lit(member, job))
+    partition = _partition(ranks, options, job, found, surface)
+    ranks.agreed(lambda: settle(options, job, partition.whole))
+    worker = Worker(ranks, partition, job.model, job.schedule, options.seed, job.fixed)
+    ranks.agreed(lambda: _check_lit(worker, job))
     job.seconds["read"] = time.perf_counter() - started
-    return member, job, found
+    return worker, job, found
 
 
 def _checked(options: Namespace) -> Job:
@@ -120,9 +123,9 @@ def _check_fits(ranks: Ranks, options: Namespace, found: Split, sharing: int) ->
         check_gathered(found, memory)
 
 
-def _share(
+def _partition(
     ranks: Ranks, options: Namespace, job: Job, found: Split, surface: tuple[GeometryBake, SeamMap | None]
-) -> Share:
+) -> Partition:
     """Read what this rank needs of the observations."""
     box = found.boxes[ranks.rank]
     part = None if box is None else around(found.shape, box, found.halo)
@@ -139,49 +142,49 @@ def _share(
     window = ranks.agreed(read)
     bake, seams = surface
     of_all = ranks.given(window and _without_texels(window))
-    whole = laid_on(of_all, bake, of_all.stack, seams)
-    return Share(whole, found.boxes, found.halo, window)
+    whole = replace(of_all, bake=bake, seams=seams)
+    return Partition(whole, found.boxes, found.halo, window)
 
 
 def _without_texels(domain: Domain) -> Domain:
     """Return what all ranks have in common of a domain, to be sent to them: 0 × 0 texels."""
-    return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), domain.stack[:, :0, :0])
+    return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), np.zeros((domain.observations, 0, 0, 4)))
 
 
-def _check_lit(member: Member, job: Job) -> None:
+def _check_lit(worker: Worker, job: Job) -> None:
     """Raise InputError where no rank sees anything lit, as one process would."""
-    if not member.lit(range(len(job.capture.observations))).any():
+    if not worker.partition.whole.solvable.any():
         what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
         raise InputError(
             f"no image of capture '{job.capture.name}' shows {what} lit; check its cameras, masks and exposure"
         )
 
 
-def _led(crew: Crew, job: Job, options: Namespace) -> dict:
+def _led(leader: Leader, job: Job, options: Namespace) -> dict:
     """Do on rank 0 what ``recover`` does, the others at its orders."""
-    ranks = crew.ranks
-    kept = [k for k in range(crew.domain.observations) if k not in job.held_out]
+    ranks = leader.ranks
+    kept = [k for k in range(leader.domain.observations) if k not in job.held_out]
     started = time.perf_counter()
-    lights = found_lights(crew.domain, kept, job.model, job.fixed, options)
+    lights = found_lights(leader.domain, kept, job.model, job.fixed, options)
     if lights is not None:
-        found = lights.applied(crew.domain)
-        crew.take_lights(found.lights, found.intensities)
+        found = lights.applied(leader.domain)
+        leader.take_lights(found.lights, found.intensities)
         job.seconds["lights"] = time.perf_counter() - started
     started = time.perf_counter()
-    with RankedRecovery(crew, kept, options.entry) as recovery:
+    with RankedRecovery(leader, kept, options.entry) as recovery:
         job.seconds["prepare"] = time.perf_counter() - started
         solved = solve(options, job, recovery)
-        messages, sent = zip(*crew.ask("sent"), strict=True)
+        messages, sent = zip(*leader.ask(Worker.sent), strict=True)
         solved.settings |= {"ranks": ranks.size, "messages": messages, "bytes_sent": sent}
-        solved.warnings.extend(_unlike(crew.ask("renderers")))
-    return finish(options, job, crew.domain, kept, lights, solved)
+        solved.warnings.extend(_unlike(leader.ask(Worker.renderers)))
+    return finish(options, job, leader.domain, kept, lights, solved)
 
 
-def _served(member: Member) -> int:
+def _served(worker: Worker) -> int:
     # Rank 0 hears of it too, and orders what is to be done.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    return serve(member)
+    return serve(worker)
 
 
 def _unlike(renderers: list[str]) -> list[str]:

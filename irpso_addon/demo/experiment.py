@@ -162,7 +162,7 @@ def image_errors(subject: Subject, maps: Maps) -> np.ndarray:
     errors = []
     for k in range(domain.observations):
         rendered = renderer.render(k)[..., :3]
-        errors.append(100 * np.abs(rendered - domain.stack[k, ..., :3]).mean(axis=-1)[subject.evaluated])
+        errors.append(100 * np.abs(rendered - domain.stack.layer(k)[..., :3]).mean(axis=-1)[subject.evaluated])
     renderer.close()
     return np.stack(errors)
 

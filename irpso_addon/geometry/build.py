@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import fields, replace
@@ -20,10 +17,11 @@ from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation
 from ..core.errors import InputError
 from ..core.steps import run_steps
-from .domain import Domain, GeometryBake
+from .domain import Domain, GeometryBake, domain_of
 from .light.light_shape import unshaped
 from .light.shadows import ShadowCaster, texel_size
 from .project import GRAZING, Projector, blocks, filled
+from .samples import ArrayStack, new_stack
 from .seams.seams import SeamMap, seams_of, window_seams
 from .surface.bake import SurfaceBake, bake_camera, bake_uv
 from .surface.footprint import texel_steps
@@ -61,7 +59,7 @@ def card_steps(
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     stack = new_stack(len(capture.observations), height, width, scratch)
     texels = np.flatnonzero(bake.coverage)
-    for observation, out in zip(capture.observations, stack, strict=True):
+    for observation, out in zip(capture.observations, stack.layers(), strict=True):
         yield
         image = _read(observation, capture)[y0 : y0 + height, x0 : x0 + width]
         shown = bake.coverage & ((image[..., 3] > 0) | np.isfinite(image).all(axis=-1))
@@ -70,10 +68,11 @@ def card_steps(
             # Not @, which may round off a texel's sum otherwise in an array of another size.
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
             _weigh(out, texels, *_shape_of(observation.light, points, texels))
+    views = np.broadcast_to(_local(camera).view, (len(capture.observations), 4))
+    domain = _domain(capture, bake, stack, views, inverse, card=True, noise=noise)
     if window is None:
-        _check_seen(capture, stack, "the card")
-    views = np.broadcast_to(_local(camera).view, (len(stack), 4))
-    return replace(_domain(capture, bake, stack, views, inverse, card=True, noise=noise), origin=(x0, y0))
+        _check_seen(capture, domain, "the card")
+    return replace(domain, origin=(x0, y0))
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
@@ -174,10 +173,10 @@ def mesh_steps(
 
     stack = new_stack(len(capture.observations), *bake.coverage.shape, scratch)
     yield from _fill(stack, capture, bake, project, caster)
-    if window is None:
-        _check_seen(capture, stack, f"mesh '{mesh.name}'")
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=noise)
+    if window is None:
+        _check_seen(capture, domain, f"mesh '{mesh.name}'")
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
 
 
@@ -199,7 +198,7 @@ def _windowed(bake: Bake, window: Window) -> Bake:
 
 
 def _fill(
-    stack: np.ndarray,
+    stack: ArrayStack,
     capture: Capture,
     bake: SurfaceBake,
     project: Callable[[int], Projector],
@@ -223,7 +222,7 @@ def _fill(
 
 
 def _fill_light(
-    stack: np.ndarray,
+    stack: ArrayStack,
     capture: Capture,
     bake: SurfaceBake,
     projectors: dict[int, Projector],
@@ -245,8 +244,8 @@ def _fill_light(
             continue
         yield
         image = _read(capture.observations[k], capture)
-        stack[k] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
-        _weigh(stack[k], texels, gain, weight)
+        stack.layer(k)[:] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
+        _weigh(stack.layer(k), texels, gain, weight)
 
 
 def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
@@ -282,32 +281,6 @@ def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.n
     layer.reshape(-1, 4)[texels] = values
 
 
-def new_stack(observations: int, height: int, width: int, scratch: Path | None = None) -> np.ndarray:
-    """Return (K, H, W, 4) zeros, in memory or mapped from a file in the folder ``scratch``."""
-    shape = (observations, height, width, 4)
-    return np.zeros(shape, np.float32) if scratch is None else mapped_array(scratch, shape)
-
-
-def mapped_array(folder: Path, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-    """Return zeros mapped from a temporary file in a folder; the file is gone with the array, or with the process.
-
-    Raises InputError where the disk has no room: found out later, in the middle of a write, it would kill the process.
-    """
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    try:
-        with tempfile.TemporaryFile(prefix=".irpso-", dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)
-            elif shutil.disk_usage(folder).free < size:
-                raise OSError(28, "no space left on device")
-            return np.memmap(file, dtype, "w+", shape=shape).view(np.ndarray)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: holds no scratch file of {size / 2**30:.3g} GiB ({error.strerror or error}); set TMPDIR to a"
-            " folder with room, or allow more with --memory host=…"
-        ) from error
-
-
 def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
     height, width = mask.shape
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
@@ -325,16 +298,16 @@ def _card_bake(camera: Camera, mask: np.ndarray, depth: float) -> GeometryBake:
 def _domain(
     capture: Capture,
     bake: GeometryBake,
-    stack: np.ndarray,
+    stack: ArrayStack,
     views: np.ndarray,
     to_frame: np.ndarray,
     card: bool,
     noise: float,
 ) -> Domain:
     observations = capture.observations
-    return Domain(
-        bake=bake,
-        stack=stack,
+    return domain_of(
+        bake,
+        stack.values,
         lights=np.array([_light(observation.light, to_frame) for observation in observations], np.float32),
         intensities=np.array([observation.light.intensity for observation in observations], np.float32),
         views=np.asarray(views, np.float32),
@@ -374,8 +347,8 @@ def _check_masks(capture: Capture) -> None:
             )
 
 
-def _check_seen(capture: Capture, stack: np.ndarray, what: str) -> None:
-    if not any(((layer[..., 3] > 0) & (layer[..., :3] > 0).any(axis=-1)).any() for layer in stack):
+def _check_seen(capture: Capture, domain: Domain, what: str) -> None:
+    if not domain.solvable.any():
         raise InputError(
             f"no image of capture '{capture.name}' shows {what} lit; check its cameras, masks and exposure"
         )

@@ -26,7 +26,7 @@ def coarser(domain: Domain) -> Domain:
     if any(domain.halo):
         raise ValueError("a tile with a halo has no coarser domain: its cells would be others than the whole domain's")
     x, y = domain.origin
-    stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack])
+    stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack.layers()])
     seams = None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage)
     return replace(laid_on(domain, _coarser_bake(domain.bake), stack, seams), origin=(x // 2, y // 2))
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from .samples import ArrayStack, SampleStack
 from .seams.seams import SeamMap
+from .seams.tiles import tile_seams
 
 
 @dataclass(frozen=True)
@@ -45,22 +46,22 @@ class GeometryBake:
 class Domain:
     """W×H texels with geometry, sample stack, lights and views: everything that one recovery reads.
 
-    All arrays are float32, in world units and axes (on a card the camera's). bake: the geometry. stack: (K, H, W, 4)
-    linear RGB radiance of every observation and its weight, 0…1, in alpha, below 0 where it is a lower bound
-    (capture/bounds.py); a sample without weight (in the mesh's own shadow) keeps its radiance for pictures, and is 0
-    where nothing was photographed. lights: (K, 4) xyz and
-    0 for the unit direction toward a distant light, xyz and 1 for the position of a near one. intensities: (K, 3), of
-    which 1 is an irradiance of π (of a near light at distance 1). views: (K, 4) xyz and 1 for the place of a
-    perspective camera, xyz and 0 for the direction toward an orthographic one. origin: global (x, y) of texel (0, 0):
-    random numbers are keyed by it, so that a tile of a domain is solved as the whole would be. halo: texels along each
-    side of a tile that belong to its neighbours: they are read but never moved. card: whether the domain is the image
-    itself rather than a UV square. seams: which texels are neighbours across UV seams; where None, as on a card, those
-    beside a texel are. noise: standard deviation of the photographs' sRGB codes, as a fraction of white
-    (capture/noise.py); 0 where their files are finer than that.
+    All arrays are float32, in world units and axes (on a card the camera's). bake: the geometry. stack: the samples;
+    one without weight (in the mesh's own shadow) keeps its radiance for pictures, and is 0 where nothing was
+    photographed. solvable: (H, W) bool, of ``solvable_texels``. lights: (K, 4) xyz and 0 for the unit direction toward
+    a distant light, xyz and 1 for the position of a near one. intensities: (K, 3), of which 1 is an irradiance of π (of
+    a near light at distance 1). views: (K, 4) xyz and 1 for the place of a perspective camera, xyz and 0 for the
+    direction toward an orthographic one. origin: global (x, y) of texel (0, 0): random numbers are keyed by it, so that
+    a tile of a domain is solved as the whole would be. halo: texels along each side of a tile that belong to its
+    neighbours: they are read but never moved. card: whether the domain is the image itself rather than a UV square.
+    seams: which texels are neighbours across UV seams; where None, as on a card, those beside a texel are. noise:
+    standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
+    are finer than that.
     """
 
     bake: GeometryBake
-    stack: np.ndarray
+    stack: SampleStack
+    solvable: np.ndarray
     lights: np.ndarray
     intensities: np.ndarray
     views: np.ndarray
@@ -80,42 +81,93 @@ class Domain:
         """K, the number of observations."""
         return len(self.lights)
 
-    @cached_property
-    def solvable(self) -> np.ndarray:
-        """(H, W) bool: covered texels that at least one observation sees lit.
 
-        A texel that is black under every light says nothing: any normal that faces no light would do for it. Found
-        once, since it reads the whole stack.
-        """
-        covered = self.bake.coverage
-        if hasattr(self.stack, "lit"):  # a stack that lies with several processes knows where to ask
-            return self.stack.lit()
-        lit = np.zeros(self.shape, bool)
-        for layer in self.stack:
-            # Channel by channel: any() over an axis of three is ten times slower.
-            lit |= (layer[..., 3] > 0) & ((layer[..., 0] > 0) | (layer[..., 1] > 0) | (layer[..., 2] > 0))
-            if lit[covered].all():
-                break
-        return covered & lit
+def solvable_texels(bake: GeometryBake, stack: SampleStack) -> np.ndarray:
+    """Return (H, W) bool: covered texels that at least one observation sees lit. It may read the whole stack.
+
+    A texel that is black under every light says nothing: any normal that faces no light would do for it.
+    """
+    return stack.lit(bake.coverage)
 
 
-def subset(domain: Domain, observations: Sequence[int] | np.ndarray) -> Domain:
-    """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are."""
+def domain_of(
+    bake: GeometryBake,
+    values: np.ndarray,
+    lights: np.ndarray,
+    intensities: np.ndarray,
+    views: np.ndarray,
+    card: bool = True,
+    seams: SeamMap | None = None,
+    noise: float = 0.0,
+) -> Domain:
+    """Return the domain of samples (K, H, W, 4); the rest is as in Domain."""
+    stack = ArrayStack(values)
+    solvable = solvable_texels(bake, stack)
+    return Domain(bake, stack, solvable, lights, intensities, views, card=card, seams=seams, noise=noise)
+
+
+def with_samples(domain: Domain, values: np.ndarray) -> Domain:
+    """Return the domain with other samples, (K, H, W, 4) float32 in memory."""
+    stack = ArrayStack(values)
+    return replace(domain, stack=stack, solvable=solvable_texels(domain.bake, stack))
+
+
+def with_lights(domain: Domain, lights: np.ndarray, intensities: np.ndarray) -> Domain:
+    """Return the domain under other lights (K, 4) and intensities (K, 3)."""
+    return replace(domain, lights=lights.astype(np.float32), intensities=intensities.astype(np.float32))
+
+
+def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: np.ndarray | None = None) -> Domain:
+    """Return the domain with only some observations, by index or (K,) bool. Geometry and tiling stay as they are.
+
+    solvable: of the result, where it has been found already.
+    """
     chosen = np.asarray(observations)
     chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.intp)
     if np.array_equal(chosen, np.arange(domain.observations)):
         return domain
-    # Of the first ones a view, not a copy: the stack may be larger than the memory.
-    first = np.array_equal(chosen, np.arange(len(chosen)))
+    stack = domain.stack.subset(chosen)
     return replace(
         domain,
-        stack=domain.stack[: len(chosen)] if first else domain.stack[chosen],
+        stack=stack,
+        solvable=solvable_texels(domain.bake, stack) if solvable is None else solvable,
         lights=domain.lights[chosen],
         intensities=domain.intensities[chosen],
         views=domain.views[chosen],
     )
 
 
-def laid_on(domain: Domain, bake: GeometryBake, stack: np.ndarray, seams: SeamMap | None = None) -> Domain:
-    """Return a domain of other texels, whole and at the origin; lights, views and noise are those of the domain."""
-    return replace(domain, bake=bake, stack=stack, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0))
+def laid_on(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
+    """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
+
+    Lights, views and noise are those of the domain.
+    """
+    return with_samples(replace(domain, bake=bake, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0)), values)
+
+
+def tile(domain: Domain, x0: int, y0: int, width: int, height: int, halo: int = 0) -> Domain:
+    """Return texels [x0, x0 + width) × [y0, y0 + height) of a domain as one of its own, with a halo around them.
+
+    The halo is ``halo`` texels wide, less where the domain ends; the tile's arrays include it, and its origin is that
+    of the halo's corner. The arrays are views, not copies; the texels that it sees across UV seams are the ghosts of
+    its seams. Raises ValueError where the tile leaves the domain.
+    """
+    rows, columns = domain.shape
+    if not (width > 0 and height > 0 and halo >= 0 and 0 <= x0 <= columns - width and 0 <= y0 <= rows - height):
+        raise ValueError(f"tile {width}×{height} at ({x0}, {y0}), halo {halo}, leaves the domain of {columns}×{rows}")
+    left, right = min(halo, x0), min(halo, columns - x0 - width)
+    bottom, top = min(halo, y0), min(halo, rows - y0 - height)
+    part = (slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right))
+    seams, box = domain.seams, (x0, y0, width, height)
+    if seams is not None:
+        frames = domain.bake.normal, domain.bake.tangent
+        seams = tile_seams(seams, domain.solvable, *frames, domain.origin, box, halo)
+    return replace(
+        domain,
+        bake=domain.bake.each(lambda values: values[part]),
+        stack=domain.stack.window(*part),
+        solvable=domain.solvable[part],
+        origin=(domain.origin[0] + x0 - left, domain.origin[1] + y0 - bottom),
+        halo=(left, right, bottom, top),
+        seams=seams,
+    )

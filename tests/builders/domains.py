@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, GeometryBake
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, tile, with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.phases.mixture import merged
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -61,7 +60,13 @@ def make_domain(
     )  # fmt: skip
     lights = np.concatenate([lights, np.full((observations, 1), float(near))], axis=1)
     arrays = (stack, lights, intensities, views)
-    return Domain(bake, *(np.ascontiguousarray(a, np.float32) for a in arrays), card=card)
+    return domain_of(bake, *(np.ascontiguousarray(a, np.float32) for a in arrays), card=card)
+
+
+def masked(domain: Domain, mask: np.ndarray) -> Domain:
+    """Return the domain with only the covered texels of a mask (H, W)."""
+    bake = replace(domain.bake, coverage=domain.bake.coverage & mask)
+    return replace(domain, bake=bake, solvable=domain.solvable & mask)
 
 
 def unit(v: np.ndarray) -> np.ndarray:
@@ -72,13 +77,13 @@ def unit(v: np.ndarray) -> np.ndarray:
 def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
     """Return the domain with the radiance that a material has; weights stay, what weighs nothing is NaN."""
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     for k in range(domain.observations):
         light, squared = direction_to(domain.lights[k], position)
         view, _ = direction_to(domain.views[k], position)
         render = MODELS[model](values, turned(frame, light), turned(frame, view)) * domain.intensities[k] / squared
         stack[k, ..., :3] = np.where(stack[k, ..., 3:] > 0, render, np.nan)
-    return replace(domain, stack=stack)
+    return with_samples(domain, stack)
 
 
 def random_truth(rng, shape):

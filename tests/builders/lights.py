@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.domain import Domain, with_samples
 from tests.builders.domains import make_domain, unit
 from tests.oracles import confidence as confidence_oracle
 
@@ -39,7 +37,7 @@ def subject(
     made = make_domain(*shape, observations=observations, holes=False, rng_seed=rng_seed, **options)
     stack = np.ones((observations, *shape, 4))
     stack[..., :3] = confidence_oracle.radiance(made, model, truth)
-    return replace(made, stack=stack.astype(np.float32)), truth
+    return with_samples(made, stack.astype(np.float32)), truth
 
 
 def gains(observations: int, rng: np.random.Generator) -> np.ndarray:
@@ -50,13 +48,13 @@ def gains(observations: int, rng: np.random.Generator) -> np.ndarray:
 
 def photographed(domain: Domain, factors: np.ndarray, rng: np.random.Generator, shadow=0.15, noise=0.02) -> Domain:
     """Return the domain with its images times ``factors`` (K, 3), a share of the samples in shadow, and noise."""
-    stack = domain.stack.astype(np.float64)
+    stack = domain.stack.values.astype(np.float64)
     radiance = stack[..., :3] * factors[:, None, None]
     dark = rng.random(stack.shape[:3]) < shadow
     radiance[dark] *= rng.uniform(0, 0.2, (dark.sum(), 1))
     radiance *= 1 + noise * rng.normal(size=radiance.shape)
     stack[..., :3] = np.maximum(radiance, 0)
-    return replace(domain, stack=stack.astype(np.float32))
+    return with_samples(domain, stack.astype(np.float32))
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:

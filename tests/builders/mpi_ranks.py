@@ -11,12 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.builders.domains import masked
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from irpso_addon.cluster.recovery import Crew, RankedRecovery, serve
+from irpso_addon.cluster.partition import Partition, around
+from irpso_addon.cluster.recovery import Leader, RankedRecovery, serve
 from irpso_addon.cluster.transport import joined
-from irpso_addon.cluster.worker import Member, Share, around
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.cluster.worker import Worker
+from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -47,7 +51,8 @@ def cases():
     from tests.gpu.geometry.test_seams import observed, sheet
 
     near, _ = subject(23, 19, near=True, perspective=True, colored=True, observations=9)
-    near.bake.coverage[:9, :6] = False  # some boxes are ragged
+    rows, columns = np.indices(near.shape)
+    near = masked(near, (rows >= 9) | (columns >= 6))  # some boxes are ragged
     glossy, _ = subject(13, 17, model="cook_torrance_two_lobe", observations=12, near=True)
     level, _ = subject(19, 11, holes=False)
     seams = observed(sheet("mirrored and turned"), holes=0.1)
@@ -69,7 +74,7 @@ def digest(maps, progress):
     return found.hexdigest()
 
 
-def member_of(ranks, domain, model, schedule):
+def worker_of(ranks, domain, model, schedule):
     """Return this rank's share of a domain that every rank has as a whole."""
     halo = recovery_cost(model, schedule, (), domain.observations).reach
     height, width = domain.shape
@@ -77,19 +82,19 @@ def member_of(ranks, domain, model, schedule):
     boxes += [None] * (ranks.size - len(boxes))
     box = boxes[ranks.rank]
     window = None if box is None else tile(replace(domain, seams=None), *around(domain.shape, box, halo))
-    whole = replace(domain, stack=np.zeros((domain.observations, 0, 0, 4), np.float32))
-    return Member(ranks, Share(whole, tuple(boxes), halo, window), model, schedule, 1, {})
+    whole = replace(domain, stack=ArrayStack(np.zeros((domain.observations, 0, 0, 4), np.float32)))
+    return Worker(ranks, Partition(whole, tuple(boxes), halo, window), model, schedule, 1, {})
 
 
 def over(ranks, case, work):
     """Return what ``work`` makes of a recovery over ranks, on the first of them; None on the others."""
-    member = member_of(ranks, *case)
+    worker = worker_of(ranks, *case)
     if not ranks.leads:
-        return serve(member) and None
-    crew = Crew(member)
-    with RankedRecovery(crew, range(case[0].observations), "fragment") as recovery:
+        return serve(worker) and None
+    leader = Leader(worker)
+    with RankedRecovery(leader, range(case[0].observations), "fragment") as recovery:
         result = work(recovery)
-    crew.end()
+    leader.end()
     return result
 
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of
 from irpso_addon.geometry.seams.seams import SEAM_REACH, seams_of
 from irpso_addon.geometry.surface.mesh import MeshData
 from tests.oracles import geometry as geometry_oracle
@@ -68,7 +68,7 @@ class Sheet:
         stack = np.ones((1, *self.bake.coverage.shape, 4), np.float32)
         rows = (np.float32([[0, 0, 1, 0]]), np.float32([[1, 1, 1]]), np.float32([[0, 0, 1, 0]]))
         seams = seams_of(self.mesh, self.bake.triangle, reach)
-        return Domain(self.bake, stack, *rows, card=False, seams=seams)
+        return domain_of(self.bake, stack, *rows, card=False, seams=seams)
 
     def _sheet(self, part: int, place: np.ndarray) -> np.ndarray:
         return np.linalg.solve(self.turn, place - self.origin) if part else place - START - (LEFT, 0)

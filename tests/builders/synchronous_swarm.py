@@ -53,7 +53,7 @@ class Bench:
         self.values = {**made, **(estimates or {})}
         stage = resolve(self.schedule, self.model, set(case.fixed))[0]
         self.packing = pack = Packing(self.domain.solvable)
-        self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack), pack.pack(scale))
+        self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack.values), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in self.values.items()})
         self.stage = SynchronousSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))

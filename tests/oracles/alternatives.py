@@ -39,7 +39,7 @@ def worse(domain, model, values, schedule, scale, fixed=()):
 
 def _independent(problem, values, unknowns):
     """(H, W): the samples that are left when ``unknowns`` are determined, channels that err together counted once."""
-    e, w = generation.error(problem, values), problem.domain.stack[..., 3].astype(np.float64)
+    e, w = generation.error(problem, values), problem.domain.stack.values[..., 3].astype(np.float64)
     errors = (w[..., None] * e**2).sum(axis=(0, -1))
     alike = np.clip((w * e.sum(axis=-1) ** 2).sum(axis=0) / np.where(errors > 0, errors, 1), 1, 3)
     return np.maximum(3 * w.sum(axis=0) - (1 + alike) / 2 * unknowns, 0) / alike

@@ -65,8 +65,8 @@ def jacobian(domain, model, values, fixed=()):
 def normal_matrix(domain, model, values, fixed=()):
     """JᵀJ (H, W, n, n) per range, and the variance of the noise (H, W): a Σ w e² / (3 Σ w − n (1 + a) / 2)."""
     j = jacobian(domain, model, values, fixed)
-    w = domain.stack[..., 3].astype(np.float64)
-    error = np.where(w[..., None] > 0, radiance(domain, model.name, values) - domain.stack[..., :3], 0)
+    w = domain.stack.values[..., 3].astype(np.float64)
+    error = np.where(w[..., None] > 0, radiance(domain, model.name, values) - domain.stack.values[..., :3], 0)
     errors = np.einsum("khw,khwc->hw", w, error**2)
     alike = np.clip(np.einsum("khw,khw->hw", w, error.sum(axis=-1) ** 2) / np.where(errors > 0, errors, 1), 1, 3)
     freedom = 3 * w.sum(axis=0) - (1 + alike) / 2 * len(j)

@@ -20,7 +20,7 @@ class Texel:
     def __init__(self, model, domain, row, column, loss, delta, scale, power=1.0):
         assert domain.card and not domain.lights[:, 3].any() and not domain.views[:, 3].any()
         self.model, self.loss = model, loss
-        samples = domain.stack[:, row, column].astype(np.float64)
+        samples = domain.stack.values[:, row, column].astype(np.float64)
         below = np.maximum(-samples[:, 3:], 0)
         self.bound = (below.astype(int) & (1, 2, 4)) > 0
         self.weight = np.where(below > 0, 2 * (below % 1), samples[:, 3:])

@@ -195,15 +195,15 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
         view, _ = direction_to(domain.views[k], position)
         render = MODELS[problem.model.name](s, turned(frame, light), turned(frame, view))
         render = render * domain.intensities[k].astype(np.float64) / squared
-        weight = domain.stack[k, ..., 3].astype(np.float64)
-        error = render - np.where(weight[..., None] > 0, domain.stack[k, ..., :3], 0)
+        weight = domain.stack.values[k, ..., 3].astype(np.float64)
+        error = render - np.where(weight[..., None] > 0, domain.stack.values[k, ..., :3], 0)
         if settings.loss == "l1":
             loss = np.abs(error)
         elif settings.loss == "l2":
             loss = error**2
         else:
             unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
-            unit = delta_of(domain.stack[k], unit * problem.scale, settings, domain.noise)
+            unit = delta_of(domain.stack.values[k], unit * problem.scale, settings, domain.noise)
             loss = np.log1p((error / unit) ** 2)
         total += weight * loss.sum(axis=-1)
         weights += weight
@@ -238,7 +238,7 @@ class Step:
 
 def solved_and_covered(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
     """Return (H, W) bool: the texels that are moved, and those that count as neighbours (the halo too)."""
-    covered = domain.bake.coverage & (domain.stack[..., 3] > 0).any(axis=0)
+    covered = domain.bake.coverage & (domain.stack.values[..., 3] > 0).any(axis=0)
     left, right, bottom, top = domain.halo
     rows, columns = domain.shape
     y, x = np.mgrid[:rows, :columns]

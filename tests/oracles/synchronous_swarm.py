@@ -65,7 +65,7 @@ def cosines(problem: SynchronousSwarm, n: np.ndarray) -> Iterator[tuple[np.ndarr
 def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
     """(…, H, W): whether rounding decides if some light or view is above the horizon of a normal."""
     found = False
-    for weight, pair in zip(problem.domain.stack[..., 3], cosines(problem, n), strict=True):
+    for weight, pair in zip(problem.domain.stack.values[..., 3], cosines(problem, n), strict=True):
         found = found | ((weight > 0) & np.any([np.abs(c[..., 0]) < EDGE for c in pair], axis=0))
     return found
 
@@ -73,13 +73,15 @@ def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
 def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(K, …, H, W, 3): what the render of a material has too much, in units of the loss."""
     domain, settings = problem.domain, problem.schedule.fitness
-    seen = _expanded(domain.stack[..., 3:] > 0, s["normal"])
-    reference = _expanded(np.where(domain.stack[..., 3:] > 0, domain.stack[..., :3], 0).astype(np.float64), s["normal"])
+    seen = _expanded(domain.stack.values[..., 3:] > 0, s["normal"])
+    reference = _expanded(
+        np.where(domain.stack.values[..., 3:] > 0, domain.stack.values[..., :3], 0).astype(np.float64), s["normal"]
+    )
     result = np.where(seen, radiance(problem, s) - reference, 0)
     if settings.loss == "robust":
         brightness = domain.intensities.astype(np.float64).mean()
         result = result / _expanded(
-            swarm.delta_of(domain.stack, brightness * problem.scale, settings, domain.noise), s["normal"]
+            swarm.delta_of(domain.stack.values, brightness * problem.scale, settings, domain.noise), s["normal"]
         )
     return result
 
@@ -92,7 +94,7 @@ def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
     e = error(problem, s)
     loss = {"l1": np.abs, "l2": np.square, "robust": lambda a: np.log1p(a**2)}[problem.schedule.fitness.loss](e)
-    weight = _expanded(problem.domain.stack[..., 3].astype(np.float64), s["normal"])
+    weight = _expanded(problem.domain.stack.values[..., 3].astype(np.float64), s["normal"])
     total, weights = (weight * loss.sum(axis=-1)).sum(axis=0), weight.sum(axis=0)
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), swarm.UNFIT)
 
@@ -101,7 +103,7 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
     """(K, H, W, 3): what each sample counts in the least squares, by the error of the incumbent there."""
     e = error(problem, incumbent)
     kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
-    weight = problem.domain.stack[..., 3:].astype(np.float64)
+    weight = problem.domain.stack.values[..., 3:].astype(np.float64)
     if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
         level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
         settings = problem.schedule.fitness
@@ -110,7 +112,7 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
             * (
                 settings.delta
                 * level[..., None]
-                / swarm.delta_of(problem.domain.stack, level, settings, problem.domain.noise)
+                / swarm.delta_of(problem.domain.stack.values, level, settings, problem.domain.noise)
             )
             ** 2
         )
@@ -131,8 +133,8 @@ def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndar
         one[..., i] = 1
         render = radiance(problem, problem.with_weights(s, one))
         columns.append(render - rest)
-    seen = problem.domain.stack[..., 3:] > 0
-    left = _expanded(np.where(seen, problem.domain.stack[..., :3], 0).astype(np.float64), s["normal"])
+    seen = problem.domain.stack.values[..., 3:] > 0
+    left = _expanded(np.where(seen, problem.domain.stack.values[..., :3], 0).astype(np.float64), s["normal"])
     return np.stack(columns, axis=-1), left - rest
 
 

@@ -13,9 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ...core.errors import InputError
-from ...geometry.build import mapped_array
-from ...geometry.domain import Domain
-from ...geometry.tiles import tile
+from ...geometry.domain import Domain, tile
+from ...geometry.samples import mapped_array
 from ...gpu import context, probe
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps

@@ -101,7 +101,7 @@ def light_step(
     found = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
     steps = _texel_steps(model, values, fixed)
     renders = _Renders(domain, model, values, steps, moving)
-    stack = domain.stack.copy()
+    stack = np.stack([*domain.stack.layers()])
     drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
     _, irradiance = light_vectors(domain, texels)
     level = scale[texels][:, None] * float(irradiance.mean())
@@ -115,7 +115,7 @@ def light_step(
             if gains:
                 # Against what the light itself does to most texels: one that is off as a whole is no outlier.
                 outlying = difference - render * _typical(difference, render, seen[:, 3:])
-                off = _off_as_a_whole(domain.stack[k][texels].astype(np.float64), render)
+                off = _off_as_a_whole(domain.stack.layer(k)[texels].astype(np.float64), render)
                 if abs(off.mean()) > _FAR:
                     far[k] = off
             weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
@@ -334,7 +334,7 @@ def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.
     lit = domain.lights, domain.intensities, domain.views
     with closing(Renderer(domain.bake, model, values, *lit, domain.card)) as renderer:
         for k in range(domain.observations):
-            render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack[k]))
+            render, seen = (a[texels].astype(np.float64) for a in (renderer.render(k)[..., :3], domain.stack.layer(k)))
             difference = _difference(seen, render)
             factors[k] = np.maximum(1 + _typical(difference, render, seen[:, 3:]), 1e-3)
     return factors

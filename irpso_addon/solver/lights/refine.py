@@ -12,7 +12,7 @@ import numpy as np
 from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
 from ...core.steps import run_steps, told_as
-from ...geometry.domain import Domain, subset
+from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
 from ..settings.schedule import Schedule, load_schedule
@@ -63,7 +63,7 @@ class Lights:
 
     def applied(self, domain: Domain) -> Domain:
         """Return the domain under these lights."""
-        return light_sample.with_lights(domain, self.lights, self.intensities)
+        return with_lights(domain, self.lights, self.intensities)
 
     def summary(self) -> str:
         """Return in a line how far they are from those that were given."""
@@ -335,7 +335,7 @@ class _Search:
             # The images are divided rather than the lights multiplied, so that all count the same however dim.
             here = _divided(self._base, self._factors)
             if self._moving is not None:
-                here = light_sample.with_lights(here, self._moving.lights(), here.intensities)
+                here = with_lights(here, self._moving.lights(), here.intensities)
             self._values = yield from self._solved(here, schedule)
             scale = texel_scale(here, schedule.fitness.percentile)
             stepping = light_step(
@@ -391,7 +391,7 @@ class _Search:
 def _divided(domain: Domain, factors: np.ndarray) -> Domain:
     """Return the domain with its images divided by (K, 3) factors."""
     divisors = np.concatenate([factors, np.ones((len(factors), 1))], axis=1)[:, None, None]
-    return replace(domain, stack=(domain.stack / divisors).astype(np.float32))
+    return with_samples(domain, (np.stack([*domain.stack.layers()]) / divisors).astype(np.float32))
 
 
 def _not_above_white(domain: Domain) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
     rng = np.random.default_rng(seed % 2**32)
     chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
     rows, columns = np.divmod(chosen, domain.shape[1])
-    stack = without_bounds(domain.stack[:, rows, columns])  # of a light they tell nothing
+    stack = without_bounds(domain.stack.texels(rows, columns))  # of a light they tell nothing
     vectors, irradiance = (a[fitted] for a in light_vectors(domain, (rows, columns)))
     kept = _well_lit(stack[fitted], 2 * count)
     vectors, irradiance = (a if a.shape[1] == 1 else a[:, kept] for a in (vectors, irradiance))
@@ -68,14 +68,6 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
 def fixed_at(fixed: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
     """Return known maps, (H, W, components) or (components,), at the sample's texels."""
     return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in fixed.items()}
-
-
-def with_lights(domain: Domain, lights: np.ndarray, intensities: np.ndarray) -> Domain:
-    """Return the domain under other lights (K, 4) and intensities (K, 3)."""
-    result = replace(domain, lights=lights.astype(np.float32), intensities=intensities.astype(np.float32))
-    if "solvable" in vars(domain):  # of the stack alone, and found already
-        vars(result)["solvable"] = domain.solvable
-    return result
 
 
 def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:

@@ -41,7 +41,7 @@ def digest_of_texels(domain: Domain) -> int:
     place = (rows + domain.origin[1]).astype(np.uint64) << np.uint64(32)
     place |= (columns + domain.origin[0]).astype(np.uint64)
     found = _mixed(place)
-    for layer in domain.stack:
+    for layer in domain.stack.layers():
         samples = np.where(layer[rows, columns, 3:] != 0, layer[rows, columns], np.float32(0))  # the rest is for show
         words = np.ascontiguousarray(samples).view(np.uint32)
         for word in words.T:

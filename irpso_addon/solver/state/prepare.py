@@ -63,7 +63,7 @@ class Prepared:
 
         def work(start: int, texels: Texels) -> None:
             part = stack[:, start : start + len(texels[0])]
-            part[:] = _samples(domain, texels, start)
+            part[:] = domain.stack.texels(*texels)
             if not schedule.fitness.bounds:
                 part[..., 3] = np.maximum(part[..., 3], 0)
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
@@ -141,7 +141,7 @@ def texel_scale(domain: Domain, percentile: float, report: Report = lambda part:
     scale = np.ones(domain.shape, np.float32)
 
     def work(start: int, texels: Texels) -> None:
-        samples = _samples(domain, texels, start)
+        samples = domain.stack.texels(*texels)
         grey = _mean(samples) / _irradiance(domain, texels).mean(axis=-1)
         with np.errstate(all="ignore"):
             (found,) = _percentiles(np.where(samples[..., 3] > 0, grey, np.nan), [percentile])
@@ -215,7 +215,7 @@ def _drop_shadow(stack: np.ndarray, domain: Domain, texels: Texels, scale: np.nd
 
 def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray, np.ndarray]:
     vectors, irradiance = light_vectors(domain, texels)
-    samples = _samples(domain, texels, start)
+    samples = domain.stack.texels(*texels)
     lights = irradiance > 0  # a coloured light may have none of a channel
     seen = samples[..., 3] > 0
     shades = [_shade(samples, seen, channel, irradiance[..., channel]) for channel in range(3)]
@@ -325,17 +325,6 @@ def _percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: floa
             a, b = a.astype(np.float64) / divisor, b.astype(np.float64) / divisor
         found.append(a + (b - a) * (rank - low))
     return found
-
-
-def _samples(domain: Domain, texels: Texels, start: int) -> np.ndarray:
-    """(K, T, 4) samples of a chunk of ``_chunks``: a view where that is possible."""
-    stack = domain.stack
-    if stack.flags.c_contiguous and len(texels[0]):
-        flat = stack.reshape(len(stack), -1, 4)
-        count = domain.shape[0] * domain.shape[1]
-        if start == texels[0][0] * domain.shape[1] + texels[1][0] and domain.solvable.sum() == count:
-            return flat[:, start : start + len(texels[0])]
-    return stack[:, texels[0], texels[1]]
 
 
 def _each_chunk(domain: Domain, work: Callable[[int, Texels], None], report: Report) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...capture.types import Capture, Light, Observation
-from ...geometry.domain import Domain, GeometryBake
-from ...geometry.tiles import tile
+from ...geometry.domain import Domain, GeometryBake, tile
 from ...gpu import context, textures
 from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import render_pass

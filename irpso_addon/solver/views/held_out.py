@@ -107,7 +107,7 @@ def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.n
 
     No highlight that the fit has missed is left out for being missed.
     """
-    seen = np.nan_to_num(domain.stack[k, ..., :3]).mean(axis=-1)
+    seen = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
     floor = _DARK * np.percentile(seen[maps.covered], SHOWN_WHITE)
     return seen > HIGHLIGHT * diffuse[..., :3].mean(axis=-1) + floor
 

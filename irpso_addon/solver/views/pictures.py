@@ -28,7 +28,7 @@ def error_preview(
     names: of all observations.
     """
     rows = map_rows(maps, truth, maps.covered) if truth else []
-    counted = (layer[layer[..., 3] > 0] for layer in domain.stack)
+    counted = (layer[layer[..., 3] > 0] for layer in domain.stack.layers())
     order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
     # The brightest fifth and the middle: frames that show something, under unlike lights.
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
@@ -108,7 +108,8 @@ def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray
     Samples without weight are shown as they were photographed; their difference is not. Clipped ones differ where the
     render is darker: both pictures end at white.
     """
-    seen, weight = np.nan_to_num(domain.stack[k, ..., :3]), domain.stack[k, ..., 3] != 0
+    layer = domain.stack.layer(k)
+    seen, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
     # Texels that no light told anything of, as a black background, have no material to be rendered.
     rendered = np.where(maps.covered[..., None], render[..., :3], 0)
     white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0

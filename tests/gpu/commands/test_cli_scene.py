@@ -92,12 +92,12 @@ def test_what_a_scene_is_photographed_with_gives_back_what_was_photographed(card
     folder, albedo = card
     bpy.ops.wm.open_mainfile(filepath=str(folder / "desk.blend"))
     domain = domain_from_mesh(capture_of_open_file(), extract_mesh(bpy.data.objects["Card"]), SIZE, SIZE)
-    rows, columns = np.nonzero((domain.stack[..., 3] > 0).sum(axis=0) == 12)
+    rows, columns = np.nonzero((domain.stack.values[..., 3] > 0).sum(axis=0) == 12)
     assert len(rows) >= 14 * 14
     toward = domain.lights[:, None, :3] - domain.lights[:, None, 3:] * domain.bake.position[rows, columns]
     toward /= np.linalg.norm(toward, axis=-1, keepdims=True) ** (1 + 2 * domain.lights[:, None, 3:])
     for texel in range(len(rows)):
-        radiance = domain.stack[:, rows[texel], columns[texel], :3]
+        radiance = domain.stack.values[:, rows[texel], columns[texel], :3]
         scaled = np.linalg.lstsq(toward[:, texel], radiance / domain.intensities, rcond=None)[0].T
         lengths = np.linalg.norm(scaled, axis=1)
         np.testing.assert_allclose(lengths, albedo[rows[texel], columns[texel]], rtol=2e-3)

@@ -59,9 +59,9 @@ def lent_values(recovery):
 def float64_error(domain, model, values):
     """Return (H, W) float64: the mean over weighted samples and channels of |render − reference|."""
     values = {name: value.astype(np.float64) for name, value in values.items()}
-    weight = domain.stack[..., 3].astype(np.float64)
-    rendered = with_radiance(domain, model.name, values).stack[..., :3].astype(np.float64)
-    difference = np.where(weight[..., None] > 0, np.abs(rendered - domain.stack[..., :3]), 0.0).sum(axis=-1)
+    weight = domain.stack.values[..., 3].astype(np.float64)
+    rendered = with_radiance(domain, model.name, values).stack.values[..., :3].astype(np.float64)
+    difference = np.where(weight[..., None] > 0, np.abs(rendered - domain.stack.values[..., :3]), 0.0).sum(axis=-1)
     return (weight * difference).sum(axis=0) / (3 * weight.sum(axis=0).clip(1e-9))
 
 

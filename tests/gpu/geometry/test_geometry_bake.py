@@ -165,9 +165,9 @@ def test_radiance_photographed_from_two_sides_comes_back_to_the_texels_it_came_f
     )
     taken = Capture("two sides", observations, pair, tuple(np.ones((240, 300), bool) for _ in pair))
     domain = domain_from_mesh(taken, mesh, 150, 225, shadows=False, areas=False)
-    weight = domain.stack[..., 3] > 0
+    weight = domain.stack.values[..., 3] > 0
     assert not domain.card and (weight <= domain.bake.coverage).all()
-    error = np.abs(domain.stack[..., :3] - smooth(domain.bake.position))
+    error = np.abs(domain.stack.values[..., :3] - smooth(domain.bake.position))
     surface = bake.bake_uv(mesh, 150, 225)
     pixel = 5.0 / pair[0].scale[0]
     for k, camera in enumerate(pair):

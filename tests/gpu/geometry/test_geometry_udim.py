@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.domain import Domain, GeometryBake
+from irpso_addon.geometry.domain import GeometryBake, domain_of
 from irpso_addon.geometry.surface import bake
 from irpso_addon.geometry.surface.udim import lay_out
 from irpso_addon.reflectance.model import load_model
@@ -89,7 +89,7 @@ def test_a_domain_wider_than_a_texture_is_rendered_in_blocks_as_it_would_be_whol
     )
     lights = np.float32([(0, 0.6, 0.8, 0), (0.5, 0.2, 3, 1)])
     ones = np.ones((2, 3), np.float32)
-    domain = Domain(surface, np.zeros((2, *shape, 4), np.float32), lights, ones, np.float32([(0, 0, 1, 0)] * 2))
+    domain = domain_of(surface, np.zeros((2, *shape, 4), np.float32), lights, ones, np.float32([(0, 0, 1, 0)] * 2))
     values = {"base_color": random.random((*shape, 3)).astype(np.float32), "normal": normal}
     whole = forward.render_domain(domain, load_model("lambert"), values, [1, 0])
     monkeypatch.setattr(forward.context, "max_texture_size", lambda: 20)

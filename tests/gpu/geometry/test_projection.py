@@ -12,9 +12,8 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.geometry import build
 from irpso_addon.geometry.build import domain_from_card, domain_from_mesh
-from irpso_addon.geometry.domain import GeometryBake
+from irpso_addon.geometry.domain import GeometryBake, tile
 from irpso_addon.geometry.surface import bake
-from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.views.forward import Renderer
 from tests.oracles import geometry as oracle
@@ -62,10 +61,10 @@ def test_a_window_holds_bit_for_bit_what_a_tile_of_the_whole_domain_holds():
     for window in ((27, 81, 61, 113), (100, 120, 60, 15)):
         part, expected = domain_from_mesh(capture, mesh, 180, 240, window=window), tile(whole, *window)
         assert part.origin == expected.origin == window[:2] and part.halo == expected.halo
-        np.testing.assert_array_equal(part.stack, expected.stack)
+        np.testing.assert_array_equal(part.stack.values, expected.stack.values)
         for item in fields(GeometryBake):
             np.testing.assert_array_equal(getattr(part.bake, item.name), getattr(expected.bake, item.name))
-        assert (part.stack[..., 3] > 0).any()
+        assert (part.stack.values[..., 3] > 0).any()
     with pytest.raises(ValueError, match="window 31×57 at .160, 40. leaves the domain of 180×240"):
         domain_from_mesh(capture, mesh, 180, 240, window=(160, 40, 31, 57))
 
@@ -76,7 +75,7 @@ def test_a_window_reads_only_the_images_that_reach_it():
     whole = domain_from_mesh(capture, mesh, 90, 120)
     assert sorted(reads) == list(range(6))
     # A texel that the first camera sees and the second does not, and one that nothing covers.
-    first, second = (whole.stack[k : k + 3, ..., 3].max(axis=0) for k in (0, 3))
+    first, second = (whole.stack.values[k : k + 3, ..., 3].max(axis=0) for k in (0, 3))
     y, x = np.argwhere((first > 0.5) & (second == 0))[50]
     reads.clear()
     domain_from_mesh(capture, mesh, 90, 120, window=(int(x), int(y), 1, 1))
@@ -84,7 +83,7 @@ def test_a_window_reads_only_the_images_that_reach_it():
     y, x = np.argwhere(~whole.bake.coverage)[0]
     reads.clear()
     empty = domain_from_mesh(capture, mesh, 90, 120, window=(int(x), int(y), 1, 1))
-    assert not reads and not empty.stack.any()
+    assert not reads and not empty.stack.values.any()
 
 
 def smooth(x, y):
@@ -102,14 +101,14 @@ def test_a_distorted_photograph_is_read_where_the_lens_has_put_each_texel():
     )
     mesh = oracle.plane(12.0, columns=3, rows=3)
     domain = domain_from_mesh(capture, mesh, 200, 200, areas=False)
-    weight = domain.stack[0, ..., 3] > 0
+    weight = domain.stack.values[0, ..., 3] > 0
     position = domain.bake.position[weight]
-    error = np.abs(domain.stack[0, ..., 0][weight] - smooth(position[:, 0], position[:, 1]))
+    error = np.abs(domain.stack.values[0, ..., 0][weight] - smooth(position[:, 0], position[:, 1]))
     straight = replace(capture, cameras=(replace(camera, distortion=()),))
     blind = domain_from_mesh(straight, mesh, 200, 200, areas=False)
-    seen = blind.stack[0, ..., 3] > 0
+    seen = blind.stack.values[0, ..., 3] > 0
     position = blind.bake.position[seen]
-    before = np.abs(blind.stack[0, ..., 0][seen] - smooth(position[:, 0], position[:, 1]))
+    before = np.abs(blind.stack.values[0, ..., 0][seen] - smooth(position[:, 0], position[:, 1]))
     # Between pixels a quarter of a spacing's square times the second derivative, 13 · 0.2; a pixel is 0.02 to 0.05.
     assert error.max() < 2e-3 and before.mean() > 20 * error.mean()
     # All that the lens shows of the plane is read: as many texels as have a place in the image.
@@ -126,7 +125,7 @@ def test_what_hides_a_texel_in_a_distorted_photograph_is_found_where_it_is():
     image = np.ones((200, 200, 4), np.float32)
     capture = Capture("l", (Observation("a", lambda: image, Light((0, 0, 1))),), (camera,), (image[..., 3] > 0,))
     domain = domain_from_mesh(capture, mesh, 120, 90, shadows=False)
-    position, seen = domain.bake.position, domain.stack[0, ..., 3] > 0
+    position, seen = domain.bake.position, domain.stack.values[0, ..., 3] > 0
     # The way from the camera at height 4 passes the plate at height 0.5.
     reach = np.abs(position[..., :2]).max(-1) * np.where(position[..., 2] > 0.25, 1, 3.5 / 4)
     floor, pixel = domain.bake.coverage & (position[..., 2] < 0.25), 4 / 160

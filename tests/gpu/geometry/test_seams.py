@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.blender.materials.margins import blender_maps
 from irpso_addon.blender.materials.tangent_frames import from_blender
-from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.domain import domain_of, with_samples
 from irpso_addon.geometry.seams.seams import seams_of
 from irpso_addon.geometry.surface.bake import bake_uv
 from irpso_addon.gpu import context, textures
@@ -41,9 +41,9 @@ def observed(subject, observations=8, seed=3, holes=0.0, model="lambert"):
     shape = domain.shape
     lit = make_domain(*shape, observations=observations, holes=False, rng_seed=seed)
     truth = random_truth(rng, shape)
-    stack = lit.stack.copy()
+    stack = lit.stack.values.copy()
     stack[..., 3] *= domain.bake.coverage & (rng.uniform(size=shape) >= holes)
-    domain = replace(domain, stack=stack, lights=lit.lights, intensities=lit.intensities, views=lit.views)
+    domain = replace(with_samples(domain, stack), lights=lit.lights, intensities=lit.intensities, views=lit.views)
     return with_radiance(domain, model, truth)
 
 
@@ -60,7 +60,9 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     )
     stage = resolve(schedule, LAMBERT, set())[0]
     packing = Packing(domain.solvable, domain.seams)
-    held = DomainTextures(domain, packing, packing.pack_layers(domain.stack), packing.pack(np.ones(domain.shape)))
+    held = DomainTextures(
+        domain, packing, packing.pack_layers(domain.stack.values), packing.pack(np.ones(domain.shape))
+    )
     values = {p.name: np.zeros((*domain.shape, p.components)) for p in LAMBERT.parameters}
     estimates = Estimates(LAMBERT, {name: packing.pack(value) for name, value in values.items()})
     problem = oracle.Problem(domain, LAMBERT, stage, schedule, values, np.ones(domain.shape), 1)
@@ -233,7 +235,7 @@ def noisy():
     noise = np.random.default_rng(1).normal(0, 0.02, stack[..., :3].shape)
     stack[..., :3] = np.maximum(stack[..., :3] + noise, 0)
     stack[..., 3] = bake.coverage
-    domain = Domain(bake, stack, *rows, card=False, seams=seams_of(mesh, bake.triangle))
+    domain = domain_of(bake, stack, *rows, card=False, seams=seams_of(mesh, bake.triangle))
     return domain, s, t, truth
 
 

@@ -176,9 +176,9 @@ def test_shadows_are_weights_of_the_stack_and_made_once_for_a_light(monkeypatch)
     plain = domain_from_mesh(capture, mesh, *SIZE, shadows=False)
     assert len(made) == 1
     _, weights = all_weights(mesh, light)
-    np.testing.assert_allclose(shaded.stack[..., 3], plain.stack[..., 3] * weights, atol=1e-6)
-    np.testing.assert_array_equal(shaded.stack[..., :3], plain.stack[..., :3])
-    hidden = (plain.stack[0, ..., 3] > 0) & (shaded.stack[0, ..., 3] == 0)
+    np.testing.assert_allclose(shaded.stack.values[..., 3], plain.stack.values[..., 3] * weights, atol=1e-6)
+    np.testing.assert_array_equal(shaded.stack.values[..., :3], plain.stack.values[..., :3])
+    hidden = (plain.stack.values[0, ..., 3] > 0) & (shaded.stack.values[0, ..., 3] == 0)
     assert 50 < hidden.sum() < 0.5 * plain.bake.coverage.sum()
 
 
@@ -209,11 +209,11 @@ def test_what_cycles_renders_dark_has_no_weight_and_what_it_renders_lit_has(tmp_
     domain = domain_from_mesh(capture, mesh, *SIZE)
     plain = domain_from_mesh(capture, mesh, *SIZE, shadows=False)
     toward = oracle.unit(np.array(place) - domain.bake.position)
-    seen = (plain.stack[0, ..., 3] > 0) & ((toward * domain.bake.face_normal).sum(-1) > 0.1)
-    radiance = plain.stack[0, ..., 0]
+    seen = (plain.stack.values[0, ..., 3] > 0) & ((toward * domain.bake.face_normal).sum(-1) > 0.1)
+    radiance = plain.stack.values[0, ..., 0]
     whole = np.median(radiance[seen & (radiance > 0)])
     dark, lit = seen & (radiance < 1e-4 * whole), seen & (radiance > 0.1 * whole)
-    weight = domain.stack[0, ..., 3] / np.maximum(plain.stack[0, ..., 3], 1e-9)
+    weight = domain.stack.values[0, ..., 3] / np.maximum(plain.stack.values[0, ..., 3], 1e-9)
     assert dark.sum() > 80 and lit.sum() > 1500
     print(f"dark with weight {(weight[dark] > 0.5).mean():.4f}, lit without {(weight[lit] < 0.5).mean():.4f}")
     assert (weight[dark] > 0.5).mean() < 0.01 and (weight[lit] < 0.5).mean() < 0.01
@@ -269,7 +269,7 @@ def test_what_reaches_a_texel_of_a_spot_or_a_flat_light_is_taken_out_of_its_samp
         turned = np.eye(4)
     position = domain.bake.position @ turned[:3, :3].T + turned[:3, 3]
     cosine, radiance = under(position)
-    weight = domain.stack[0, ..., 3]
+    weight = domain.stack.values[0, ..., 3]
     if shape == "spot":
         inside, border = cosine > cone, np.abs(cosine - cone) < 0.03
         sure = inside & ~border
@@ -278,5 +278,5 @@ def test_what_reaches_a_texel_of_a_spot_or_a_flat_light_is_taken_out_of_its_samp
     else:
         np.testing.assert_allclose(weight, np.where(cosine > 0.05, cosine**2, 0), atol=2e-3)
         sure = cosine > 0.1
-    np.testing.assert_allclose(domain.stack[0, ..., 0][sure], radiance[sure], rtol=0.02)
+    np.testing.assert_allclose(domain.stack.values[0, ..., 0][sure], radiance[sure], rtol=0.02)
     np.testing.assert_allclose(domain.lights[0, 3], 1)

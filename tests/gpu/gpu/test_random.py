@@ -150,7 +150,7 @@ def choices(request):
     for seed in (1, 2):
         shapes = {p.name: np.broadcast_to(np.float32(p.default), (64, 64, p.components)) for p in model.parameters}
         scale = np.ones((64, 64), np.float32)
-        on_gpu = DomainTextures(domain, Packing(domain.solvable), domain.stack, scale)
+        on_gpu = DomainTextures(domain, Packing(domain.solvable), domain.stack.values, scale)
         estimates, resolved = Estimates(model, shapes), resolve(schedule, model, set())[0]
         stage = SequentialSwarmPhase(resolved, model, schedule, seed, on_gpu, estimates, "fragment")
         stage.iteration = 0

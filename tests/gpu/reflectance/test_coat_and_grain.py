@@ -7,6 +7,7 @@ import pytest
 
 from irpso_addon.blender.materials.material import build_material
 from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
@@ -32,7 +33,7 @@ def card(model, color, **material):
     made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
     stack = np.ones((LIGHTS, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, model.name, truth)
-    made = replace(made, stack=stack.astype(np.float32))
+    made = with_samples(made, stack.astype(np.float32))
     return photographed(made, np.ones((LIGHTS, 3)), rng, shadow=0.05), truth
 
 
@@ -98,7 +99,7 @@ def matt_paint():
     truth = {"normal": relief(*SHAPE, rng), "base_color": np.broadcast_to(PAINT, (*SHAPE, 3))}
     stack = np.ones((LIGHTS, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, "lambert", truth)
-    return photographed(replace(made, stack=stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
+    return photographed(with_samples(made, stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
 
 
 def test_matt_paint_has_no_coat_and_no_grain():

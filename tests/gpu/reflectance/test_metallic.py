@@ -1,12 +1,11 @@
 """Metals told from dielectrics by the colour and strength of their highlights, and the material written of them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from irpso_addon.blender.materials.material import build_material
 from irpso_addon.core.paths import DEFAULT_MODEL
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
@@ -34,7 +33,7 @@ def card(metallic, color):
     made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
     stack = np.ones((LIGHTS, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, "principled_metallic", truth)
-    made = replace(made, stack=stack.astype(np.float32))
+    made = with_samples(made, stack.astype(np.float32))
     return photographed(made, np.ones((LIGHTS, 3)), rng, shadow=0.05), truth
 
 
@@ -80,7 +79,7 @@ def test_matt_paint_is_no_metal_though_its_lobe_is_nowhere_seen():
     made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
     stack = np.ones((LIGHTS, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, "lambert", truth)
-    domain = photographed(replace(made, stack=stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
+    domain = photographed(with_samples(made, stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
     found = recovered(domain, DEFAULT)
     assert np.quantile(found["metallic"], 0.99) < 0.05
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
@@ -43,17 +44,17 @@ def random_values(model, shape):
 
 def rendered(domain, name, values, noise):
     """The domain with the radiances of a model's values and noise; samples without weight are NaN."""
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     render = confidence_oracle.radiance(domain, name, values)
     render = np.maximum(render + noise * np.random.default_rng(1).normal(size=render.shape), 0)
     stack[..., :3] = np.where(stack[..., 3:] > 0, render, np.nan)
-    return replace(domain, stack=stack)
+    return with_samples(domain, stack)
 
 
 def alternatives(domain, model, values, scale, fixed=(), fitness=STANDARD.fitness):
     """What the pass says, name → (H, W, 1), NaN where nothing is solved."""
     pack = Packing(domain.solvable)
-    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), pack.pack(scale.astype(np.float32)))
+    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), pack.pack(scale.astype(np.float32)))
     estimates = Estimates(model, {name: pack.pack(value) for name, value in values.items()})
     work = Alternatives(model, fixed, fitness, uploaded.defines)
     for _ in work.measuring(uploaded, estimates, False, Bands(), 0.25):
@@ -134,7 +135,8 @@ def polished():
     }
     domain = make_domain(*shape, observations=6, holes=False)
     domain = replace(
-        domain, stack=np.ones_like(domain.stack), lights=np.pad(lights, ((0, 0), (0, 1))).astype(np.float32)
+        with_samples(domain, np.ones_like(domain.stack.values)),
+        lights=np.pad(lights, ((0, 0), (0, 1))).astype(np.float32),
     )
     domain = rendered(domain, "metallic_roughness", values, 0.01)
     fixed = {"metallic": values["metallic"].astype(np.float32)}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
@@ -60,9 +61,9 @@ def observed(model, domain, values, noise, seed=0):
     """The subject with the domain's weights; what weighs nothing is NaN."""
     render = oracle.radiance(domain, model.name, values)
     render = render + noise * np.random.default_rng(seed + 1).normal(size=render.shape)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[..., :3] = np.where(stack[..., 3:] > 0, render, np.nan)
-    return Subject(model, replace(domain, stack=stack), values)
+    return Subject(model, with_samples(domain, stack), values)
 
 
 def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
@@ -70,7 +71,7 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
-    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), scale)
+    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), scale)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
     found = work.deviations(uploaded, estimates, False, Bands(), seconds)
@@ -207,7 +208,7 @@ def test_fewer_samples_than_unknowns_leave_everything_open():
 
 def test_a_weighted_sample_that_is_not_finite_leaves_everything_open():
     subject = make_subject("lambert", observations=20, holes=False)
-    subject.domain.stack[3, ..., 1] = np.nan
+    subject.domain.stack.values[3, ..., 1] = np.nan
     got = deviations(subject)
     assert np.allclose(got["base_color"], 1) and np.allclose(got["normal"], np.pi / 2)
 
@@ -222,16 +223,18 @@ def test_a_colour_that_no_light_carries_is_open_and_the_others_are_not():
 
 def test_a_sample_of_no_weight_says_nothing_and_a_half_one_half():
     subject = make_subject("lambert", observations=20, holes=False)
-    stack = subject.domain.stack.copy()
+    stack = subject.domain.stack.values.copy()
     stack[..., 3] = 1
     stack[10:, ..., 3] = 0
     stack[10:, ..., :3] = np.nan
-    few = deviations(replace(subject, domain=replace(subject.domain, stack=stack)))
+    few = deviations(replace(subject, domain=with_samples(subject.domain, stack)))
     twice = stack.copy()
     twice[10:] = stack[:10]
     twice[..., 3] = 0.5
     lights, views = (np.concatenate([a[:10]] * 2) for a in (subject.domain.lights, subject.domain.views))
-    halves = deviations(replace(subject, domain=replace(subject.domain, stack=twice, lights=lights, views=views)))
+    halves = deviations(
+        replace(subject, domain=replace(with_samples(subject.domain, twice), lights=lights, views=views))
+    )
     for name in few:
         assert np.allclose(few[name], halves[name], rtol=1e-4)
 
@@ -264,7 +267,7 @@ def refitted(subject):
                     moved[p.name] = start[p.name] + (part if p.components > 1 else part[0])
             return moved
 
-        def errors(x, values=values, reference=domain.stack[:, *at, :3]):
+        def errors(x, values=values, reference=domain.stack.values[:, *at, :3]):
             p = {n: v[0] if v.shape == (1,) else v for n, v in values(x).items()}
             return (render(p, lights, np.array([0.0, 0, 1])) - reference).ravel()
 
@@ -279,7 +282,7 @@ def refitted(subject):
 def test_refits_to_noise_that_is_really_there_scatter_as_the_deviations_say(name):
     model, texels, draws = load_model(name), 12, 50
     domain = make_domain(texels, draws, observations=80, holes=False)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[..., 3] = 1
     one = random_values(model, (texels, 1), seed=3)
     if name == TWO_LOBES:
@@ -288,7 +291,7 @@ def test_refits_to_noise_that_is_really_there_scatter_as_the_deviations_say(name
             one[parameter] = rng.uniform(low, high, size=(texels, 1, 1))
         one["base_color"] = 0.2 + 0.6 * one["base_color"]
     truth = {n: np.broadcast_to(v, (texels, draws, v.shape[-1])).copy() for n, v in one.items()}
-    subject = observed(model, replace(domain, stack=stack), truth, 0.003, seed=5)
+    subject = observed(model, with_samples(domain, stack), truth, 0.003, seed=5)
     fit = refitted(subject)
     got = deviations(subject, values=fit)
     for p in model.parameters:

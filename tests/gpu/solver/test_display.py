@@ -5,6 +5,7 @@ import pytest
 
 from irpso_addon.core.encode import encode_normal, srgb_from_linear
 from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.false_color import COLORS, false_color
@@ -106,11 +107,12 @@ def test_the_render_is_the_radiance_times_the_exposure(running, show, exposure):
 @pytest.mark.parametrize("card", [True, False])
 def test_the_reference_is_the_photograph_and_half_transparent_where_it_has_no_weight(recover, show, card):
     domain, _ = subject(card=card)
-    domain.stack[:, 4, 5] = 0  # of a mesh: nothing was photographed there
+    domain.stack.values[:, 4, 5] = 0  # of a mesh: nothing was photographed there
+    domain = with_samples(domain, domain.stack.values)
     recovery = recover(domain, schedule=SHORT.replaced(shadow=0.0))
     solved = domain.solvable
     for observation in (0, 3):
-        layer = domain.stack[observation]
+        layer = domain.stack.values[observation]
         weighs = solved & (layer[..., 3] > 0)
         photographed = solved & (card | (layer != 0).any(axis=-1))
         assert 0 < weighs.sum() < photographed.sum() <= solved.sum()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.domain import subset
+from irpso_addon.geometry.domain import subset, with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.lights.fit import Moving, axes_of
@@ -84,9 +84,9 @@ def test_an_observation_that_is_held_out_changes_no_other_and_gets_the_intensity
     fitted = [k for k in range(13) if k != 5]
     found = estimate_lights(domain, LAMBERT, fitted=fitted)
     assert off(found.factors, true).max() < 0.02
-    spoilt = domain.stack.copy()
+    spoilt = domain.stack.values.copy()
     spoilt[5, ..., :3] *= 7
-    other = estimate_lights(replace(domain, stack=spoilt), LAMBERT, fitted=fitted)
+    other = estimate_lights(with_samples(domain, spoilt), LAMBERT, fitted=fitted)
     np.testing.assert_array_equal(other.factors[fitted], found.factors[fitted])
     np.testing.assert_allclose(other.factors[5], 7 * found.factors[5], rtol=1e-4)
 

@@ -1,13 +1,12 @@
 """Linear weights in closed form: against scipy's bounded least squares, inside the swarm's own kernel."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import SHADERS
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.linear_weights import linear_weights
 from irpso_addon.solver.settings.resolve import resolve
@@ -156,10 +155,10 @@ def test_reweighting_from_the_best_finds_the_albedo_under_cast_shadow(recover, n
     truth = {p.name: truth[p.name].astype(np.float32) for p in model.parameters}
     domain = make_domain(*shape, observations=60, holes=False)
     render = confidence_oracle.radiance(domain, name, {n: np.float64(v) for n, v in truth.items()})
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[..., :3] = render * (rng.random(stack.shape[:3]) >= 0.15)[..., None]
     stack[..., 3] = 1
-    domain = replace(domain, stack=stack)
+    domain = with_samples(domain, stack)
     schedule = load_schedule("standard").replaced(
         update="all", linear="solve", iterations=10, shadow=0.0, refinement_iterations=0, prefit_iterations=0,
         prior_rounds=0, particles=1, particles_per_dimension=0.0, seed="random",

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -50,7 +51,7 @@ def card():
     stack = np.ones((14, *SHAPE, 4))
     stack[..., :3] = confidence_oracle.radiance(made, "metallic_roughness", truth)
     stack[..., :3] += rng.normal(0, 0.002, stack[..., :3].shape)
-    return replace(made, stack=np.maximum(stack, 0).astype(np.float32)), smooth, sees
+    return with_samples(made, np.maximum(stack, 0).astype(np.float32)), smooth, sees
 
 
 def roughness(domain, **settings):
@@ -72,10 +73,10 @@ def test_a_lobe_that_a_texel_does_not_see_is_told_by_others_of_its_material(card
 
 def test_a_single_texel_of_another_material_keeps_it_where_its_samples_speak(card):
     domain, smooth, _ = card
-    stack = domain.stack.copy()
-    stack[:, 8, 4], stack[:, 3, 7] = domain.stack[:, 8, 20], domain.stack[:, 3, 15]
-    found = roughness(replace(domain, stack=stack))
-    alone = roughness(replace(domain, stack=stack), materials_rounds=0)
+    stack = domain.stack.values.copy()
+    stack[:, 8, 4], stack[:, 3, 7] = domain.stack.values[:, 8, 20], domain.stack.values[:, 3, 15]
+    found = roughness(with_samples(domain, stack))
+    alone = roughness(with_samples(domain, stack), materials_rounds=0)
     for texel in ((8, 4), (3, 7)):
         assert abs(found[texel] - alone[texel]) < 0.2 and found[texel] > 0.4
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from irpso_addon.solver.views.pictures import image_rows
@@ -33,7 +34,8 @@ def first_row(domain):
 
 def test_texels_without_a_material_are_black_in_the_recovered_picture():
     domain = make_domain(6, 8, holes=False)
-    domain.stack[:, :, :3, :3] = 0
+    domain.stack.values[:, :, :3, :3] = 0
+    domain = with_samples(domain, domain.stack.values)
     row = first_row(domain)
     assert not row.recovered[:, :3].any() and row.recovered[:, 3:].any()
     np.testing.assert_array_equal(row.covered, domain.solvable)
@@ -41,13 +43,13 @@ def test_texels_without_a_material_are_black_in_the_recovered_picture():
 
 def test_a_clipped_pixel_is_white_in_the_photograph_and_no_part_of_the_error():
     domain = make_domain(6, 8, holes=False)
-    domain.stack[0, 2, 3] = (9, 9, 9, 0)
+    domain.stack.values[0, 2, 3] = (9, 9, 9, 0)
     row = first_row(domain)
     assert row.covered[2, 3] and (row.reference[2, 3] == 1).all()
-    np.testing.assert_array_equal(row.counted, domain.solvable & (domain.stack[0, ..., 3] > 0))
+    np.testing.assert_array_equal(row.counted, domain.solvable & (domain.stack.values[0, ..., 3] > 0))
 
 
 def test_texels_of_a_mesh_that_the_camera_does_not_see_are_no_part_of_its_photograph():
     domain = make_domain(6, 8, holes=False, card=False)
-    domain.stack[0, 2, 3] = 0
+    domain.stack.values[0, 2, 3] = 0
     assert not first_row(domain).covered[2, 3]

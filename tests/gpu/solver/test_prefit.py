@@ -10,6 +10,7 @@ from irpso_addon.blender.images import decode
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
 from irpso_addon.geometry.build import domain_from_card
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.passes import Kernel, Output, Pass
@@ -23,7 +24,7 @@ from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import texel_scale
 from irpso_addon.solver.state.textures import DomainTextures
 from tests.builders.command_line import dome_lights
-from tests.builders.domains import bits_of, make_domain, recoveries, unit
+from tests.builders.domains import bits_of, make_domain, masked, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles.refinement import Texel
 
@@ -63,7 +64,7 @@ def card(model, shape=(14, 15), observations=DIRECTIONS, noise=0.0, seed=3, colo
     stack = np.ones((observations, *shape, 4))
     stack[..., :3] = confidence_oracle.radiance(made, model, truth)
     stack[..., :3] = np.maximum(stack[..., :3] + noise * rng.normal(size=stack[..., :3].shape), 0)
-    return replace(made, stack=stack.astype(np.float32)), truth
+    return with_samples(made, stack.astype(np.float32)), truth
 
 
 def prefit_fitness(recovery):
@@ -83,12 +84,12 @@ def test_grey_samples_are_those_of_numpy(root, options):
     domain.intensities[2] = (0, 1.5, 0.5)
     domain.intensities[3] = (0, 0, 2)
     domain.intensities[4] = 0
-    clipped = np.random.default_rng(6).random((*domain.stack.shape[:3], 3)) < 0.1
-    domain.stack[..., 3] = bounded(domain.stack[..., 3], clipped)
+    clipped = np.random.default_rng(6).random((*domain.stack.values.shape[:3], 3)) < 0.1
+    domain.stack.values[..., 3] = bounded(domain.stack.values[..., 3], clipped)
     pack = Packing(domain.solvable)
     scale = np.random.default_rng(2).uniform(0.5, 2, domain.shape).astype(np.float32)
     told = grey(
-        DomainTextures(domain, pack, pack.pack_layers(domain.stack), pack.pack(scale)),
+        DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), pack.pack(scale)),
         STANDARD.replaced(prefit_shadow=0.4),
     )
     assert told.brightness == 1
@@ -106,8 +107,8 @@ def test_grey_samples_are_those_of_numpy(root, options):
     for k in range(domain.observations):
         one.run(targets, {n: told.textures[n] for n in kernels.OBSERVATIONS}, {"u_observation": k})
         light, intensity, radiance, clipped = (pack.unpack(textures.download(t)) for t in targets)
-        sample = domain.stack[k].astype(np.float64)
-        weight, bound = weight_and_clipped(domain.stack[k][..., 3])
+        sample = domain.stack.values[k].astype(np.float64)
+        weight, bound = weight_and_clipped(domain.stack.values[k][..., 3])
         has = domain.intensities[k] > 0
         squared = 1.0
         if domain.lights[k, 3]:
@@ -167,10 +168,10 @@ def test_narrow_lights_do_not_tell_a_fall_off_from_a_tilt_so_a_prior_does(recove
         monkeypatch.setattr(prefit, "_FALLOFF_DEVIATION", deviation)
         domain, truth = card("lambert", shape=(12, 13), observations=12, noise=0.003)
         domain = replace(domain, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))))
-        stack = np.ones_like(domain.stack)
+        stack = np.ones_like(domain.stack.values)
         stack[..., :3] = confidence_oracle.radiance(domain, "lambert", truth)
         stack[..., :3] += 0.003 * np.random.default_rng(2).normal(size=stack[..., :3].shape)
-        found = prefit_fitness(recover(replace(domain, stack=stack), PRINCIPLED, STANDARD))
+        found = prefit_fitness(recover(with_samples(domain, stack), PRINCIPLED, STANDARD))
         errors.append(degrees(found, truth["normal"]).mean())
     assert errors[0] < 0.7 * errors[1], errors
 
@@ -208,10 +209,10 @@ def test_where_there_is_nothing_to_prefit_there_is_no_prefit(recover, settings, 
 
 def bounded_misfit(domain, model, values, settings, scale):
     """(H, W): the mean over grey samples of e² / (1 + e²), e in acceptance_delta of the scale, in float64."""
-    grey_of = (domain.stack[..., :3] / domain.intensities[:, None, None]).astype(np.float64).mean(axis=-1)
+    grey_of = (domain.stack.values[..., :3] / domain.intensities[:, None, None]).astype(np.float64).mean(axis=-1)
     white = replace(domain, intensities=np.ones_like(domain.intensities))
     render = confidence_oracle.radiance(white, model, {n: np.float64(v) for n, v in values.items()}).mean(axis=-1)
-    weight = domain.stack[..., 3] * (grey_of >= settings.shadow * scale)
+    weight = domain.stack.values[..., 3] * (grey_of >= settings.shadow * scale)
     # A highlight may be off in proportion to its brightness (Fitness.highlight_power).
     e = (render - grey_of) / (settings.acceptance_delta * np.maximum(scale, grey_of))
     return (weight * e**2 / (1 + e**2)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
@@ -223,8 +224,8 @@ def half():
     told, truth = card("principled", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
     other, _ = card("falloff_lobe", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)),
                     falloff=np.full((8, 12, 1), 1.35))  # fmt: skip
-    stack = np.where(np.arange(12)[:, None] < 6, told.stack, other.stack)
-    return replace(told, stack=np.ascontiguousarray(stack)), truth
+    stack = np.where(np.arange(12)[:, None] < 6, told.stack.values, other.stack.values)
+    return with_samples(told, np.ascontiguousarray(stack)), truth
 
 
 def test_the_judge_takes_the_refinement_where_its_model_explains_the_texel_and_else_the_prefits_normal(recover, half):
@@ -267,8 +268,8 @@ def test_where_the_prefits_normal_is_kept_the_rest_is_the_best_that_goes_with_it
     np.testing.assert_array_equal(found["normal"], judged["normal"])
     kept = np.argwhere((found["normal"] == prefit).all(axis=-1))[::4]
     scale = texel_scale(domain, STANDARD.fitness.percentile)
-    lit = domain.stack[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None, None]
-    domain.stack[..., 3] *= lit >= STANDARD.fitness.shadow * scale
+    lit = domain.stack.values[..., :3].mean(axis=-1) / domain.intensities.mean(axis=-1)[:, None, None]
+    domain.stack.values[..., 3] *= lit >= STANDARD.fitness.shadow * scale
     costs = []
     for row, column in kept:
         texel = Texel(PRINCIPLED, domain, row, column, "robust", STANDARD.fitness.delta, scale[row, column])
@@ -317,14 +318,14 @@ def test_the_judge_compares_what_float64_compares(recover):
 
 def test_with_fewer_samples_than_the_prefit_needs_a_texel_is_not_judged(recover, uneven):
     domain, _ = uneven
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     few = np.zeros(domain.shape, bool)
     few[3:6, 4:9] = True
     bright = np.argsort(-stack[..., :3].mean(axis=-1), axis=0)
     keep = np.zeros(stack.shape[:3], bool)
     np.put_along_axis(keep, bright[:9], True, axis=0)
     stack[..., 3] = np.where(few & ~keep, 0, stack[..., 3])
-    domain = replace(domain, stack=stack)
+    domain = with_samples(domain, stack)
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
     fitness = recovery._packing.unpack(recovery._prefit_fitness)
@@ -421,7 +422,7 @@ def test_the_normals_of_a_rendered_bunny_are_found_without_tuning(recover, share
     rows, columns = domain.shape
     block = np.random.default_rng(0).random((-(-rows // 8), -(-columns // 8))) < 1 / 4
     chosen = np.kron(block, np.ones((8, 8), bool))[:rows, :columns]
-    domain = replace(domain, bake=replace(domain.bake, coverage=domain.bake.coverage & chosen))
+    domain = masked(domain, chosen)
     recovery = recover(domain, PRINCIPLED, load_schedule("standard"))
     recovery.step()
     maps = recovery.maps(confidence=False)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
@@ -48,7 +49,7 @@ class Bench:
         context.ensure()
         self.model, self.domain, self.pack = model, domain, Packing(domain.solvable)
         scale = self.pack.pack(np.ones(domain.shape, np.float32))
-        self.uploaded = DomainTextures(domain, self.pack, self.pack.pack_layers(domain.stack), scale)
+        self.uploaded = DomainTextures(domain, self.pack, self.pack.pack_layers(domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = resolve(schedule, model, set())[-1]
         self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)
@@ -106,9 +107,9 @@ def prior():
 
 def noisy(domain, seed=5, sigma=NOISE):
     """The domain with noise on its samples."""
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[..., :3] += np.random.default_rng(seed).normal(size=stack[..., :3].shape).astype(np.float32) * sigma
-    return replace(domain, stack=stack)
+    return with_samples(domain, stack)
 
 
 def smooth(height, width, observations=30, seed=2, model=TWO_LOBES, **options):
@@ -163,14 +164,14 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
 
 def test_the_noise_is_that_of_the_samples_and_of_the_neighbours(prior):
     domain, truth, _ = smooth(8, 9, observations=12)
-    domain.stack[2:, 4, 4, 3] = 0  # two samples tell less than the model has unknowns
+    domain.stack.values[2:, 4, 4, 3] = 0  # two samples tell less than the model has unknowns
     bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
     bench.run(2)
     noise = bench.read([bench.prior.textures.noise])
-    clean = with_radiance(domain, TWO_LOBES.name, truth).stack.astype(np.float64)
-    error = np.where(domain.stack[..., 3:] > 0, domain.stack[..., :3] - clean[..., :3], 0)
-    errors = (domain.stack[..., 3:] * error**2).sum(axis=(0, 3))
-    channels = 3 * domain.stack[..., 3].sum(axis=0)
+    clean = with_radiance(domain, TWO_LOBES.name, truth).stack.values.astype(np.float64)
+    error = np.where(domain.stack.values[..., 3:] > 0, domain.stack.values[..., :3] - clean[..., :3], 0)
+    errors = (domain.stack.values[..., 3:] * error**2).sum(axis=(0, 3))
+    channels = 3 * domain.stack.values[..., 3].sum(axis=0)
     np.testing.assert_allclose(noise[..., 0], errors, rtol=2e-3)
     np.testing.assert_allclose(noise[..., 1], channels, rtol=1e-6)
     freedom = np.maximum(channels - 8, 0)
@@ -191,7 +192,7 @@ def test_what_the_samples_tell_is_the_inverse_of_the_normal_matrix_at_that_noise
     bench.run(2)
     own, noise = bench.read(bench.prior.textures.own), bench.read([bench.prior.textures.noise])
     j = confidence_oracle.jacobian(domain, TWO_LOBES, {name: v.astype(np.float64) for name, v in truth.items()})
-    weighted = j * domain.stack[None, ..., 3:]
+    weighted = j * domain.stack.values[None, ..., 3:]
     gram = np.einsum("akyxc,bkyxc->yxab", weighted, j)
     wanted = np.sqrt(noise[..., 2, None] * np.diagonal(np.linalg.inv(gram), axis1=-2, axis2=-1))
     scalars = {name: i for i, (p, _, _) in enumerate(confidence_oracle.unknowns(TWO_LOBES)) for name in [p.name]}
@@ -208,8 +209,8 @@ def test_texels_that_know_do_not_move_and_those_that_do_not_take_what_their_like
     domain, truth, right = smooth(12, 14)
     ignorant = np.zeros(domain.shape, bool)
     ignorant[[3, 3, 8, 8], [2, 11, 6, 7]] = True  # the last two beside the other material
-    domain.stack[:, ignorant, 3] = 0
-    domain.stack[:4, ignorant, 3] = 1
+    domain.stack.values[:, ignorant, 3] = 0
+    domain.stack.values[:4, ignorant, 3] = 1
     values = {name: value.copy() for name, value in truth.items()}
     for name, wrong in (("r1", 0.4), ("r2", 0.7), ("w", 0.1)):
         values[name][ignorant] = wrong
@@ -253,8 +254,8 @@ def test_a_texel_keeps_what_it_had_where_its_samples_say_that_its_neighbours_are
         for what in (values, found)
     )
     noise = bench.read([held.noise])[3, 3, 2]
-    samples = domain.stack[..., :3].astype(np.float64)
-    weight = domain.stack[:, 3, 3, 3:]
+    samples = domain.stack.values[..., :3].astype(np.float64)
+    weight = domain.stack.values[:, 3, 3, 3:]
     deviances = [(weight * (render - samples)[:, 3, 3] ** 2).sum() / noise for render in (before, after)]
     assert deviances[1] - deviances[0] <= 9 + 0.5
     assert abs(found["w"][3, 3, 0] - 0.05) > 0.2
@@ -263,7 +264,7 @@ def test_a_texel_keeps_what_it_had_where_its_samples_say_that_its_neighbours_are
 def test_two_lobes_are_told_better_with_their_neighbours_than_without(recover):
     domain, truth, _ = smooth(16, 18, 24)
     few = np.random.default_rng(3).random(domain.shape) < 0.15
-    domain.stack[6:, few, 3] = 0
+    domain.stack.values[6:, few, 3] = 0
     errors = {}
     for rounds in (0, 2):
         run = recover(domain, TWO_LOBES, schedule_of(20, rounds=rounds, scales=3, iterations=6))

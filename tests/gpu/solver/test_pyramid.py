@@ -1,7 +1,5 @@
 """Coarse to fine: what one level leaves to the next, and the same maps however a run is sliced or interrupted."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from irpso_addon.solver.engine.coarse_to_fine import Pyramid, level_schedules
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.settings.schedule import load_schedule
-from tests.builders.domains import bits_of, make_domain, subject, unit, with_radiance
+from tests.builders.domains import bits_of, make_domain, masked, subject, unit, with_radiance
 from tests.oracles.swarm import frames
 
 LAMBERT = load_model("lambert")
@@ -43,7 +41,7 @@ def turned():
     local = np.einsum("hwij,hwj->hwi", frames(domain.bake), world)
     color = np.broadcast_to(np.stack([0.3 + 0.2 * x, 0.5 + 0.2 * y, 0.6 - 0.2 * x], axis=-1), (16, 18, 3))
     facing = local[..., 2] > 0.2
-    domain = replace(domain, bake=replace(domain.bake, coverage=domain.bake.coverage & facing))
+    domain = masked(domain, facing)
     truth = {"base_color": color.astype(np.float32), "normal": local.astype(np.float32)}
     return with_radiance(domain, "lambert", truth), truth
 

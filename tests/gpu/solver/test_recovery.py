@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import load_schedule

@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from irpso_addon.capture.bounds import bounded
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
@@ -44,7 +45,7 @@ class Bench:
         self.model, self.domain = model, domain
         self.pack = pack = Packing(domain.solvable)
         scales = pack.pack(np.full(domain.shape, scale, np.float32))
-        uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack), scales)
+        uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), scales)
         self.estimates = Estimates(model, {name: pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = ResolvedRefinement(model.parameters, schedule.refinement, starts)
         self.refinement = RefinementPhase(resolved, model, schedule, uploaded, self.estimates, entry)
@@ -108,7 +109,7 @@ def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, bound
     """A domain in which these materials are seen, with noise, fractions of its samples in shadow, or lower bounds."""
     rng = np.random.default_rng(seed)
     made = make_domain(*shape, observations=observations, holes=False, **domain)
-    stack = made.stack.copy()
+    stack = made.stack.values.copy()
     stack[..., :3] = confidence_oracle.radiance(made, model.name, values)
     stack[..., :3] += noise * rng.normal(size=stack[..., :3].shape)
     stack[..., :3] *= np.where(rng.random(stack.shape[:3]) < shadow, 0.1, 1.0)[..., None]
@@ -116,7 +117,7 @@ def observed(model, values, shape, observations=40, noise=0.0, shadow=0.0, bound
     clipped = rng.random((*stack.shape[:3], 3)) < 0.05 * bounds
     stack[..., :3] *= np.where(clipped, rng.uniform(0.3, 1.2, clipped.shape), 1.0)
     stack[..., 3] = bounded(stack[..., 3], clipped)
-    return replace(made, stack=stack.astype(np.float32))
+    return with_samples(made, stack.astype(np.float32))
 
 
 def at(values, row, column):
@@ -286,7 +287,7 @@ def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(refineme
     model, shape = load_model("metallic_roughness"), (3, 4)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=30, **({} if card else {"card": False, "near": True}))
-    domain.stack[..., 3] = np.abs(domain.stack[..., 3])
+    domain.stack.values[..., 3] = np.abs(domain.stack.values[..., 3])
     schedule = schedule_of(starts=True, start_iterations=1)
     bench = refinement(model, domain, truth, schedule, starts=((("normal", ()),),), entry=entry)
     for _ in bench.refinement._open(bench.bands):
@@ -302,7 +303,9 @@ def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(refineme
         (toward, squared), (eye, _) = direction_to(light, position), direction_to(view, position)
         irradiance.append(intensity / squared)
         halves.append(unit(turned(frame, toward) + turned(frame, eye)))
-    brightness = np.where(domain.stack[..., 3] > 0, (domain.stack[..., :3] / irradiance).mean(axis=-1), -1)
+    brightness = np.where(
+        domain.stack.values[..., 3] > 0, (domain.stack.values[..., :3] / irradiance).mean(axis=-1), -1
+    )
     brightness = np.where(np.array(halves)[..., 2] > 0, brightness, -1)
     wanted = np.take_along_axis(np.array(halves), brightness.argmax(axis=0)[None, ..., None], axis=0)[0]
     np.testing.assert_allclose(found, wanted, atol=1e-5)
@@ -340,9 +343,9 @@ def test_a_texel_takes_what_a_neighbour_has_found(refinement, card, entry):
         world = unit(frame[2, 2, 2] + 0.1)
         truth["normal"] = np.einsum("hwij,j->hwi", frame, world)
     lit = truth["normal"][..., 2] > 0.1
-    stack = made.stack.copy()
+    stack = made.stack.values.copy()
     stack[..., :3], stack[..., 3] = confidence_oracle.radiance(made, "lambert", truth), 1
-    domain = replace(made, stack=stack.astype(np.float32))
+    domain = with_samples(made, stack.astype(np.float32))
     # Where the first texel looks now, all is black whatever it does.
     start = {name: v.copy() for name, v in truth.items()}
     start["normal"][1, 1], start["base_color"][1, 1] = (-0.6, -0.8, 0.0), 0
@@ -380,7 +383,7 @@ def voted(refinement, truth, start, votes, entry="fragment", unseen=None):
     domain = observed(model, truth, shape, noise=0.003)
     if unseen:
         half = unit(domain.lights[:, :3] + (0, 0, 1))
-        domain.stack[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
+        domain.stack.values[half @ truth["normal"][unseen] > 0.9, *unseen, 3] = 0
     schedule = schedule_of(iterations=4, rounds=3, round_iterations=4, votes=votes)
     return refinement(model, domain, start, schedule, entry=entry).run()
 
@@ -435,10 +438,10 @@ def lobes():
     """A domain of 17×13 with holes and noise, of two-lobe materials on a mesh."""
     model = load_model("cook_torrance_two_lobe")
     domain = make_domain(13, 17, observations=12, card=False)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     truth = materials(model, domain.shape)
     stack[..., :3] = np.where(stack[..., 3:] > 0, confidence_oracle.radiance(domain, model.name, truth), np.nan)
-    return model, replace(domain, stack=stack)
+    return model, with_samples(domain, stack)
 
 
 @pytest.mark.parametrize(("entry", "breaks"), [("fragment", (4, 9, 14, 18)), ("compute", (10,))])

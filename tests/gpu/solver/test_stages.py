@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
@@ -24,13 +24,13 @@ recover = pytest.fixture(recoveries)
 
 def test_what_weighs_nothing_may_be_nan_and_changes_nothing(recover):
     domain, _ = subject()
-    dark = domain.stack[..., 3] == 0
-    assert np.isnan(domain.stack[dark, :3]).all() and dark.any()
-    clean = domain.stack.copy()
+    dark = domain.stack.values[..., 3] == 0
+    assert np.isnan(domain.stack.values[dark, :3]).all() and dark.any()
+    clean = domain.stack.values.copy()
     clean[dark] = 0
     found = []
-    for stack in (domain.stack, clean):
-        recovery = recover(dataclasses.replace(domain, stack=stack), schedule=SHORT.replaced(seed="lambert"))
+    for stack in (domain.stack.values, clean):
+        recovery = recover(with_samples(domain, stack), schedule=SHORT.replaced(seed="lambert"))
         recovery.step()
         maps = recovery.maps()
         assert all(np.isfinite(value).all() for value in (*maps.values.values(), maps.residual))
@@ -42,7 +42,8 @@ def test_the_unit_of_the_lights_does_not_matter(recover):
     domain, _ = subject()
     # A power of two, so that float32 has nothing to round.
     brighter = dataclasses.replace(
-        domain, stack=domain.stack * np.float32([4, 4, 4, 1]), intensities=domain.intensities * np.float32(4)
+        with_samples(domain, domain.stack.values * np.float32([4, 4, 4, 1])),
+        intensities=domain.intensities * np.float32(4),
     )
     found = []
     for given in (domain, brighter):
@@ -71,8 +72,8 @@ def test_a_texel_that_nothing_is_known_of_stays_at_the_default(recover):
 @pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
 def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     domain, _ = subject(holes=False)
-    domain.stack[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
-    domain.stack[3, 6, 7, 1] = np.inf
+    domain.stack.values[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
+    domain.stack.values[3, 6, 7, 1] = np.inf
     recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
     recovery.step(iterations=8)
     stage = recovery._phase
@@ -87,7 +88,8 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
 
 def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
     domain, _ = subject(5, 4)
-    domain.stack[..., 3] = 0
+    domain.stack.values[..., 3] = 0
+    domain = with_samples(domain, domain.stack.values)
     recovery = recover(domain)
     assert recovery.step().evaluations == 0
     maps = recovery.maps()

@@ -157,8 +157,8 @@ def test_seventeen_particles_are_refused_and_sixteen_are_not(recover):
 @pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
 def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     domain, _ = subject(holes=False)
-    domain.stack[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
-    domain.stack[3, 6, 7, 1] = np.inf
+    domain.stack.values[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
+    domain.stack.values[3, 6, 7, 1] = np.inf
     schedule = SHORT.replaced(update="all", linear="solve", loss=loss, shadow=0.0, c3_until=0.0)
     recovery = recover(domain, schedule=schedule)
     recovery.step(iterations=8)
@@ -173,7 +173,7 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
 def test_somebody_leads_even_where_no_render_has_a_fitness(bench):
     case = BY_NAME["two-lobes-solved-with-their-weight"]
     domain = make_domain(4, 5, observations=6, holes=False)
-    domain.stack[2, 1, 3, 0] = np.nan
+    domain.stack.values[2, 1, 3, 0] = np.nan
     b = bench(case, domain=domain)
     b.advance()
     state = b.read()

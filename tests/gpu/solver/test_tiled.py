@@ -16,7 +16,7 @@ from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.checkpoint import tiles_of
-from tests.builders.domains import SHORT, subject
+from tests.builders.domains import SHORT, masked, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
 LAMBERT = load_model("lambert")
@@ -53,8 +53,8 @@ def everything(maps):
 
 def with_hole(**options):
     domain, _ = subject(**options)
-    domain.bake.coverage[:3, :2] = False
-    return domain
+    rows, columns = np.indices(domain.shape)
+    return masked(domain, (rows >= 3) | (columns >= 2))
 
 
 def whole_of(domain, schedule, entry="fragment", model=TWO_LOBES, **options):
@@ -268,7 +268,7 @@ def device(monkeypatch):
 def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, device):
     model, schedule = load_model(model), load_schedule(preset).replaced(iterations=2, cycles=1)
     domain, _ = subject(20, 20, holes=False, observations=12)
-    domain.bake.coverage[15:] = False
+    domain = masked(domain, np.indices(domain.shape)[0] < 15)
     with Recovery(domain, model, schedule, 1, entry=entry) as recovery:
         recovery.step()
         recovery.maps()

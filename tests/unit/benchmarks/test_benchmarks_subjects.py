@@ -19,8 +19,8 @@ MODELS = (subjects.TWO_LOBES, "principled")
 def test_a_clean_card_is_what_the_oracle_renders(model):
     card = subjects.make_card((5, 7), 20, subjects.CLEAN, seed=4, model=model)
     wanted = confidence_oracle.radiance(card.domain, model, card.truth)
-    np.testing.assert_allclose(card.domain.stack[..., :3], wanted, rtol=2e-6, atol=1e-7)
-    assert (card.domain.stack[..., 3] == 1).all() and card.domain.solvable.all()
+    np.testing.assert_allclose(card.domain.stack.values[..., :3], wanted, rtol=2e-6, atol=1e-7)
+    assert (card.domain.stack.values[..., 3] == 1).all() and card.domain.solvable.all()
 
 
 def test_lights_are_even_over_the_sphere_above_the_lowest():
@@ -43,7 +43,7 @@ def test_cast_shadow_takes_a_connected_part_of_the_lights_of_every_texel():
         ]
         assert max(apart) >= -1e-6
     assert len(np.unique(card.shadowed.reshape(40, -1), axis=1).T) > 12  # drawn for each texel alone
-    assert (card.domain.stack[..., :3][card.shadowed] < 0.02).all()
+    assert (card.domain.stack.values[..., :3][card.shadowed] < 0.02).all()
 
 
 def test_interreflection_adds_its_part_of_the_blurred_surroundings():
@@ -53,11 +53,11 @@ def test_interreflection_adds_its_part_of_the_blurred_surroundings():
     direct[card.shadowed] = 0
     wide = 25 * subjects.BLUR
     blurred = ndimage.gaussian_filter(direct, (0, wide, wide, 0), mode="reflect")
-    np.testing.assert_allclose(card.domain.stack[..., :3], direct + 0.1 * blurred, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(card.domain.stack.values[..., :3], direct + 0.1 * blurred, rtol=1e-4, atol=1e-6)
 
 
 def test_noise_has_its_deviation_and_no_sample_is_negative():
-    clean, noisy = (subjects.make_card(24, 50, dirt, seed=6).domain.stack[..., :3] for dirt in (
+    clean, noisy = (subjects.make_card(24, 50, dirt, seed=6).domain.stack.values[..., :3] for dirt in (
         subjects.CLEAN, replace(subjects.CLEAN, noise=0.01)))  # fmt: skip
     lit = clean > 0.1
     assert (noisy - clean)[lit].std() == pytest.approx(0.01, rel=0.02) and noisy.min() == 0

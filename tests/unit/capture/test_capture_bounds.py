@@ -61,7 +61,7 @@ def test_a_card_keeps_bounds_and_a_schedule_may_drop_them():
     images[2][1, 3, 1] = 1
     images[2][1, 3, 3] = bounded(np.float32(1), np.array([False, True, False]))
     domain = card(images)
-    assert domain.stack[2, 1, 3, 3] == images[2][1, 3, 3] == -2.5
+    assert domain.stack.values[2, 1, 3, 3] == images[2][1, 3, 3] == -2.5
     schedule, model = load_schedule("standard"), load_model("principled")
     kept = prepare(domain, model, schedule).stack
     dropped = prepare(domain, model, schedule.replaced(bounds=False)).stack

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from irpso_addon.cluster import agreement as job
-from irpso_addon.cluster.partition import check_fits, check_gathered, split
-from irpso_addon.cluster.samples import SharedStack
+from irpso_addon.cluster.partition import around, check_fits, check_gathered, split
+from irpso_addon.cluster.samples import RankedStack
 from irpso_addon.cluster.transport import Agreed, Ranks, joined
-from irpso_addon.cluster.worker import around
+from irpso_addon.cluster.worker import Worker
 from irpso_addon.core.errors import GpuUnavailableError, InputError
-from irpso_addon.geometry.domain import subset
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import subset, tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.halo import overlap, place_of
 from irpso_addon.solver.planning.cost import recovery_cost
@@ -103,35 +102,32 @@ def window(domain, box):
     return slice(y0, y0 + height), slice(x0, x0 + width)
 
 
-def test_samples_that_lie_with_others_read_like_an_array():
+def test_samples_that_lie_with_others_read_like_those_in_memory():
     domain = make_domain(6, 5, observations=7, holes=False)
     stack, asked = domain.stack, []
 
-    def ask(name, *arguments):
-        asked.append(name)
-        if name == "layer":
-            return stack[arguments[0]]
-        if name == "lit":
-            return replace(domain, stack=stack[arguments[0]]).solvable
+    def ask(order, *arguments):
+        asked.append(order)
+        if order is Worker.layer:
+            return stack.layer(*arguments)
+        if order is Worker.lit:
+            return stack.subset(*arguments).lit(domain.bake.coverage)
         observations, rows, columns = arguments
-        return stack[observations][:, rows, columns]
+        return stack.texels(rows, columns)[observations]
 
-    shared = SharedStack(ask, range(7), (6, 5))
-    rows, columns = np.array([0, 5, 2]), np.array([4, 0, 2])
-    assert shared.shape == stack.shape and len(shared) == 7
-    np.testing.assert_array_equal(shared[3, ..., :3], stack[3, ..., :3])
-    np.testing.assert_array_equal(shared[3, ..., 3], stack[3, ..., 3])
-    assert asked == ["layer"]  # once for both
-    np.testing.assert_array_equal(shared[:, rows, columns], stack[:, rows, columns])
-    np.testing.assert_array_equal(np.stack(list(shared[[6, 1]])), stack[[6, 1]])
-    np.testing.assert_array_equal(shared[:2][1], stack[1])
+    shared = RankedStack(ask, range(7), (slice(0, 6), slice(0, 5)))
+    texels = np.array([0, 5, 2]), np.array([4, 0, 2])
+    assert shared.shape == stack.shape
+    for _ in range(2):
+        np.testing.assert_array_equal(shared.layer(3), stack.layer(3))
+    assert asked == [Worker.layer]  # once for both
+    np.testing.assert_array_equal(shared.texels(*texels), stack.texels(*texels))
     whole = replace(domain, stack=shared)
-    part = tile(subset(whole, [2, 5]), 1, 2, 3, 4)
-    np.testing.assert_array_equal(part.stack[1], stack[5, 2:6, 1:4])
-    wanted = tile(subset(domain, [2, 5]), 1, 2, 3, 4).solvable
-    np.testing.assert_array_equal(part.solvable, wanted)
+    part, wanted = (tile(subset(one, [2, 5]), 1, 2, 3, 4) for one in (whole, domain))
+    np.testing.assert_array_equal(np.stack([*part.stack.layers()]), wanted.stack.values)
+    np.testing.assert_array_equal(part.stack.lit(part.bake.coverage), wanted.solvable)
     some = np.array([1, 0]), np.array([2, 1])
-    np.testing.assert_array_equal(part.stack[:, *some], stack[[2, 5]][:, some[0] + 2, some[1] + 1])
+    np.testing.assert_array_equal(part.stack.texels(*some), wanted.stack.texels(*some))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.coarsen import coarser, coarser_map, finer_map
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import tile
 from tests.builders.domains import make_domain, unit
 from tests.oracles.swarm import frames
 
@@ -29,25 +29,25 @@ def test_a_coarse_texel_is_the_weighted_mean_of_the_covered_ones_under_it(height
         under = cell_of(domain, y, x)
         assert coarse.bake.coverage[y, x] == bool(under)
         if not under:
-            assert (coarse.stack[:, y, x, 3] == 0).all()
+            assert (coarse.stack.values[:, y, x, 3] == 0).all()
             continue
         position = np.mean([domain.bake.position[at].astype(np.float64) for at in under], axis=0)
         np.testing.assert_allclose(coarse.bake.position[y, x], position, atol=1e-6)
         for k in range(domain.observations):
-            samples = np.array([domain.stack[(k, *at)] for at in under], np.float64)
-            assert coarse.stack[k, y, x, 3] == pytest.approx(samples[:, 3].mean(), abs=1e-6)
+            samples = np.array([domain.stack.values[(k, *at)] for at in under], np.float64)
+            assert coarse.stack.values[k, y, x, 3] == pytest.approx(samples[:, 3].mean(), abs=1e-6)
             counted = samples[samples[:, 3] > 0]
             finite = samples[np.isfinite(samples).all(axis=1), :3]
             plain = finite.mean(axis=0) if len(finite) else 0
             wanted = (counted[:, :3] * counted[:, 3:]).sum(axis=0) / counted[:, 3].sum() if len(counted) else plain
-            np.testing.assert_allclose(coarse.stack[k, y, x, :3], wanted, atol=1e-6)
-    assert np.isfinite(coarse.stack).all()
+            np.testing.assert_allclose(coarse.stack.values[k, y, x, :3], wanted, atol=1e-6)
+    assert np.isfinite(coarse.stack.values).all()
 
 
 def test_a_coarse_texel_without_weight_shows_the_mean_of_its_photographed_texels():
     domain = make_domain(4, 4, holes=False)
-    domain.stack[1, :2, :2] = [[(0.2, 0.4, 0.6, 0), (0.4, 0.4, 0.8, 0)], [(0.3, 0.4, 0.7, 0), (np.nan, 0, 0, 0)]]
-    np.testing.assert_allclose(coarser(domain).stack[1, 0, 0], [0.3, 0.4, 0.7, 0], atol=1e-6)
+    domain.stack.values[1, :2, :2] = [[(0.2, 0.4, 0.6, 0), (0.4, 0.4, 0.8, 0)], [(0.3, 0.4, 0.7, 0), (np.nan, 0, 0, 0)]]
+    np.testing.assert_allclose(coarser(domain).stack.values[1, 0, 0], [0.3, 0.4, 0.7, 0], atol=1e-6)
 
 
 def test_a_coarse_frame_is_orthonormal_and_keeps_the_hand_of_the_first_texel_covered():
@@ -99,7 +99,7 @@ def test_a_world_normal_that_is_the_same_everywhere_survives_the_way_down_and_up
 
 def test_maps_go_up_bilinearly_between_solvable_texels_only():
     domain = make_domain(7, 9, holes=True, rng_seed=2)
-    domain.stack[:, 2:4, 4:6] = (np.nan, np.nan, np.nan, 0)
+    domain.stack.values[:, 2:4, 4:6] = (np.nan, np.nan, np.nan, 0)
     domain.bake.coverage[2:4, 4:6] = True
     coarse = coarser(domain)
     values = np.random.default_rng(0).uniform(size=(*coarse.shape, 2))

@@ -10,10 +10,9 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
-from irpso_addon.geometry.domain import GeometryBake, subset
+from irpso_addon.geometry.domain import GeometryBake, subset, tile
 from irpso_addon.geometry.surface.mesh import check_uvs
 from irpso_addon.geometry.surface.udim import lay_out
-from irpso_addon.geometry.tiles import tile
 from tests.oracles.geometry import plane
 
 # A camera turned a quarter about z and moved: its x axis is the world's y, its y axis the world's −x.
@@ -35,7 +34,7 @@ def test_a_card_lies_pixel_for_pixel_on_the_image():
     taken, pictures = capture()
     domain = domain_from_card(replace(taken, card_distance=2.0))
     assert domain.card and domain.shape == (5, 7) and domain.observations == 3
-    np.testing.assert_array_equal(domain.stack, np.stack(pictures))
+    np.testing.assert_array_equal(domain.stack.values, np.stack(pictures))
     np.testing.assert_allclose(domain.bake.position[2, 3], [(3.5 - 3) / 6 * 2, (2.5 - 2) / 6 * 2, -2], atol=1e-6)
     assert (domain.bake.normal == (0, 0, 1)).all() and (domain.bake.tangent == (1, 0, 0, 1)).all()
     np.testing.assert_allclose(domain.bake.uv[4, 0], [0.5 / 7, 4.5 / 5])
@@ -56,7 +55,7 @@ def test_outside_the_mask_and_at_pixels_that_are_no_number_the_stack_is_zero():
     taken, pictures = capture(mask=mask)
     pictures[1][3, 3] = (np.nan, np.inf, 1, 0)
     domain = domain_from_card(taken)
-    assert (domain.stack[:, 0] == 0).all() and (domain.stack[1, 3, 3] == 0).all()
+    assert (domain.stack.values[:, 0] == 0).all() and (domain.stack.values[1, 3, 3] == 0).all()
     assert (domain.bake.coverage == mask).all() and domain.solvable.sum() == 28
 
 
@@ -64,16 +63,16 @@ def test_a_clipped_pixel_of_a_card_keeps_its_radiance_and_has_no_weight():
     taken, pictures = capture()
     pictures[1][3, 3, 3] = 0
     domain = domain_from_card(taken)
-    np.testing.assert_array_equal(domain.stack[1, 3, 3], [*pictures[1][3, 3, :3], 0])
+    np.testing.assert_array_equal(domain.stack.values[1, 3, 3], [*pictures[1][3, 3, :3], 0])
 
 
 def test_outside_a_spots_cone_a_card_keeps_the_radiance_that_was_photographed():
     spot = Light((0, 0, 0), (1, 1, 1), distant=False, axis=(0, 0, -1), cone=10.0)
     taken, pictures = capture(lights=[spot] * 3)
     domain = domain_from_card(replace(taken, card_distance=1.0))
-    dark = domain.stack[0, ..., 3] == 0
+    dark = domain.stack.values[0, ..., 3] == 0
     assert dark.any() and not dark.all()
-    np.testing.assert_array_equal(domain.stack[0, ..., :3][dark], pictures[0][..., :3][dark])
+    np.testing.assert_array_equal(domain.stack.values[0, ..., :3][dark], pictures[0][..., :3][dark])
 
 
 def test_a_texel_that_is_black_under_every_light_is_not_solvable():
@@ -114,12 +113,12 @@ def test_a_subset_keeps_the_chosen_observations_together(chosen):
     part = subset(domain, chosen)
     expected = [2, 0] if isinstance(chosen, list) else [0, 2]
     assert part.intensities[:, 0].tolist() == expected
-    np.testing.assert_array_equal(part.stack, domain.stack[expected])
+    np.testing.assert_array_equal(part.stack.values, domain.stack.values[expected])
 
 
 def test_tiles_with_their_halos_cut_away_put_the_domain_together_again():
     domain = domain_from_card(capture(width=23, height=17)[0])
-    whole = np.full_like(domain.stack, np.nan)
+    whole = np.full_like(domain.stack.values, np.nan)
     for y0 in range(0, 17, 6):
         for x0 in range(0, 23, 8):
             width, height = min(8, 23 - x0), min(6, 17 - y0)
@@ -127,13 +126,13 @@ def test_tiles_with_their_halos_cut_away_put_the_domain_together_again():
             left, right, bottom, top = part.halo
             assert part.origin == (x0 - left, y0 - bottom)
             assert part.halo == (min(3, x0), min(3, 23 - x0 - width), min(3, y0), min(3, 17 - y0 - height))
-            assert part.shape == part.stack.shape[1:3] == (height + bottom + top, width + left + right)
+            assert part.shape == part.stack.values.shape[1:3] == (height + bottom + top, width + left + right)
             ox, oy = part.origin
             h, w = part.shape
             np.testing.assert_array_equal(part.bake.uv, domain.bake.uv[oy : oy + h, ox : ox + w])
-            inner = part.stack[:, bottom : h - top, left : w - right]
+            inner = part.stack.values[:, bottom : h - top, left : w - right]
             whole[:, y0 : y0 + height, x0 : x0 + width] = inner
-    np.testing.assert_array_equal(whole, domain.stack)
+    np.testing.assert_array_equal(whole, domain.stack.values)
 
 
 @pytest.mark.parametrize("box", [(-1, 0, 4, 4), (4, 0, 4, 4), (0, 0, 0, 4), (0, 3, 2, 3)])

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.coarsen import coarser, finer_map
-from irpso_addon.geometry.domain import Domain
+from irpso_addon.geometry.domain import domain_of, tile
 from irpso_addon.geometry.seams.edges import seam_edges
 from irpso_addon.geometry.seams.seams import seams_of
-from irpso_addon.geometry.tiles import tile
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
@@ -109,7 +108,7 @@ def arms_domain():
     """Return a domain of the arms sewn together, of one dark observation."""
     seams, bake = two_arms(True)
     rows = (np.float32([[0, 0, 1, 0]]), np.float32([[1, 1, 1]]), np.float32([[0, 0, 1, 0]]))
-    return Domain(bake, np.ones((1, 64, 40, 4), np.float32), *rows, card=False, seams=seams)
+    return domain_of(bake, np.ones((1, 64, 40, 4), np.float32), *rows, card=False, seams=seams)
 
 
 @pytest.mark.parametrize("sewn", [False, True])

@@ -10,7 +10,7 @@ import pytest
 
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.paths import SHADERS
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import checkpoint
@@ -141,9 +141,11 @@ KNOWN = {"normal": np.zeros((4, 5, 3), np.float32)}
 def changed(part: str):
     """Return the domain with one number of a part of it changed by the smallest step."""
     owner = DOMAIN.bake if hasattr(DOMAIN.bake, part) else DOMAIN
-    array = getattr(owner, part).copy()
+    array = (DOMAIN.stack.values if part == "stack" else getattr(owner, part)).copy()
     first = (0,) * array.ndim
     array[first] = not array[first] if array.dtype == bool else np.nextafter(array[first], np.float32(9))
+    if part == "stack":
+        return with_samples(DOMAIN, array)
     if owner is DOMAIN:
         return dataclasses.replace(DOMAIN, **{part: array})
     return dataclasses.replace(DOMAIN, bake=dataclasses.replace(DOMAIN.bake, **{part: array}))
@@ -219,16 +221,16 @@ def test_the_samples_of_tiles_add_up_to_those_of_the_whole():
     for boxes in ([(0, 0, 17, 13)], [(0, 0, 5, 13), (5, 0, 12, 6), (5, 6, 12, 7)]):
         tiles = [tile(domain, *box, halo=3) for box in boxes]
         assert sum(digest_of_texels(part) for part in tiles) % 2**64 == whole
-    other = dataclasses.replace(domain, stack=domain.stack[:, ::-1].copy())
+    other = with_samples(domain, domain.stack.values[:, ::-1].copy())
     vars(other)["solvable"] = domain.solvable
     assert digest_of_texels(other) != whole
 
 
 def test_what_a_sample_without_weight_looks_like_is_no_part_of_what_was_observed():
     domain = make_domain(13, 17)
-    shown = np.where(domain.stack[..., 3:] > 0, domain.stack, np.float32([0.7, 0.8, 0.9, 0]))
-    other = dataclasses.replace(domain, stack=shown)
-    assert (shown != domain.stack).any()
+    shown = np.where(domain.stack.values[..., 3:] > 0, domain.stack.values, np.float32([0.7, 0.8, 0.9, 0]))
+    other = with_samples(domain, shown)
+    assert (shown != domain.stack.values).any()
     assert digest_of_texels(other) == digest_of_texels(domain)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.build import mapped_array
+from irpso_addon.geometry.samples import mapped_array
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning import memory
 from irpso_addon.solver.planning.cost import recovery_cost

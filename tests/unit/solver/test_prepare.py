@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.geometry.tiles import tile
+from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import prepare
@@ -18,7 +18,7 @@ LENS = {"near": True, "colored": True}
 
 def grey_of(domain, y, x):
     """Return the weighted samples of a texel, as grey radiance over the light's grey intensity."""
-    samples = domain.stack[:, y, x].astype(np.float64)
+    samples = domain.stack.values[:, y, x].astype(np.float64)
     keep = samples[:, 3] > 0
     return samples[keep, :3].mean(axis=1) / domain.intensities[keep].astype(np.float64).mean(axis=1)
 
@@ -44,7 +44,8 @@ def test_the_percentile_of_columns_with_gaps_is_that_of_numpy():
 
 def test_a_texel_that_is_black_has_the_scale_1():
     domain = make_domain(3, 3, holes=False)
-    domain.stack[:, 1, 1, :3] = 0
+    domain.stack.values[:, 1, 1, :3] = 0
+    domain = with_samples(domain, domain.stack.values)
     assert prepare.texel_scale(domain, 80)[1, 1] == 1
 
 
@@ -53,14 +54,14 @@ def test_samples_under_the_shadow_threshold_weigh_nothing():
     fitness = load_schedule("swarm").fitness
     fitness = replace(fitness, loss="robust", shadow=0.5)
     scale = prepare.texel_scale(domain, 80)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
     for y, x in np.argwhere(domain.solvable):
-        before = domain.stack[:, y, x].astype(np.float64)
+        before = domain.stack.values[:, y, x].astype(np.float64)
         grey = before[:, :3].mean(axis=1) / domain.intensities.mean(axis=1)
         wanted = np.where((before[:, 3] > 0) & (grey >= 0.5 * scale[y, x]), before[:, 3], 0)
         np.testing.assert_array_equal(stack[:, y, x, 3], wanted.astype(np.float32))
-    assert 0 < (stack[..., 3] > 0).sum() < (domain.stack[..., 3] > 0).sum()
+    assert 0 < (stack[..., 3] > 0).sum() < (domain.stack.values[..., 3] > 0).sum()
 
 
 @pytest.mark.parametrize("distance", [0.3, 3.0])
@@ -75,7 +76,7 @@ def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distanc
     shade = rng.uniform(0.1, 1.0, squared.shape)  # radiance under an irradiance of π
     radiance = shade[..., None] * domain.intensities[:, None, None].mean(axis=-1, keepdims=True) / squared[..., None]
     stack = np.concatenate([np.repeat(radiance, 3, axis=-1), np.ones((*shade.shape, 1))], axis=-1).astype(np.float32)
-    near = replace(domain, stack=stack, lights=lights)
+    near = replace(with_samples(domain, stack), lights=lights)
     scale = prepare.texel_scale(near, 80)
     np.testing.assert_allclose(scale, np.percentile(shade, 80, axis=0), rtol=1e-5)
     assert prepare.brightness(near) == pytest.approx(domain.intensities.mean() * (1 / squared).mean(), rel=1e-6)
@@ -87,10 +88,10 @@ def test_the_distance_of_near_lights_does_not_matter_to_scale_and_shadow(distanc
 @pytest.mark.parametrize("change", [{"loss": "l1"}, {"loss": "l2"}, {"shadow": 0.0}])
 def test_only_a_robust_fitness_with_a_threshold_drops_shadow(change):
     domain = make_domain(5, 4)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     fitness = replace(replace(load_schedule("swarm").fitness, loss="robust", shadow=0.9), **change)
     prepare.drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, np.ones(domain.shape), fitness)
-    np.testing.assert_array_equal(stack, domain.stack)
+    np.testing.assert_array_equal(stack, domain.stack.values)
 
 
 @pytest.mark.parametrize("options", [{}, {"card": False}, LENS, LENS | {"card": False}], ids=str)
@@ -115,9 +116,9 @@ def trimmed_fit(domain, y, x):
     rows, shades = [], []
     for k in range(domain.observations):
         toward, squared = direction_to(domain.lights[k], position)
-        if domain.stack[k, y, x, 3] > 0:
+        if domain.stack.values[k, y, x, 3] > 0:
             rows.append(frame @ toward)
-            shades.append(domain.stack[k, y, x, :3] / (domain.intensities[k] / squared))
+            shades.append(domain.stack.values[k, y, x, :3] / (domain.intensities[k] / squared))
     if not rows:
         return np.array([0, 0, 1.0]), np.zeros(3)
     rows, shades = np.array(rows), np.array(shades, np.float64)
@@ -154,10 +155,10 @@ def test_the_seed_of_a_lambertian_subject_is_the_subject(options):
     normal = unit(rng.normal(size=(7, 6, 3)) * 0.25 + (0, 0, 1))
     truth = {"normal": normal, "base_color": rng.uniform(0.1, 1, (7, 6, 3))}
     domain = with_radiance(make_domain(7, 6, observations=30, **options), "lambert", truth)
-    domain.stack[3, ..., :3] = np.nan
-    domain.stack[3, ..., 3] = 0
+    domain.stack.values[3, ..., :3] = np.nan
+    domain.stack.values[3, ..., 3] = 0
     found, albedo = prepare.lambert_seed(domain)
-    lit = ((domain.stack[..., 3] > 0) & (domain.stack[..., 0] > 0)).sum(axis=0)
+    lit = ((domain.stack.values[..., 3] > 0) & (domain.stack.values[..., 0] > 0)).sum(axis=0)
     seen = domain.solvable & (lit >= 6)
     assert seen.sum() > 20
     assert (found[seen] * normal[seen]).sum(axis=-1).min() > 1 - 1e-6
@@ -169,10 +170,10 @@ def test_a_highlight_and_a_shadow_do_not_move_the_seed():
     domain = make_domain(5, 5, observations=40, holes=False)
     truth = {"normal": unit(rng.normal(size=(5, 5, 3)) * 0.2 + (0, 0, 1)), "base_color": np.full((5, 5, 3), 0.5)}
     domain = with_radiance(domain, "lambert", truth)
-    order = np.argsort(domain.stack[..., 0], axis=0)
-    np.put_along_axis(domain.stack[..., 0], order[-6:], 5.0, axis=0)
-    domain.stack[..., :3] = domain.stack[..., :1]
-    np.put_along_axis(domain.stack[..., 0], order[:5], 1e-4, axis=0)
+    order = np.argsort(domain.stack.values[..., 0], axis=0)
+    np.put_along_axis(domain.stack.values[..., 0], order[-6:], 5.0, axis=0)
+    domain.stack.values[..., :3] = domain.stack.values[..., :1]
+    np.put_along_axis(domain.stack.values[..., 0], order[:5], 1e-4, axis=0)
     normal, _ = prepare.lambert_seed(domain)
     assert (normal * truth["normal"]).sum(axis=-1).min() > np.cos(np.radians(0.1))
 
@@ -184,7 +185,7 @@ def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options
     with ThreadPoolExecutor(1) as pool:
         prepared = pool.submit(prepare.prepare, domain, load_model("lambert"), schedule).result()
     texels = np.nonzero(domain.solvable)
-    samples = domain.stack[:, texels[0], texels[1]].astype(np.float64)
+    samples = domain.stack.values[:, texels[0], texels[1]].astype(np.float64)
     squared = 1.0
     if domain.lights[0, 3]:
         squared = ((domain.lights[:, None, :3].astype(np.float64) - domain.bake.position[texels]) ** 2).sum(axis=-1)
@@ -196,7 +197,7 @@ def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options
     clear = np.abs(shade / (0.4 * scale) - 1) > 1e-5  # of the threshold, as far as float32 can tell
     wanted = np.where(shade >= 0.4 * scale, samples[..., 3], 0)
     np.testing.assert_array_equal(found[:, :count, 3][clear], wanted[clear].astype(np.float32))
-    np.testing.assert_array_equal(found[:, :count, :3], domain.stack[:, texels[0], texels[1], :3])
+    np.testing.assert_array_equal(found[:, :count, :3], domain.stack.values[:, texels[0], texels[1], :3])
     assert (found[:, count:] == 0).all() and 0 < (wanted > 0).mean() < 0.95
     places = prepared.arrays["u_geometry"][3].reshape(-1, 4)[:count, :2].astype(int)
     np.testing.assert_array_equal(places, np.stack(texels[::-1], axis=-1))

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irpso_addon.solver.lights.sample import draw, with_lights
+from irpso_addon.geometry.domain import with_lights, with_samples
+from irpso_addon.solver.lights.sample import draw
 from irpso_addon.solver.lights.semi_calibrated import normalised, relative_intensities
 from irpso_addon.solver.state.prepare import light_vectors
 from tests.builders.lights import apart, gains, off, photographed, subject
@@ -13,7 +14,7 @@ from tests.builders.lights import apart, gains, off, photographed, subject
 
 def factors_of(domain):
     texels = np.nonzero(domain.solvable)
-    samples = domain.stack[:, texels[0], texels[1]].astype(np.float64)
+    samples = domain.stack.values[:, texels[0], texels[1]].astype(np.float64)
     return relative_intensities(samples[..., :3], samples[..., 3], *light_vectors(domain, texels))
 
 
@@ -41,9 +42,9 @@ def test_a_light_that_reaches_no_texel_keeps_its_intensity():
     rng = np.random.default_rng(3)
     domain, _ = subject("lambert", 12)
     domain = photographed(domain, true := gains(12, rng), rng, shadow=0)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[4] = 0
-    found, _ = factors_of(replace(domain, stack=stack))
+    found, _ = factors_of(with_samples(domain, stack))
     others = np.arange(12) != 4
     assert off(found[others], true[others]).max() < 0.02
     assert np.isfinite(found).all()
@@ -57,16 +58,16 @@ def test_normalised_factors_have_the_mean_logarithm_zero_in_each_channel():
 
 def test_the_sample_holds_texels_that_are_lit_with_their_own_radiance_and_every_light_has_some():
     domain, _ = subject("lambert", 12, shape=(60, 70), card=False)
-    stack = domain.stack.copy()
+    stack = domain.stack.values.copy()
     stack[:, :, 35:] = 0  # nothing is seen there
     stack[7, :, :33] = 0  # and one light reaches a strip alone
-    domain = replace(domain, stack=stack)
+    domain = with_samples(domain, stack)
     sample = draw(domain, 1, np.arange(12), 300)
     count = len(sample.rows)
     assert count == 300
     assert (sample.columns < 35).all()
-    part = sample.domain.stack.reshape(12, -1, 4)[:, :count]
-    np.testing.assert_array_equal(part, domain.stack[:, sample.rows, sample.columns])
+    part = sample.domain.stack.values.reshape(12, -1, 4)[:, :count]
+    np.testing.assert_array_equal(part, domain.stack.values[:, sample.rows, sample.columns])
     np.testing.assert_array_equal(sample.domain.bake.coverage.ravel()[:count], True)
     assert (part[7, :, :3] > 0).any(axis=-1).sum() > 20
     np.testing.assert_array_equal(sample.part(domain.bake.normal).reshape(-1, 3)[:count],
