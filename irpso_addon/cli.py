@@ -1,4 +1,4 @@
-"""The command line, one parser for both doors: ``blender --command irpso …`` and ``python -m irpso_addon …``."""
+"""Command line: one parser for ``blender --command irpso …`` and ``python -m irpso_addon …``."""
 
 from __future__ import annotations
 
@@ -15,37 +15,41 @@ from .core.paths import DEFAULT_MODEL
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
-_REMEDIES = {  # of a module that is missing
-    "numpy": "install numpy (Debian's Blender takes it from the package python3-numpy)",
+_REMEDIES = {  # for a missing module
+    "numpy": "install numpy (for Debian's Blender: the package python3-numpy)",
     "OpenEXR": _ZIP.format("OpenEXR"),
     "PIL": _ZIP.format("Pillow"),
     "bpy": "install bpy with pip, or use an installed Blender",
 }
-_SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and name them"
+_SKIP_DAMAGED = "leave out images that are missing or cannot be decoded, and list them"
+_COLOUR_SPACE = "encoding of the image files (default auto: as stated or measured; else 8 bits sRGB, others linear)"
+_MODEL = f"shipped model, or your own .toml (default {DEFAULT_MODEL})"
+_ENTRY = "kind of GPU pass (default auto: as doctor says)"
+_EXPOSURES = "exposures of _0, _1, … at the end of names, as in 1/60,1/15,1/4"
 _EPILOG = "Exit codes: 0 done, 2 bad input (nothing written), 3 no usable GPU, 130 interrupted."
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one line, like those of all other bad input, and that takes options in full."""
+    """A parser that reports an error as one line, like all bad input, and accepts no abbreviated options."""
 
     def __init__(self, *words: Any, **settings: Any):
         super().__init__(*words, **settings, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
-        """Raise InputError in place of printing the usage and ending the process, which may be Blender."""
+        """Raise InputError instead of printing the usage and ending the process, which may be Blender."""
         raise InputError(f"{message}; see {self.prog} --help")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code; bad options end in code 2 like any other bad input."""
+    """Run a command and return its exit code; a bad option returns 2, like any bad input."""
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
         options = build_parser().parse_args(argv)
     except InputError as error:
         return _fail(error, "--json" in argv)
-    except SystemExit as stop:  # --help; Blender must not be ended from here
+    except SystemExit as stop:  # --help; this process may be Blender
         return int(stop.code or 0)
-    for number in (signal.SIGINT, signal.SIGTERM):  # Blender has a handler of its own for the first
+    for number in (signal.SIGINT, signal.SIGTERM):  # Blender has its own SIGINT handler
         signal.signal(number, signal.default_int_handler)
     try:
         result = import_module(f".commands.{options.command}", __package__).run(options)
@@ -67,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fail(error: IrpsoError, as_json: bool) -> int:
-    """Say in one line what is wrong; the compiler's whole log goes into the JSON alone."""
+    """Print the error in one line; the compiler's whole log goes only into the JSON."""
     text = error.summary if isinstance(error, ShaderError) else " ".join(str(error).splitlines())
     sys.stderr.write(f"irpso: {text}\n")
     if as_json:
@@ -89,196 +93,207 @@ def build_parser() -> argparse.ArgumentParser:
     _add_develop(commands)
     _add_response(commands)
     _add_demo(commands)
-    add = commands.add_parser("doctor", help="what GPU there is, its limits, and what will be used")
+    add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
     _add_common(add)
     return parser
 
 
 def _add_recover(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("recover", help="capture to maps and material", epilog=_EPILOG)
-    add.add_argument("capture", help="folder, .lp file, capture.toml, or .blend whose lights have their photographs")
+    add = commands.add_parser("recover", help="recover maps and a material from a capture", epilog=_EPILOG)
+    add.add_argument("capture", help="folder, .lp file, capture.toml, or .blend whose lights have photographs")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the result")
-    add.add_argument(
-        "--blend", metavar="FILE", help="Blender file with the mesh; without it the subject is a flat card"
-    )
-    add.add_argument("--object", metavar="NAME", help="the mesh object in it")
+    add.add_argument("--blend", metavar="FILE", help="Blender file with the mesh (default: the subject is a flat card)")
+    add.add_argument("--object", metavar="NAME", help="mesh object in FILE")
     add.add_argument(
         "--slots",
         metavar="A,B",
-        help="recover only these material slots, by name or number from 0; each: all, one by one",
+        help="recover only these material slots, by name or by number from 0; each: all, one by one",
     )
-    add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile, N or WxH (default 512)")
+    add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile: N or WxH (default 512)")
     add.add_argument("--no-shadows", dest="shadows", action="store_false",
-                     help="count samples that the mesh hides from their light like all others")  # fmt: skip
+                     help="do not predict the shadows that the mesh casts on itself")  # fmt: skip
     add.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE",
-                     help="a parameter that is given: an EXR file, or numbers: base_color=0.5,0.5,0.5")  # fmt: skip
-    add.add_argument(
-        "--ground-truth", metavar="FILE", help="EXR to measure errors against, as normal_gt.exr or maps.exr"
-    )
+                     help="fix a parameter to an EXR file, or to numbers, as in base_color=0.5,0.5,0.5")  # fmt: skip
+    add.add_argument("--ground-truth", metavar="FILE", help="EXR with the true maps, to measure errors against")
     add.add_argument(
         "--hold-out",
         metavar="I,J,…",
-        help="observations (from 0) left out of the fit and relit afterwards; auto: one in eight, six at most",
+        help="leave observations (counted from 0) out of the fit, and relight them; auto: one in eight, six at most",
     )
-    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_distance(add)
     add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     add.add_argument(
         "--intensities",
         choices=("auto", "given", "estimate"),
         default="auto",
-        help="of lights: as given, estimated up to one scale, or where the images contradict equal ones",
+        help="light intensities: as given; estimated up to one scale; auto (the default): estimated if the capture has"
+        " none and the images contradict equal ones",
     )
+    add.add_argument("--refine-directions", type=float, default=0.0, metavar="DEGREES",
+                     help="correct light directions whose error is about DEGREES (default 0: keep them)")  # fmt: skip
+    add.add_argument("--normals", metavar="A,B", help="write more normal maps: object, world, directx")
+    add.add_argument("--height", action="store_true", help="also integrate the normals to a relief")
+    add.add_argument("--displacement", action="store_true",
+                     help="also displace the material's surface by the relief (implies --height)")  # fmt: skip
     add.add_argument(
-        "--refine-directions", type=float, default=0.0, metavar="DEGREES", help="by how much the lights' may be off"
+        "--resume", action="store_true", help="continue from the checkpoint that an interrupted run left in OUT"
     )
-    add.add_argument("--normals", metavar="A,B", help="more normal maps: object, world, directx")
-    add.add_argument("--height", action="store_true", help="write the relief as well, by integrating the normals")
-    add.add_argument(
-        "--displacement", action="store_true", help="have the material displace the surface by it (implies --height)"
-    )
-    add.add_argument(
-        "--resume", action="store_true", help="go on from the checkpoint that an interrupted run left in OUT"
-    )
-    add.add_argument(
-        "--checkpoint-every", type=float, metavar="SECONDS", help="leave one in OUT now and then, for --resume"
-    )
+    add.add_argument("--checkpoint-every", type=float, metavar="SECONDS",
+                     help="write a checkpoint into OUT at this interval, for --resume")  # fmt: skip
     add.add_argument("--live", action="store_true", help="keep OUT/live.png, a picture of the maps so far")
-    add.add_argument("--memory", metavar="SIZE", help="what may be used, as in 4G or device=4G,host=8G")
-    add.add_argument("--dry-run", action="store_true", help="print the plan of tiles and memory, and do nothing")
+    add.add_argument("--memory", metavar="SIZE", help="most memory to use, as 4G or device=4G,host=8G")
+    add.add_argument(
+        "--dry-run", action="store_true", help="print the plan of tiles and memory; read no image, write nothing"
+    )
     _add_solver(add)
     _add_common(add)
 
 
 def _add_batch(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("batch", help="many recoveries from one list, restartable", epilog=_EPILOG)
-    add.add_argument("list", help=".toml file with a [[job]] for each recovery")
-    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the results, one in it for each")
-    add.add_argument("--only", metavar="NAME", help="run this job alone, as a render farm's task does")
+    add = commands.add_parser("batch", help="run a list of recoveries; restartable", epilog=_EPILOG)
+    add.add_argument("list", help=".toml file with a [[job]] per recovery")
+    add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the results, one per job")
+    add.add_argument("--only", metavar="NAME", help="run only this job, as the task of a render farm")
     add.set_defaults(parse=lambda words: build_parser().parse_args(words))
     _add_common(add)
 
 
 def _add_solver(add: argparse.ArgumentParser) -> None:
-    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help="shipped model, or a .toml of your own")
-    add.add_argument("--preset", default="standard", metavar="P", help="shipped preset, or a .toml of your own")
+    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help=_MODEL)
+    add.add_argument(
+        "--preset", default="standard", metavar="P", help="shipped preset, or your own .toml (default standard)"
+    )
     add.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                      help="change one setting of the preset, as in --set particles=24 --set seed=random")  # fmt: skip
     add.add_argument("--search", metavar="A,B", help="search only these parameters or stages, together")
-    add.add_argument("--iterations", type=int, metavar="N", help="of every stage")
-    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the random numbers (default 0)")
-    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
+    add.add_argument("--iterations", type=int, metavar="N", help="iterations of every stage (default: the preset's)")
+    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of the random numbers (default 0)")
+    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help=_ENTRY)
 
 
 def _add_distance(add: argparse.ArgumentParser) -> None:
     add.add_argument("--distance", type=float, metavar="D",
-                     help="of a flat card from its camera, in the unit of the near lights' places; goes before"
-                     " card_distance of capture.toml")  # fmt: skip
+                     help="distance of a card from its camera; overrides card_distance of the capture")  # fmt: skip
 
 
 def _add_export(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("export", help="a finished result for other programs", epilog=_EPILOG)
+    add = commands.add_parser("export", help="write a result for other programs", epilog=_EPILOG)
     add.add_argument("result", help="folder that recover wrote")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder, or a .glb or .ptm file")
-    add.add_argument("--format", required=True, choices=("gltf", "openlime", "ptm", "textures"), help="what is written")
+    add.add_argument("--format", required=True, choices=("gltf", "openlime", "ptm", "textures"), help="format to write")
     add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
                      help="names and normals of textures (default blender)")  # fmt: skip
-    add.add_argument("--object", metavar="NAME", help="the mesh object of gltf, where several have recovered materials")
-    add.add_argument("--model", metavar="M", help="the model's .toml, where it is no longer where the report says")
+    add.add_argument("--object", metavar="NAME", help="mesh object of gltf, if several have recovered materials")
+    add.add_argument("--model", metavar="M", help="the model's .toml, if it has moved since the recovery")
     _add_common(add)
 
 
 def _add_render(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("render", help="make a capture from maps, a mesh and lights", epilog=_EPILOG)
+    add = commands.add_parser("render", help="render a capture from maps, a mesh and lights", epilog=_EPILOG)
     add.add_argument("maps", help="folder of a result, or an EXR with maps")
     add.add_argument("-o", "--output", required=True, metavar="CAPTURE", help="folder for the capture")
     add.add_argument("--blend", required=True, metavar="FILE", help="Blender file with mesh and cameras")
-    add.add_argument("--object", metavar="NAME", help="the mesh object")
-    add.add_argument(
-        "--camera", action="append", default=[], metavar="NAME", help="camera object; several may be given"
-    )
-    add.add_argument("--size", default="512x512", metavar="WxH", help="of the images, in pixels (default 512x512)")
+    add.add_argument("--object", metavar="NAME", help="mesh object, if FILE has several")
+    add.add_argument("--camera", action="append", default=[], metavar="NAME",
+                     help="camera object; may be repeated (default: the scene's active camera)")  # fmt: skip
+    add.add_argument("--size", default="512x512", metavar="WxH", help="size of the images in pixels (default 512x512)")
     add.add_argument("--dome", default="10x20", metavar="LATxLON",
                      help="distant lights, evenly over the sphere (default 10x20, as in the paper)")  # fmt: skip
-    add.add_argument("--lights", metavar="FILE", help="light directions, one x y z a line, instead of a dome")
-    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help="shipped model, or a .toml of your own")
+    add.add_argument("--lights", metavar="FILE", help="file of light directions, x y z on each line, instead of a dome")
+    add.add_argument("--model", default=DEFAULT_MODEL, metavar="M", help=_MODEL)
     _add_common(add)
 
 
 def _add_inspect(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("inspect", help="what is in a capture, and what is wrong with it", epilog=_EPILOG)
+    add = commands.add_parser("inspect", help="list the contents of a capture and its faults", epilog=_EPILOG)
     add.add_argument("capture", help="folder, .lp file or capture.toml")
-    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_distance(add)
     add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     _add_common(add)
 
 
 def _add_calibrate(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("calibrate", help="the lights of photographs, from balls in them", epilog=_EPILOG)
+    add = commands.add_parser("calibrate", help="find the lights of photographs from balls in them", epilog=_EPILOG)
     add.add_argument("capture", metavar="CAPTURE_OR_IMAGES", help="folder of photographs, or a capture")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
     add.add_argument("--ball", action="append", required=True, metavar="MASK|X,Y,R",
-                     help="white on the ball; or middle and radius, or points of its outline X1,Y1,X2,Y2,X3,Y3,…, in"
-                     " pixels from the upper left corner; several may be given")  # fmt: skip
-    add.add_argument("--kind", required=True, choices=("mirror", "matte"), help="of all balls")
+                     help="image that is white on the ball; or centre and radius; or points of the outline,"
+                     " X1,Y1,X2,Y2,X3,Y3,…; in pixels from the upper left corner; may be repeated")  # fmt: skip
+    add.add_argument("--kind", required=True, choices=("mirror", "matte"), help="kind of all balls")
     add.add_argument("--fov", type=float, metavar="DEGREES", help="the camera's full angle over the image's width")
     add.add_argument("--camera", metavar="FILE", help="camera.toml, instead of --fov")
-    add.add_argument("--view", metavar="NAME", help="the camera that saw the balls, where a capture has several")
-    add.add_argument("--radius", type=float, metavar="R", help="of the balls in world units, for the places of lights")
-    add.add_argument("--lights", choices=("auto", "distant", "near"), default="auto", help="what they are")
-    add.add_argument("--distance", type=float, metavar="D", help="from the balls to all lights, where it is known")
-    add.add_argument("--albedo", metavar="A|R,G,B", help="of matte balls; else intensities are the first light's")
-    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument("--view", metavar="NAME", help="camera that saw the balls, if the capture has several")
+    add.add_argument("--radius", type=float, metavar="R",
+                     help="radius of the balls in world units, the unit of light positions (default: 1)")  # fmt: skip
+    add.add_argument(
+        "--lights", choices=("auto", "distant", "near"), default="auto", help="kind of lights (default auto)"
+    )
+    add.add_argument("--distance", type=float, metavar="D",
+                     help="known distance from the balls to all lights, in the unit of --radius")  # fmt: skip
+    add.add_argument("--albedo", metavar="A|R,G,B",
+                     help="albedo of matte balls (default: intensities are relative to the first light)")  # fmt: skip
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_common(add)
 
 
 def _add_develop(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("develop", help="camera files to linear images, one for each light", epilog=_EPILOG)
+    add = commands.add_parser("develop", help="make linear images from camera files, one per light", epilog=_EPILOG)
     add.add_argument("capture", help="capture, or folder of photographs")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder for the images and lists")
-    add.add_argument("--response", metavar="FILE", help="response curve, as of irpso response")
+    add.add_argument("--response", metavar="FILE", help="response curve that irpso response wrote, or a .csv")
     add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R",
-                     help="grey patch of known reflectance, for a curve; two or more")  # fmt: skip
-    add.add_argument("--chart", metavar="FILE", help="the photograph with the patches (default: the first)")
+                     help="grey patch of reflectance R, for a curve; give two or more")  # fmt: skip
+    add.add_argument("--chart", metavar="FILE", help="photograph with the patches (default: the first)")
     add.add_argument("--dark", nargs="+", metavar="FILE", help="dark frames, files or folders")
-    add.add_argument("--scale-dark", action="store_true", help="make dark frames of other exposures than there are")
+    add.add_argument("--scale-dark", action="store_true", help="scale dark frames to exposures for which there is none")
     add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
-    add.add_argument("--white", metavar="X,Y,W,H", help="a grey patch, =R for its reflectance; or three gains R,G,B")
+    add.add_argument("--white", metavar="X,Y,W,H",
+                     help="white balance from a grey patch, with =R also the scale; or three gains R,G,B")  # fmt: skip
     add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
-    add.add_argument("--exposure", choices=("exif", "names"), help="scale each frame by its exposure; merge nothing")
-    add.add_argument("--exposures", metavar="A,B,…", help="what _0, _1, … at the end of names stand for")
-    add.add_argument("--saturated", type=_part, default=0.98, metavar="S", help="code from which merging drops a pixel")
-    add.add_argument("--register", action="store_true", help="move images that are shifted against each other")
-    add.add_argument("--reference", metavar="NAME", help="the image that the others are moved onto (default: first)")
-    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help="of the image files")
+    add.add_argument(
+        "--exposure", choices=("exif", "names"), help="scale each frame by its exposure, and merge nothing"
+    )
+    add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
+    add.add_argument("--saturated", type=_part, default=0.98, metavar="S",
+                     help="merging ignores pixels from this part of the largest code (default 0.98)")  # fmt: skip
+    add.add_argument("--register", action="store_true", help="shift images onto one of them")
+    add.add_argument("--reference", metavar="NAME", help="image that the others are shifted onto (default: the first)")
+    add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     add.add_argument("--half", action="store_true", help="write 16-bit floats")
     _add_common(add)
 
 
 def _add_response(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("response", help="a camera's response curve, of brackets or a chart", epilog=_EPILOG)
-    add.add_argument("photographs", help="folder of brackets, or with --grey-card a photograph")
+    add = commands.add_parser(
+        "response", help="measure a camera's response curve from brackets or a chart", epilog=_EPILOG
+    )
+    add.add_argument("photographs", help="folder of brackets; with --grey-card: a photograph")
     add.add_argument("-o", "--output", required=True, metavar="FILE", help=".toml file for the curve")
-    add.add_argument("--brackets", choices=("exif", "names"), default="exif", help="what tells exposures")
-    add.add_argument("--exposures", metavar="A,B,…", help="what _0, _1, … at the end of names stand for")
-    add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of known reflectance")
+    add.add_argument(
+        "--brackets", choices=("exif", "names"), default="exif", help="where exposures are read from (default exif)"
+    )
+    add.add_argument("--exposures", metavar="A,B,…", help=_EXPOSURES)
+    add.add_argument(
+        "--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of reflectance R; give two or more"
+    )
     _add_common(add)
 
 
 def _add_demo(commands: argparse._SubParsersAction) -> None:
-    add = commands.add_parser("demo", help="the paper's experiment, from rendering to material", epilog=_EPILOG)
+    add = commands.add_parser("demo", help="run the paper's experiment, from rendering to material", epilog=_EPILOG)
     add.add_argument("-o", "--output", default="out/demo", metavar="OUT", help="folder for the result")
-    add.add_argument("--quick", action="store_true", help="in small: under three minutes on two CPU cores")
-    add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or a .toml of your own")
-    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="of the random numbers (default 0)")
-    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help="kind of GPU pass")
+    add.add_argument("--quick", action="store_true", help="small sizes: under three minutes on two CPU cores")
+    add.add_argument("--preset", default="swarm", metavar="P", help="shipped preset, or your own .toml (default swarm)")
+    add.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of the random numbers (default 0)")
+    add.add_argument("--entry", choices=("auto", "fragment", "compute"), default="auto", help=_ENTRY)
     _add_common(add)
 
 
 def _add_common(add: argparse.ArgumentParser) -> None:
     add.add_argument("--json", action="store_true", help="print one line of JSON at the end")
-    add.add_argument("--quiet", action="store_true", help="no progress")
+    add.add_argument("--quiet", action="store_true", help="print no progress")
 
 
 def _part(text: str) -> float:
@@ -293,11 +308,11 @@ def _part(text: str) -> float:
 
 
 def _seed(text: str) -> int:
-    """Return a seed; shaders take it as a signed integer of 32 bits."""
+    """Return a seed; shaders read it as a signed 32-bit integer."""
     try:
         number = int(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text} is no whole number") from error
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number") from error
     if not -(2**31) <= number < 2**31:
         raise argparse.ArgumentTypeError(f"{text} does not fit 32 bits; give a whole number of up to nine digits")
     return number
