@@ -142,10 +142,10 @@ def measure(quick: bool) -> dict[str, Any]:
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
     lines = [
-        f"`levels = 3` solves the domain at 1/4, 1/2 and 1 of its size, each begun at what the one before has found;"
-        f" finer levels make {load_schedule('standard').level_iterations:g} of the preset's iterations."
-        f" {data['size']}² texels, one observation in {HELD_OUT} held out and relit;"
-        " normals in degrees; evaluations a texel at the most; seconds of processor time, without compiling.",
+        "`levels = 3` solves the domain at 1/4, 1/2 and 1 of its size; each level starts from the result of the"
+        f" previous one, and finer levels make {load_schedule('standard').level_iterations:g} of the preset's"
+        f" iterations. {data['size']}² texels, one observation in {HELD_OUT} held out and relit. Normals in"
+        " degrees; evaluations per texel, maximum; seconds of processor time, without compiling.",
         "",
         *VERDICT,
         "",
@@ -160,15 +160,15 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 # What the tables come to; to be looked at again when they have changed.
 VERDICT = (
     "**It pays for swarms that search everything (`swarm`) from a random start, or with little time.** With 3"
-    " levels they do 40 % less work than with 1, in about 70 % of the time; from a random start normals are then"
-    " up to 38 % better and never worse, and at equal work 22 to 88 % better. From a Lambertian start, which is a"
-    " good one already, they are at equal work 3 to 59 % better too, but at equal iterations from 10 % better to"
-    " 40 % worse.",
+    " levels they do 40 % less work than with 1, in about 70 % of the time. From a random start normals are then up"
+    " to 38 % better and never worse, and at equal work 22 to 88 % better. From a Lambertian start, which is"
+    " already good, they are 3 to 59 % better at equal work, but from 10 % better to 40 % worse at equal"
+    " iterations.",
     "",
-    "**It hardly pays for `standard`**, whose prefit begins near the normals and whose refinement ends where it would"
-    " end anyway: a fifth to two thirds more seconds, the less so the larger the domain is, for"
-    " normals that differ by a tenth at most. What it finds better is one metal paint's narrow highlight (relit 3 dB"
-    " better); elsewhere it relights by 0 to 0.4 dB better. Hence it is off by default.",
+    "**It hardly pays for `standard`**, whose prefit starts near the normals and whose refinement converges to the"
+    " same result: it takes a fifth to two thirds more seconds, less on larger domains, for normals that differ by"
+    " at most a tenth. It improves one metal paint's narrow highlight (relit 3 dB better); other subjects are relit"
+    " 0 to 0.4 dB better. So it is off by default.",
 )
 
 

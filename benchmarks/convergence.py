@@ -88,14 +88,14 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, model `cook_torrance_two_lobe`, nothing"
         f" known. Errors are means over texels; lines are medians over {data['seeds']} seeds (of card, noise and"
-        " search), bands their quartiles. One evaluation renders all observations of a texel once; those of texels"
-        " that were done early are counted all the same. DE is scipy's differential evolution with polish, on"
+        " search), bands their quartiles. One evaluation renders all observations of a texel once; the count"
+        " includes texels that have already converged. DE is scipy's differential evolution with polish, on"
         f" {data['evolved']} texels of each card.",
         "",
-        "Joint: all eight numbers searched together (the paper's constants with two numbers for the normal instead"
-        " of three, which would make nine). Staged: diffuse, normal and lobes in turn, three rounds on the estimates"
-        " so far; `paper` staged is the preset as it is. How the cards are made dirty:"
-        " [subjects.py](../../benchmarks/subjects.py).",
+        "Joint: all eight numbers are searched together (the paper's constants, with two numbers for the normal"
+        " instead of three, which would make nine). Staged: diffuse, normal and lobes in turn, three rounds on the"
+        " current estimates; `paper` staged is the unchanged preset. [subjects.py](../../benchmarks/subjects.py)"
+        " defines the disturbances of the cards.",
         "",
     ]
     for dirt in DIRTS:

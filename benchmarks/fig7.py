@@ -23,8 +23,8 @@ PARTICLES = 16  # the most that move together
 BUDGET = 5 << 30  # bytes of textures: what a software renderer may take of this machine's memory
 REPEATS = 3  # of what is compared, interleaved
 SOFTWARE = (
-    "This machine has no GPU: shaders run on its processor. Seconds are those that its cores computed, all together,"
-    " which other load hardly changes; where the clock is meant it is said. Two idle cores take about half of them."
+    "This machine has no GPU: shaders run on its processor. Seconds are processor time over all cores, which other"
+    " load hardly changes, unless wall time is stated. Two idle cores take about half of them."
 )
 ROUGHNESS = {"search": ["r1", "r2", "w"], "cycles": 1, "iterations": ITERATIONS}
 KNOWN = ("base_color", "normal")
@@ -145,20 +145,20 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     }  # fmt: skip
     _draw(sizes, counts, folder)
     lines = [
-        "The two-lobe roughness stage of the paper: preset `paper`, model `cook_torrance_two_lobe`, normal and base"
+        "The paper's two-lobe roughness stage: preset `paper`, model `cook_torrance_two_lobe`, normal and base"
         f" colour known, r1, r2 and w searched by 16 particles, {data['lights']} lights, every texel covered. The"
-        f" first size is run in full; the others are **extrapolated** to {ITERATIONS} iterations from a few timed"
+        f" first size is run in full. The others are **extrapolated** to {ITERATIONS} iterations from a few timed"
         f" ones, after the swarms are placed. Sizes that do not fit {BUDGET >> 30} GiB of textures are solved in"
-        " tiles that take turns on the device: Eq. 4 looks at neighbours in every iteration, so that every tile, its"
-        " images and its swarms go there and back each time. Of those, two tiles were timed, and the others are"
-        " taken to be like them.",
+        " tiles that take turns on the device. Eq. 4 reads neighbours in every iteration, so every tile, with its"
+        " images and swarms, is transferred in both directions each time. There, two tiles were timed, and the"
+        " others are assumed equal.",
         "",
-        SOFTWARE if data["software"] else "Seconds are those of the clock.",
+        SOFTWARE if data["software"] else "Seconds are wall time.",
         "",
         *report.image("fig7", "Seconds and memory against texels and observations, both axes logarithmic"),
         *report.table(
             ["texels", "tiles", "timed iterations", "s an iteration", "million texel·lights a second",
-             f"s for {ITERATIONS} iterations", "by the clock", "", "MB at the peak"],
+             f"s for {ITERATIONS} iterations", "wall s", "", "MB at the peak"],
             [[f"{r['height']} × {r['width']}", _tiles(r), r["timed"], short(r["computed"]),
               f"{r['all'] * data['lights'] / r['computed'] / 1e6:.1f}", f"{r['computed_all']:.0f}",
               f"{r['seconds']:.0f}", "measured" if r["full"] else "extrapolated",
@@ -169,27 +169,27 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
             [[r["lights"], short(r["computed"]), f"{r['texels'] * r['lights'] / r['computed'] / 1e6:.1f}",
               f"{r['memory']:.0f}"] for r in counts],
         ),
-        "Log–log slopes (1 is proportional; to show: 1.0 ± 0.1):",
+        "Log–log slopes (1 is proportional; goal: 1.0 ± 0.1):",
         "",
         *(f"- {name}: **{value:.3f}**" for name, value in slopes.items()),
         "",
         *_affine(counts),
-        "Memory is what the process takes more at its peak than before the domain was made; a software renderer's"
-        " textures are in it. The images of this benchmark are one row repeated, so that the stack on the host takes"
-        " no room: what is counted is the upload and the device's.",
+        "Memory is the process's peak minus its memory before the domain was made; it includes a software"
+        " renderer's textures. The images of this benchmark are one repeated row, so the sample stack takes no room"
+        " on the host: the count covers the upload and the device.",
         "",
-        "## Texel·lights a second, before and after",
+        "## Texel·lights a second",
         "",
-        f"Medians over {REPEATS} interleaved runs of each, with the least and the most; one evaluation renders all"
-        " observations of a texel. Moving all particles reads each observation once for several of them; the closed"
-        " form renders twice an evaluation's worth for each particle and needs far fewer of them.",
+        f"Medians over {REPEATS} interleaved runs of each, with minimum and maximum; one evaluation renders all"
+        " observations of a texel. If all particles move, each observation is read once for several of them. The"
+        " closed form needs two renders per evaluation of a particle, and far fewer particles.",
         "",
         *report.table(
             ["what", "evaluations a texel and iteration", "million texel·lights a second",
              "µs an evaluation of a texel", "over fragment"],
             [_rate_row(r, data["rates"]) for r in data["rates"]],
         ),
-        "## Texels that are done",
+        "## Converged texels",
         "",
         *_refinement_lines(data["refinement"], folder),
     ]  # fmt: skip
@@ -206,8 +206,8 @@ def _affine(counts: list[dict[str, Any]]) -> list[str]:
         off = np.abs(fixed + each * lights - values) / values
         told.append(f"{short(fixed)} {unit} + {short(each)} {unit} an observation (within {off.max():.0%})")
     return [
-        "Against observations time and memory are straight lines with an offset, the swarms themselves, which every"
-        f" iteration reads and writes whatever the images: {told[0]}; {told[1]}. Hence slopes below 1.",
+        "Time and memory grow linearly with observations, with an offset for the swarms themselves, which every"
+        f" iteration reads and writes: {told[0]}; {told[1]}. So the slopes are below 1.",
         "",
     ]
 
@@ -237,10 +237,10 @@ def _refinement_lines(refinement: dict[str, Any], folder: Path) -> list[str]:
         axis.set(xlabel="step", ylabel="ms", ylim=(0, None))
     last = statistics.median(seconds[-5:])
     return [
-        f"{refinement['texels']} texels under {refinement['lights']} lights with noise, Levenberg–Marquardt from the"
-        f" Lambertian seed. The first timed step takes {1e3 * seconds[0]:.0f} ms, the last ones {1e3 * last:.0f} ms"
-        f" ({last / seconds[0]:.0%}): a texel is done once two steps gain less than {refinement['gain']:g} of its"
-        " fitness.",
+        f"{refinement['texels']} texels under {refinement['lights']} lights with noise, Levenberg–Marquardt from"
+        f" the Lambertian seed. The first timed step takes {1000.0 * seconds[0]:.0f} ms, the last ones"
+        f" {1000.0 * last:.0f} ms ({last / seconds[0]:.0%}): a texel has converged once two steps gain less than"
+        f" {refinement['gain']:g} of its fitness.",
         "",
         *report.image("fig7_refinement", "Milliseconds a step against the step's number"),
     ]

@@ -94,17 +94,18 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     )
     lines = [
         f"Cards of {data['size']}² texels under {data['lights']} lights, {data['seeds']} seeds pooled, model"
-        " `cook_torrance_two_lobe`; base colour, normal, r1, r2 and w all unknown (8 numbers a texel). How cards are"
-        " made and dirtied, in formulas: [subjects.py](../../benchmarks/subjects.py).",
+        " `cook_torrance_two_lobe`; base colour, normal, r1, r2 and w all unknown (8 numbers a texel)."
+        " [subjects.py](../../benchmarks/subjects.py) has the formulas of the cards and their disturbances.",
         "",
-        f"Identifiable is a texel whose Cramér–Rao bound at noise {NOISE}, from the ground truth, is under"
-        f" {LEAST:.0%} of the range in every parameter (a normal's range is 90°); **{clean['excluded']:.1%}** of all"
-        f" texels are not. Right is one within {DEGREES:g}° and {PERCENT:g} % of the range in every parameter at once.",
+        f"A texel is identifiable if its Cramér–Rao bound at noise {NOISE}, from the ground truth, is under"
+        f" {LEAST:.0%} of the range in every parameter (a normal's range is 90°); **{clean['excluded']:.1%}** of"
+        f" all texels are not. A texel is right if every parameter is within {DEGREES:g}° or {PERCENT:g} % of its"
+        " range.",
         "",
-        f"- Clean: **{clean['right']:.2%}** of the identifiable texels are right with `standard` (to show: 99 %, with"
+        f"- Clean: **{clean['right']:.2%}** of the identifiable texels are right with `standard` (goal: 99 %, with"
         " at most 15 % excluded).",
         f"- {titles['dirty']}: mean normal error **{short(dirty['errors']['normal'][0])}°** over all texels with"
-        f" `standard` (to show: 0.15°); {titles['patched']}: **{short(patched['errors']['normal'][0])}°**.",
+        f" `standard` (goal: 0.15°); {titles['patched']}: **{short(patched['errors']['normal'][0])}°**.",
         "",
         "## Right among the identifiable",
         "",
@@ -115,7 +116,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         ),
         "## Errors over all texels: mean (median; 99th percentile)",
         "",
-        "Normals in degrees, all else in % of the parameter's range; of base colour the worst channel.",
+        "Normals in degrees, others in % of the parameter's range; for base colour the worst channel.",
         "",
         *report.table(
             ["capture", "method", *names],
@@ -130,10 +131,10 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
             if subjects.DIRTS[d].reach == 1
         ]
         lines += [
-            "What the dirt itself leaves: the mean normal error, with its 95 % interval, of scipy's least squares"
-            f" from the truth with the shadowed samples taken out, on a sample of texels: {'; '.join(floors)}."
-            " Interreflection adds light that no local model has: it bends normals toward their surroundings' and"
-            " brightens base colours by about its own part, whatever the search.",
+            "Error that the disturbance itself leaves: the mean normal error, with its 95 % interval, of scipy's"
+            " least squares, started from the truth and without the shadowed samples, on a sample of texels:"
+            f" {'; '.join(floors)}. Interreflection adds light that no local model has. With any search it bends"
+            " normals toward the surrounding surface's and brightens base colours by about its own fraction.",
             "",
         ]
     return lines

@@ -1,4 +1,4 @@
-"""Recoveries that are killed with signal 9 at random moments and gone on with: do they end in the same maps?
+"""Recoveries killed with signal 9 at random moments and resumed: do they end in the same maps?
 
 Usage: python -m benchmarks.killed [--quick] [--again] [--output FOLDER]; mpirun is looked for beside Python.
 
@@ -154,14 +154,15 @@ def _same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
-    header = ("ranks", "killed", "of them resumed runs", "runs that got through", "with the same maps, bit for bit",
-              "refused to go on")  # fmt: skip
+    header = ("ranks", "killed", "of them resumed", "finished runs", "with the same maps, bit for bit",
+              "refused to resume")  # fmt: skip
     rows = [[c["ranks"], c["kills"], c["resumed"], c["whole"], c["equal"], c["failed"]] for c in data["chains"]]
     return [
         f"A card of {_TEXELS[1]} × {_TEXELS[0]} texels under {_LIGHTS} lights, {data['iterations']} iterations, a"
-        " checkpoint every 0.2 s; killed with signal 9 at random moments of its life and started again. With ranks, one"
-        " of them is killed, and the launcher ends the others. A run takes many kills until it gets through; those that"
-        " came before the first checkpoint began anew. How: [killed.py](../../benchmarks/killed.py).",
+        " checkpoint every 0.2 s. Each run is killed with signal 9 at random moments and restarted, until it"
+        " finishes. With ranks, one rank is killed, and the launcher ends the others. A run takes many kills until"
+        " it finishes; if it was killed before its first checkpoint, it starts anew. Source:"
+        " [killed.py](../../benchmarks/killed.py).",
         "",
         *report.table(header, rows),
     ]
@@ -170,11 +171,11 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
 def headline(data: dict[str, Any]) -> str:
     """Return what the index says."""
     kills, whole, equal, failed = (sum(c[k] for c in data["chains"]) for k in ("kills", "whole", "equal", "failed"))
-    refused = f", {failed} refused to go on" if failed else ""
+    refused = f", {failed} refused to resume" if failed else ""
     return f"{kills} kills: {equal} of {whole} runs ended in the same maps{refused}"
 
 
-PROGRAM = report.Program("killed", "Killed and gone on with", __file__, measure, write, headline)
+PROGRAM = report.Program("killed", "Killed and resumed", __file__, measure, write, headline)
 
 if __name__ == "__main__":
     from irpso_addon.gpu import context

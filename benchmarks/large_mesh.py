@@ -121,7 +121,8 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     work = huge["solve"][1] * huge["texels"] / max(huge["solved"], 1)
     return [
         "The head of [One view against several](multiview.md), 8 cameras. Peak: the resident memory of the whole"
-        " process, with a software renderer's textures. How: [large_mesh.py](../../benchmarks/large_mesh.py).",
+        " process, including a software renderer's textures. Source:"
+        " [large_mesh.py](../../benchmarks/large_mesh.py).",
         "",
         f"**{_FULL}², {_FEW} lights a camera, in full**, `--memory {data['budgets']['full']}`: {full['texels']} texels"
         f" in {'one tile' if full['tiles'] == 1 else str(full['tiles']) + ' tiles'},"
@@ -134,9 +135,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         "```",
         "",
         f"Two of its {huge['tiles']} tiles, {huge['solved']} texels of {huge['observations']} observations: images read"
-        f" and projected in {huge['read'][0]:.0f} s ({huge['read'][1]:.0f} s of work), solved in"
-        f" {huge['solve'][0]:.0f} s ({huge['solve'][1]:.0f} s of work), peak {huge['peak']:.2f} GiB."
-        f" All tiles would take about {work / 3600:.1f} hours of work on this machine.",
+        f" and projected in {huge['read'][0]:.0f} s (processor time {huge['read'][1]:.0f} s), solved in"
+        f" {huge['solve'][0]:.0f} s ({huge['solve'][1]:.0f} s), peak {huge['peak']:.2f} GiB."
+        f" All tiles would take about {work / 3600:.1f} hours of processor time on this machine.",
     ]
 
 

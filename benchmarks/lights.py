@@ -107,10 +107,10 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     rows = data["rows"]
     lines = [
         f"Cards of {data['size']}² texels, {data['seeds']} seeds pooled, preset `standard`, everything unknown. A"
-        f" texel fails with a normal off by more than {DEGREES:g}°, or another parameter by more than {PERCENT:g} %"
-        " of its range. Lights are even over the sphere down to 73° from the axis, where nothing else is said;"
-        " `inspect` speaks from these figures. Interreflection brightens base colours by about its own part: no fit"
-        " can tell.",
+        f" texel fails if its normal is off by more than {DEGREES:g}°, or another parameter by more than"
+        f" {PERCENT:g} % of its range. Unless stated otherwise, lights are distributed evenly over the sphere down"
+        " to 73° from the axis. `inspect` uses these figures. Interreflection brightens base colours by about its"
+        " own fraction; no fit can distinguish the two.",
         "",
     ]
     with report.plot(folder, "lights", "Texels that fail, preset standard", 3) as axes:

@@ -248,13 +248,14 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         axes[0, 0].set(xlabel="angle between surface and front view, °", ylabel="mean error, °", ylim=(0, None))
         axes[0, 0].legend()
     return [
-        f"The head scan with its own colours and normals ({data['note']}), photographed by Cycles (an independent"
+        f"The head scan with its own colours and normals ({data['note']}), rendered by Cycles (an independent"
         f" renderer; cast shadows, four bounces) at {size['picture']}² pixels from 1, 3 and 8 cameras under"
-        f" {size['lights']} lights each, and recovered by `python -m irpso_addon recover` at {size['maps']}² texels;"
-        " the written material is rendered by Cycles from two other views under ten other lights. Errors are over the"
-        " texels that the front camera sees; relit pictures over what it sees, and over all of the subject, of which"
-        " one view has not seen half. Seam: the mean error (and the median) within 4 texels of the border of a UV"
-        " island over that of all other texels. How: [multiview.py](../../benchmarks/multiview.py).",
+        f" {size['lights']} lights each, and recovered by `python -m irpso_addon recover` at {size['maps']}²"
+        " texels. Cycles then renders the written material from two other views under ten other lights. Errors"
+        " cover the texels that the front camera sees. Relit pictures cover what it sees, and the whole subject,"
+        " half of which one view does not see. Seam: the mean error (and the median) within 4 texels of the border"
+        " of a UV island, divided by that of all other texels. Source:"
+        " [multiview.py](../../benchmarks/multiview.py).",
         "",
         *report.table(_COLUMNS, map(_row, data["results"])),
         *report.image(PROGRAM.name, "error of the normal against the angle of the front view"),

@@ -127,24 +127,24 @@ def _reach(run: dict[str, Any], own: dict[str, Any], at: np.ndarray) -> dict[str
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines, with one plot."""
     lines = [
-        "Every method solves the same texels of the same capture in a process of its own, one after the other in one"
-        " run on one machine. Errors are means over texels with their 95 % confidence interval (bootstrap), normals"
-        " in degrees, all else in % of the parameter's range. The Lambertian methods and the program solve all"
-        f" texels; the others a random sample ({', '.join(f'{name} {n}' for name, n in data['sizes'].items())}"
-        " texels), since each of their texels costs the same. The row of a method on a sample is to be compared with"
-        " the program's error on the same texels, in the column beside it; bold is what the program does"
-        f" significantly worse there, by more than {NEGLIGIBLE:g}.",
+        "Every method solves the same texels of the same capture, each in its own process, one after another in one"
+        " run on one machine. Errors are means over texels with their 95 % confidence interval (bootstrap): normals"
+        " in degrees, others in % of the parameter's range. The Lambertian methods and the program solve all"
+        " texels; the others solve a random sample"
+        f" ({', '.join(f'{name} {n}' for name, n in data['sizes'].items())} texels), because each of their texels"
+        " costs the same. Compare the row of a method on a sample with the program's error on the same texels, in"
+        f" the column beside it. Bold: the program is significantly worse there, by more than {NEGLIGIBLE:g}.",
         "",
-        "Seconds a texel: what processors computed for all texels, over their number, threads together, since other"
-        " load on the machine hardly changes that (with a GPU, the program's are those of the clock). Setting up and"
-        f" compiling are in the program's, the median of {REPEATS} runs; a peer's begin when its process has loaded."
-        " Peers have one thread each, the program two, and its work counts twice. Evaluations: renders of all"
-        " observations; a gradient counts as three. Memory: the process's peak; the program's holds Blender, and"
-        " every one's the capture.",
+        "Seconds a texel: processor time over all threads, divided by the number of texels, because other load on"
+        " the machine hardly changes it (with a GPU, the program's time is wall time). The program's time includes"
+        f" setup and compilation, and is the median of {REPEATS} runs; a peer's time starts when its process has"
+        " loaded. Peers have one thread each, the program two, and the work of both counts. Evaluations: renders of"
+        " all observations; a gradient counts as three. Memory: the process's peak; it includes the capture, and"
+        " for the program Blender.",
         "",
-        "Reached: how many times as long as the program a peer takes to its own final normal error, in brackets to"
-        " its errors in all that it tells; the program's time is that of its first state with this error or less."
-        f" Arrived: the same with the time after which the peer stays within {NEARLY - 1:.0%} of its final normal"
+        "Speed-up: the peer's time to its own final normal error, divided by the program's time to its first state"
+        " with the same error or less. In brackets: the same over all parameters that the peer solves. Speed-up,"
+        f" converged: the same with the time after which the peer stays within {NEARLY - 1:.0%} of its final normal"
         " error.",
         "",
     ]
@@ -152,7 +152,7 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         names = list(found["rows"]["standard"]["errors"])
         lines += [f"## {TITLES[capture]}", "", _about(capture, found["texels"]), ""]
         header = ["method", "texels", *(f"{n} {subjects.unit_of(n)}" for n in names), "program, same texels: normal",
-                  "evaluations", "ms a texel", "by the clock", "MB", "reached", "arrived"]  # fmt: skip
+                  "evaluations", "ms a texel", "wall ms", "MB", "speed-up", "speed-up, converged"]  # fmt: skip
         lines += report.table(header, [_cells(name, row, names) for name, row in found["rows"].items()])
     _draw(data["captures"], folder)
     lines += report.image("peers", "Normal error against seconds a texel, of all methods")
@@ -198,7 +198,7 @@ def _settings(data: dict[str, Any]) -> list[str]:
                                                                                             strict=True)))]
         for name, texts in told.items() if any(texts)
     ]  # fmt: skip
-    note = "Of a Lambertian method's settings (SETTINGS in benchmarks/peers/lambertian.py) the best, by the truth."
+    note = "For each Lambertian method the best of SETTINGS in benchmarks/peers/lambertian.py, chosen by the truth."
     return [note, "", *report.table(["method", "settings"], rows)]
 
 

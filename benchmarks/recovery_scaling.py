@@ -135,12 +135,11 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     stages = ", ".join(f"`{name}` with {count} iterations a stage" for name, count in data["presets"].items())
     lines = [
         f"`mpirun -n N python -m irpso_addon recover`, a card of {width} × {height} texels under {_LIGHTS} lights,"
-        f" model `{_MODEL}`, presets {stages}; one thread a rank, every rank bound to a core as far as there are cores"
-        " (`--map-by slot:PE=1 --bind-to core`), the median of several runs in turns, speed-up that of the turns' own"
-        f" ratios, on {data['cores']} cores. Weak: as many times the texels as ranks; its speed-up is in texels a"
-        " second. Sent: by the rank that sends most, in the whole run, counted, and in brackets as the model has it."
-        " How:"
-        " [recovery_scaling.py](../../benchmarks/recovery_scaling.py).",
+        f" model `{_MODEL}`, presets {stages}, on {data['cores']} cores; one thread a rank, every rank bound to a"
+        " core while there are enough (`--map-by slot:PE=1 --bind-to core`). Seconds are medians of several runs in"
+        " turns; the speed-up is the median of the turns' ratios. Weak: texels in proportion to ranks; its speed-up"
+        " is in texels a second. Sent: by the rank that sends most, in the whole run, counted; in brackets as"
+        " modelled. Source: [recovery_scaling.py](../../benchmarks/recovery_scaling.py).",
         "",
     ]
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in data["rows"]):
@@ -199,13 +198,13 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"## A model of a card of {_LARGE}²",
         "",
-        "**Not measured.** The seconds of one rank above, for as many texels as the fullest of p boxes has; before each"
-        " iteration that reads neighbours a message to and from every rank whose texels are looked at, one after the"
-        f" other ({networks}). {'; '.join(words)}. It leaves out reading and gathering, ranks that differ in speed"
-        " (each exchange waits for the slowest), ranks that share a network card, and that a rank reads all its bests"
-        f" back to send the border. The lower row takes ranks {_FASTER} times as fast, as a GPU may be (assumed, not"
-        " measured): there the model breaks first, since an iteration over a few thousand texels then takes less than a"
-        " millisecond, and starting its passes and reading back take as long.",
+        "**Not measured.** The model: the measured time per texel of one rank, for the texels of the fullest of p"
+        " boxes; plus, before each iteration that reads neighbours, a message to and from every rank whose texels"
+        f" are read, one after another ({networks}). {'; '.join(words)}. The model leaves out reading and"
+        " gathering, ranks that differ in speed (each exchange waits for the slowest), ranks that share a network"
+        f" card, and the readback of all bests of a rank to send its border. The lower row assumes ranks {_FASTER}"
+        " times as fast, as a GPU may be (not measured). The model fails first there: an iteration over a few"
+        " thousand texels then takes less than a millisecond, as long as starting its passes and reading back.",
         "",
         *report.image(PROGRAM.name, "efficiency against ranks"),
     ]

@@ -93,7 +93,7 @@ def run(program: Program, arguments: Sequence[str] | None = None) -> None:
 def _foot(kept: dict[str, Any], program: Program) -> list[str]:
     return [
         f"<sub>`python -m benchmarks.{Path(program.source).stem}`, {kept['date']}, commit {kept['commit']},"
-        f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine, by whatever ran on it,"
+        f" {kept['seconds']:.0f} s; {'; '.join(kept['machine'].values())}; load of the machine"
         f" {kept['load'][0]} before and {kept['load'][1]} after.</sub>"
     ]
 

@@ -59,11 +59,11 @@ def index(output: Path, quick: bool) -> list[str]:
     return [
         "# Benchmarks",
         "",
-        "`make bench` measures these anew where sources or presets have changed since, and writes pages and plots;"
-        " `make bench QUICK=1` only tries in a few minutes that all of it runs. One program alone: `python -m"
-        " benchmarks.joint --again`; with `--draw` its page is written anew from the result in `.cache/bench`. The"
-        " peers' PyTorch is the build that pip takes; pip's own settings (`PIP_EXTRA_INDEX_URL`) choose the much"
-        " smaller one for processors alone. A + after a commit: with changes that were not committed yet.",
+        "`make bench` runs all benchmarks whose sources or presets have changed, and writes pages and plots. `make"
+        " bench QUICK=1` only tests in a few minutes that all of them run. One program alone: `python -m"
+        " benchmarks.joint --again`; with `--draw` it rewrites its page from the result in `.cache/bench`. The"
+        " peers' PyTorch is pip's default build; pip's own settings (`PIP_EXTRA_INDEX_URL`) choose the much smaller"
+        " one for processors alone. A + after a commit marks uncommitted changes.",
         "",
         *(f"Machine: {words}." for words in sorted(machines)),
         "",

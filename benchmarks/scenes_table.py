@@ -43,10 +43,10 @@ def _names() -> list[str]:
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
     return [
-        "Meshes with UVs and true maps, photographed by Cycles (an independent renderer; cast shadows, four bounces)"
-        " under 40 lights and recovered by `python -m irpso_addon recover`; the written material is rendered by"
-        " Cycles again under 10 lights that were not in the capture. PSNR and SSIM are of those, over the subject,"
-        " in sRGB. How: [cycles_scenes.py](../../benchmarks/cycles_scenes.py).",
+        "Meshes with UVs and true maps, rendered by Cycles (an independent renderer; cast shadows, four bounces)"
+        " under 40 lights and recovered by `python -m irpso_addon recover`. Cycles then renders the written"
+        " material under 10 lights that were not in the capture. PSNR and SSIM compare these renders, over the"
+        " subject, in sRGB. Source: [cycles_scenes.py](../../benchmarks/cycles_scenes.py).",
         "",
         *data["table"],
     ]

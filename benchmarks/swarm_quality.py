@@ -104,17 +104,17 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
     rows = [[row["function"], row["dimensions"], *_cells(row)] for row in data["rows"]]
     return [
-        f"The least value found with {data['members']} particles in {data['iterations']} iterations, the median of"
-        f" {data['seeds']} runs; the least possible is 0. `constriction` and `swarm` are the solver's rule with those"
-        " presets' constants, one swarm that moves as a whole; pyswarms has constriction's constants, pymoo adapts its"
-        " own, scipy's differential evolution is not polished at the end; with 30 dimensions its members come to 90, a"
-        " tenth fewer evaluations. How:"
-        " [swarm_quality.py](../../benchmarks/swarm_quality.py).",
+        f"The lowest value with {data['members']} particles in {data['iterations']} iterations, median of"
+        f" {data['seeds']} runs; the minimum is 0. `constriction` and `swarm` are the solver's rule with those"
+        " presets' constants, as one synchronous swarm. pyswarms has constriction's constants; pymoo adapts its"
+        " own. scipy's differential evolution has no final polish; with 30 dimensions it has 90 members, a tenth"
+        " fewer evaluations. Source: [swarm_quality.py](../../benchmarks/swarm_quality.py).",
         "",
-        "The solver's constants are for materials, of 2 to 10 dimensions and few valleys: with 10 `swarm` is the best"
-        " on the sphere and Ackley's function (whose minimum lies in the middle of the range, which swarms find easily)"
-        " and the worst of the five on Rosenbrock's and Rastrigin's; with 30 and more it settles too early everywhere."
-        " Differences between medians of three runs mean little below a factor of two.",
+        "The solver's constants are made for materials: 2 to 10 dimensions and few local minima. With 10 dimensions"
+        " `swarm` is the best on the sphere and Ackley's function (whose minimum lies in the middle of the range,"
+        " which favours swarms) and the worst of the five on Rosenbrock's and Rastrigin's. With 30 and more it"
+        " converges too early everywhere. Differences between medians of three runs mean little below a factor of"
+        " two.",
         "",
         *report.table(("function", "dimensions", *METHODS), rows),
     ]

@@ -187,14 +187,14 @@ def _cells(row: dict[str, Any], alone: float, cores: int) -> list[str]:
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Draw the figure and return the page's lines."""
     lines = [
-        f"Seconds of {data['iterations']} iterations of one swarm on {_FUNCTION}'s function in {_DIMENSIONS} dimensions"
-        " (constants of `constriction`), the median of several runs, on the"
-        f" {data['cores']} cores there are; ranks and threads are bound to cores as far as there are cores. Speed-up"
-        " and efficiency are over one rank of one thread. The result is the same for any number of ranks and threads: a"
-        " particle's random numbers are a function of its own number. Double precision, single in the gpu module, whose"
-        " device is the renderer named below: a software one here, on the same cores. With a reduction every tenth step"
-        " the swarm follows a best that is up to ten steps old, and finds less. Only this function is timed;"
-        " [swarm_quality.md](swarm_quality.md) has all six, in 10 to 100 dimensions. How:"
+        f"Seconds for {data['iterations']} iterations of one swarm on {_FUNCTION}'s function in {_DIMENSIONS}"
+        f" dimensions (constants of `constriction`), median of several runs, on {data['cores']} cores. Ranks and"
+        " threads are bound to cores while there are enough. Speed-up and efficiency are relative to one rank of"
+        " one thread. The result is the same for any number of ranks and threads: a particle's random numbers"
+        " depend on its own number. Arithmetic is double precision, single in the gpu module. Its device is the"
+        " renderer named below: here a software renderer on the same cores. With a reduction every tenth step the"
+        " swarm follows a best that is up to ten steps old, and its result is worse. Only this function is timed;"
+        " [swarm_quality.md](swarm_quality.md) has all six, in 10 to 100 dimensions. Source:"
         " [swarm_scaling.py](../../benchmarks/swarm_scaling.py).",
         "",
     ]
@@ -223,12 +223,12 @@ def _model_lines(data: dict[str, Any], folder: Path) -> list[str]:
     return [
         "## A model of more ranks",
         "",
-        f"**Not measured.** Seconds of one rank divided by their number; in each iteration 2⌈log2 p⌉ messages of 16"
-        f" bytes and, in the {told} of them that found a new best here ({_PARTICLES[0]} and {_PARTICLES[1]} particles),"
-        f" ⌈log2 p⌉ of {8 * _DIMENSIONS} bytes; "
+        "**Not measured.** The model: seconds of one rank divided by the number of ranks; plus, in each iteration,"
+        f" 2⌈log2 p⌉ messages of 16 bytes, and, in the {told} of iterations with a new best here ({_PARTICLES[0]}"
+        f" and {_PARTICLES[1]} particles), ⌈log2 p⌉ messages of {8 * _DIMENSIONS} bytes;"
         + "; ".join(f"{n.name}: {n.latency * 1e6:g} µs, {n.bandwidth / 1e9:g} GB/s" for n in NETWORKS)
-        + ". It breaks where ranks differ in speed (each iteration waits for the slowest), where several ranks share a"
-        " network card, and where so few particles are left to a rank that the loop around them counts.",
+        + ". The model fails if ranks differ in speed (each iteration waits for the slowest), if several ranks"
+        " share a network card, or if a rank has so few particles that the loop around them dominates.",
         "",
         *report.image(PROGRAM.name, "efficiency against ranks"),
     ]

@@ -181,9 +181,10 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
         ["turns over 100 ms, of all", *(f"{run['over_100_ms']} of {run['turns']}" for run in data["runs"])],
     ]
     lines = [
-        f"Blender of Debian {data['blender']}, {data['backend']}, a window of 1600 × 1000 under Xvfb. Preset standard,"
-        f" model principled, {LARGE}² texels under {LIGHTS} lights, images read before. What a run finds first, a guess"
-        " by least squares, is known where they were recovered with the same model and fitness before.",
+        f"Debian {data['blender']}'s Blender, {data['backend']}, a window of 1600 × 1000 under Xvfb. Preset"
+        f" standard, model principled, {LARGE}² texels under {LIGHTS} lights, images already read. The first result"
+        " of a run is a least-squares guess; it is cached if the same images were recovered before with the same"
+        " model and fitness.",
         "",
         *report.table(["", *names], rows),
         "",
@@ -196,9 +197,9 @@ def write(data: dict[str, Any], folder: Path) -> list[str]:
     shown, hidden = (np.array(data["seconds"][name]) for name in ("shown", "not shown"))
     lines += [
         "",
-        f"{data['iterations']} iterations of every stage of the preset swarm, {SMALL}² texels under {LIGHTS} lights,"
-        f" {len(shown)} times each in turns: {np.median(shown):.1f} s with the maps shown, {np.median(hidden):.1f} s"
-        f" without, {np.median(shown / hidden):.2f} times as long.",
+        f"{data['iterations']} iterations of every stage of the preset swarm, {SMALL}² texels under {LIGHTS}"
+        f" lights, {len(shown)} times each in turns: {np.median(shown):.1f} s with the maps shown,"
+        f" {np.median(hidden):.1f} s without, a factor of {np.median(shown / hidden):.2f}.",
     ]
     return lines
 
