@@ -23,6 +23,7 @@ FLOORS = (
     ("results",),
     ("blender", "solver"),
     ("demo", "exports", "cluster"),
+    ("pipeline",),
     ("commands", "ui"),
 )
 _WIDTH, _BOX, _GAP = 860, 46, 34  # pixels

@@ -15,12 +15,12 @@ from ..capture.formats.toml_file import load_toml
 from ..cluster.transport import joined
 from ..core.errors import CheckpointError, InputError
 from ..core.files import write_json
+from ..pipeline.drive import CHECKPOINT
+from ..pipeline.ranks import refused
 from ..results.report import plain
 from ..results.write import REPORT
 from . import recover
-from .progress import silent
-from .ranked import refused
-from .solve import CHECKPOINT
+from .options.values import silent
 
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
@@ -36,8 +36,8 @@ Parse = Callable[[Sequence[str]], Namespace]
 
 
 @dataclass(frozen=True)
-class Job:
-    """One recovery of a list. words: its command line, without what a batch adds. listed: the same as the list has it.
+class Row:
+    """A recovery in a list. words: its command line, without what a batch adds. listed: the same as the list has it.
 
     A list that has been moved, or is named in another way, has the same jobs.
     """
@@ -72,7 +72,7 @@ def run(options: Namespace) -> dict:
     return _outcome(states, output / "batch.json", options)
 
 
-def read_list(path: Path, parse: Parse) -> list[Job]:
+def read_list(path: Path, parse: Parse) -> list[Row]:
     """Return the jobs of a TOML list. Raises InputError naming the list and the job where one is not understood.
 
     [defaults] holds options of ``recover`` for all, each [[job]] its own, by their long names with _ for -; a job has a
@@ -99,7 +99,7 @@ def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, A
     return {key: value for key, value in found.items() if key not in others or key in row}
 
 
-def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:
+def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     where = f"{path}: job {row.get('name', number)}"
     if not isinstance(row.get("capture"), str):
         raise InputError(f'{where}: has no capture; add capture = "folder"')
@@ -113,7 +113,7 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Job:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
-    return Job(name, tuple(words), tuple(listed))
+    return Row(name, tuple(words), tuple(listed))
 
 
 def _command(row: dict[str, Any], path: Path | None) -> list[str]:
@@ -147,7 +147,7 @@ def _beside(path: Path | None, key: str, value: str) -> str:
     return value
 
 
-def _run_job(job: Job, output: Path, options: Namespace) -> dict[str, Any]:
+def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     """Run a job, unless it is done; return what its state file holds afterwards."""
     folder, file = job.folder(output), job.state_file(output)
     before = _state(file)

@@ -15,9 +15,9 @@ from ..calibration.job import Calibrated, ball_of_text, calibrate_steps, report_
 from ..calibration.photographs import camera_keys, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration
 from ..core.errors import InputError
+from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
-from .options import numbers_of_text, positive
-from .progress import ProgressBar, silent
+from .options.values import numbers_of_text, positive, silent
 
 _SHOWN_WARNINGS = 12
 

@@ -12,14 +12,14 @@ from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
 from ..blender.mesh import extract_mesh
 from ..capture.types import Light
+from ..core.progress_bar import ProgressBar
 from ..demo import experiment, pictures, subject
 from ..gpu import context, probe
 from ..results.maps import Maps
 from ..results.report import build_report, ground_truth_errors, quantiles
-from ..results.write import check_output_folder, write_maps
+from ..results.write import BLEND, check_output_folder, write_maps
 from ..solver.settings.schedule import load_schedule
-from .progress import ProgressBar, silent, unseen_reports
-from .recover import BLEND
+from .options.values import silent
 
 _VIEW_HEIGHT = 250  # pixels of the head in the figures
 _PHASES = ("photograph", *experiment.STAGES, experiment.JOINT)
@@ -101,8 +101,7 @@ def _write(
         _turned(found, joint.maps), folder / "joint", {**report, "runs": {"joint": errors["joint"]}}, joint_figures
     )
     material.apply_material(head, material.build_material(_turned(found, joint.maps), head.name))
-    with unseen_reports():
-        material.save_blend(folder / BLEND)
+    material.save_blend(folder / BLEND)
     return {"output": str(folder), "excluded_fraction": report["excluded_fraction"], "texels": report["texels"],
             "runs": errors, "seconds": report["seconds"]}  # fmt: skip
 

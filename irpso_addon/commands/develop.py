@@ -25,9 +25,10 @@ from ..capture.images.image import ImageRef, ImageStore
 from ..capture.write import write_capture
 from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
+from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
-from .photographs import chart_response, exposure_list, files_option, number_list, patch_option
-from .progress import ProgressBar, silent
+from .options.photographs import chart_response, exposure_list, files_option, number_list, patch_option
+from .options.values import silent
 
 _FILENAMES = "filenames.txt"
 

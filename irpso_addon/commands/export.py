@@ -12,7 +12,7 @@ from ..exports.formats import export
 from ..exports.gltf import result_object
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
-from .progress import silent, unseen_reports
+from .options.values import silent
 
 
 def run(options: Namespace) -> dict:
@@ -30,8 +30,7 @@ def run(options: Namespace) -> dict:
 def _subject(result: Result, name: str | None) -> Any:
     if result.blend is None:
         raise InputError(f"{result.folder}: holds no material.blend, whose mesh gltf is of; recover again")
-    with unseen_reports():
-        open_blend(str(result.blend))
+    open_blend(str(result.blend))
     return result_object(name)
 
 

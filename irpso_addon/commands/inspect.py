@@ -9,7 +9,7 @@ from ..blender.images import decode
 from ..capture.inspect.damage import DAMAGE
 from ..capture.inspect.report import inspect_capture
 from ..core.errors import InputError
-from .options import positive
+from .options.values import positive
 
 _ASKED = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes
 

@@ -16,13 +16,13 @@ from ..capture.types import Light
 from ..capture.write import write_capture
 from ..core.errors import InputError
 from ..core.files import check_unused
+from ..core.progress_bar import ProgressBar
 from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.read import read_maps
 from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
-from .options import size_option
-from .progress import ProgressBar, silent, unseen_reports
+from .options.values import silent, size_option
 
 
 def run(options: Namespace) -> dict:
@@ -33,8 +33,7 @@ def run(options: Namespace) -> dict:
     check_unused(Path(options.output), "choose a new folder for the capture")
     probe.probe()
     context.ensure()
-    with unseen_reports():
-        open_blend(options.blend)
+    open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
     cameras = _cameras(options.camera, size)

@@ -15,8 +15,9 @@ from ..calibration.radiometry.source import Exposing, brackets_of_images, images
 from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
-from .photographs import chart_response, exposure_list
-from .progress import ProgressBar, silent
+from ..core.progress_bar import ProgressBar
+from .options.photographs import chart_response, exposure_list
+from .options.values import silent
 
 _SAMPLES = 4000  # pixels of all brackets together
 _WIDE = 1.6  # stops: steps above it leave a part of the curve's shape to the smoothness alone

@@ -28,3 +28,9 @@ def told_as(steps: Generator[Told, None, T], tell: Callable[[Told], Other]) -> G
         except StopIteration as stop:
             return stop.value
         yield tell(told)
+
+
+def here(function: Callable[[], T]) -> Generator[None, None, T]:
+    """Yield once, and return what a function returns: the step for callers that have no thread to run it in."""
+    yield
+    return function()

@@ -16,9 +16,7 @@ from ..geometry.relief.height import Height
 from ..reflectance.model import load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
-from ..results.write import REPORT
-
-_BLEND = "material.blend"
+from ..results.write import BLEND, REPORT
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Result:
     @property
     def blend(self) -> Path | None:
         """The .blend with the material, where there is one."""
-        return self.folder / _BLEND if self.folder is not None and (self.folder / _BLEND).is_file() else None
+        return self.folder / BLEND if self.folder is not None and (self.folder / BLEND).is_file() else None
 
 
 def read_result(folder: str | Path, model: str | None = None) -> Result:

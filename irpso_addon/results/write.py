@@ -24,6 +24,7 @@ from .maps import Maps, split_maps
 from .report import plain
 
 REPORT = "report.json"
+BLEND = "material.blend"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
 _PARTIAL = ".irpso-result-"  # before the name of a folder in which a result is written
 

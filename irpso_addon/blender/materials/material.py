@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -180,6 +182,15 @@ def find_card(subject: str):
     return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
 
 
+def subject_object(uid: int | None, subject: str):
+    """Return the mesh object of a session number, or the card of a subject for None; None where it is gone."""
+    import bpy
+
+    if uid is None:
+        return find_card(subject)
+    return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+
+
 def card_object(subject: str, height: int, width: int, displaced: bool = False):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
@@ -232,7 +243,10 @@ def save_blend(path: str | Path) -> Path:
             for image in images:
                 image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
             # The paths are right for the new place already, so Blender must not remap them.
-            bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, relative_remap=False)
+            with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it writes
+                bpy.ops.wm.save_as_mainfile(
+                    filepath=str(partial), copy=True, check_existing=False, relative_remap=False
+                )
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another place") from error
     finally:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,8 @@ def open_blend(path: str | Path) -> None:
     if not path.is_file():
         raise InputError(f"there is no Blender file '{path}'; check the path given to --blend")
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it reads
+            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
     except RuntimeError as error:
         raise InputError(f"Blender cannot open '{path}': {' '.join(str(error).split())}") from error
 

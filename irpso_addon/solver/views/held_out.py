@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ...capture.types import Capture
-from ...core.steps import run_steps
+from ...core.steps import here
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.maps import Maps
 from ...results.preview import PreviewRow, preview
 from .forward import rendered
 from .pictures import SHOWN_WHITE, image_psnr, image_row
-
-T = TypeVar("T")
 
 _STEP, _MOST = 8, 6  # of the automatic choice
 FEWEST_SPARING = _STEP // 2 + 1  # observations of which one can be spared
@@ -53,24 +51,12 @@ def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
     return [one.name + " (held out)" * (k in held_out) for k, one in enumerate(capture.observations)]
 
 
-def relit_preview(
-    domain: Domain, maps: Maps, held_out: Sequence[int], capture: Capture
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return the picture "relit" of observations that were held out, and figures for the report: of ``relit_steps``."""
-    return run_steps(relit_steps(domain, maps, held_out, capture))
-
-
-def _here(function: Callable[[], T]) -> Generator[None, None, T]:
-    yield
-    return function()
-
-
 def relit_steps(
     domain: Domain,
     maps: Maps,
     held_out: Sequence[int],
     capture: Capture,
-    threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = _here,
+    threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = here,
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
     """Yield often, and return pictures and figures: for callers that must not wait. Both are {} without observations.
 

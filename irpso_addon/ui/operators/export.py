@@ -20,7 +20,7 @@ from ...results.report import mode_warnings
 from ...results.write import write_maps
 from ..common.file_paths import absolute
 from ..session import session
-from ..session.keep import NOTHING, derived_maps_of, found_maps, has_found, pictures_of, report_of
+from ..session.keep import NOTHING, found_in, has_found, pictures_of, report_of
 
 MAPS = "maps"
 _FORMATS = {MAPS: ("Maps", "PNG of 16 bits, EXR of 32 bits, a report and a preview, in a folder"), **FORMATS}
@@ -107,18 +107,16 @@ class IRPSO_OT_export(bpy.types.Operator):
         return {"FINISHED"}
 
     def _write_maps(self, running: session.Session, folder: Path) -> tuple[str, list[str]]:
-        maps, written = found_maps(running, confidence=True)
         spaces = tuple(space for space in NORMAL_SPACES if getattr(self, f"normal_{space}"))
-        derived, height = derived_maps_of(running, DerivedMaps(spaces, self.height), maps, written)
-        report = report_of(running, maps) | ({} if height is None else {"height": height.described()})
-        files = write_maps(written, folder, report, pictures_of(running, maps), derived)
-        return f"{len(files)} files written to {folder}", mode_warnings(maps, running.job.schedule.fitness.priors)
+        found = found_in(running, True, DerivedMaps(spaces, self.height))
+        report, pictures = report_of(running, found), pictures_of(running, found)
+        files = write_maps(found.written, folder, report, pictures, found.derived)
+        priors = running.job.schedule.fitness.priors
+        return f"{len(files)} files written to {folder}", mode_warnings(found.solver, priors)
 
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
-        found, written = found_maps(running, confidence=False)
-        wanted = DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ()))
-        _, height = derived_maps_of(running, wanted, found, written)
-        result = Result(file_stem(running.job.name), written, height)
+        found = found_in(running, False, DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ())))
+        result = Result(file_stem(running.job.name), found.written, found.height)
         said = export(result, self.format, path, self.convention, lambda: _subject(running))
         return f"{FORMATS[self.format][0]} written to {said['output']}", said.get("warnings", [])
 

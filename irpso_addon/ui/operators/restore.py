@@ -15,7 +15,7 @@ from ..common import drawing, failures
 from ..properties.recipe import ask_again
 from ..session import session, unkept
 from ..session.card_place import show_card
-from ..session.job import Job, make_job
+from ..session.job import SceneJob, make_job
 
 _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
 
@@ -32,7 +32,7 @@ def draw_unkept(layout, context) -> None:
         row.operator("irpso.forget", icon="X").path = str(found.path)
 
 
-def restored_job(context, found: unkept.Unkept) -> Job:
+def restored_job(context, found: unkept.Unkept) -> SceneJob:
     """Return the job that goes on from a stored recovery, the scene's settings set to its own. Raises InputError."""
     identity = glance(found.path, {})
     try:

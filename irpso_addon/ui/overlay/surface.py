@@ -126,7 +126,7 @@ def shows_itself(context, running: Session) -> bool:
 def _unknown_from(view, running: Session, name: str) -> float:
     """Return the deviation from which on a map's number is marked as unknown; 0 for no marks, as while it is sought."""
     p = running.job.model.parameter(name)
-    if not view.mark_unknown or running.active or p.kind != "search" or p.components > 1 or name in running.job.given:
+    if not view.mark_unknown or running.active or p.kind != "search" or p.components > 1 or name in running.job.fixed:
         return 0.0
     return UNKNOWN * (p.range[1] - p.range[0])
 

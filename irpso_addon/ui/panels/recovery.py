@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ...pipeline.result import capture_warnings
 from ...solver.settings.schedule import GROUPS
 from ..common import drawing
 from ..operators.presets import label_of
@@ -106,7 +107,7 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):
             drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
-    for text in running.job.notes():
+    for text in capture_warnings(running.job.capture):
         drawing.wrapped(layout, context, text, "ERROR")
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")

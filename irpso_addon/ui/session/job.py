@@ -1,39 +1,29 @@
-"""From a scene's settings to all that a recovery needs, and what is still missing for it."""
+"""From a scene's settings to a job, and what is still missing for one."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...blender.materials import material
-from ...blender.materials.tangent_frames import from_blender, turned_normals
 from ...blender.mesh import extract_mesh
 from ...blender.tiled_images import tile_images
-from ...capture.inspect.damage import naming_remedy
 from ...capture.inspect.sufficiency import FEWEST, check_normal, no_normal
 from ...capture.read import read_spec
 from ...capture.types import Capture
 from ...core.encode import linear_from_srgb, srgb_from_linear
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
-from ...geometry.build import card_steps, mesh_steps
-from ...geometry.domain import Domain
 from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
+from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel
-from ...solver.lights.refine import Intensities, Lights, can_tell, chosen_steps
-from ...solver.lights.sample import LightSample
-from ...solver.planning.plan import Plan
-from ...solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, scratch_folder
-from ...solver.settings.schedule import Schedule
-from ...solver.state.prepare import Prepared
-from ...solver.views.held_out import FEWEST_SPARING, held_out_last, order_of, spared
+from ...solver.planning.planning import scratch_folder
+from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
 from ..properties import findings, preferences
 from ..properties.recipe import asked_of
 from ..properties.scene_settings import model_of
@@ -44,126 +34,18 @@ from .scene_capture import capture_of, capture_path, wants_distance
 _MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
 
 
-@dataclass(frozen=True)
-class LightWish:
-    """What is to be found of the lights. degrees: how far off their directions are believed to be, 0 to leave them."""
+@dataclass(frozen=True, kw_only=True)
+class SceneJob(Job):
+    """A job that a scene's settings describe; later changes of these do not touch it.
 
-    intensities: Intensities = "auto"
-    degrees: float = 0.0
-
-
-@dataclass
-class Job:
-    """One recovery as it was asked for. Later changes of the scene's settings do not touch it.
-
-    name: of material and images. origin: what they are recovered from. scene_uid: the session's own number of the scene
-    whose settings these are. object_uid: the session's own number of the mesh object, None for a card. given:
-    parameter name → its map as the user gave it. place: (4, 4) where a card stands that has no object yet. source: what
-    the sample stack depends on; equal sources have equal domains. None where that cannot be told. shadows: whether what
-    the mesh hides from a light is left out. known: as the solver takes them, of ``know``. asked: the
-    settings, of ``asked_of``. resumed: the checkpoint that it goes on from. held_out: the numbers, from 0, that
-    observations have in their files or scene that are not fitted; ``capture`` has these last.
+    origin: what it recovers from. scene_uid: Blender's session number of the scene. place: (4, 4) where a card stands
+    that has no object yet. asked: the settings, of ``asked_of``.
     """
 
-    capture: Capture
-    name: str
     origin: str
     scene_uid: int
-    object_uid: int | None
-    mesh: MeshData | None
-    model: ReflectanceModel
-    schedule: Schedule
-    seed: int
-    given: dict[str, np.ndarray]
-    resolution: int
-    entry: str
-    memory: str | None
-    scratch: Path
     place: np.ndarray
-    source: tuple[Any, ...] | None = None
-    shadows: bool = True
-    lights: LightWish = LightWish()
-    fixed: dict[str, np.ndarray] = field(default_factory=dict)
-    asked: dict[str, Any] = field(default_factory=dict)
-    resumed: Path | None = None
-    held_out: tuple[int, ...] = ()
-
-    @property
-    def fitted(self) -> range:
-        """The indices of the capture's observations that are fitted."""
-        return range(len(self.capture.observations) - len(self.held_out))
-
-    @property
-    def unseen(self) -> range:
-        """The indices of those that are not."""
-        return range(len(self.fitted), len(self.capture.observations))
-
-    @property
-    def numbers(self) -> list[int]:
-        """The number, from 0, that each of the capture's observations has in its files or scene."""
-        return order_of(len(self.capture.observations), self.held_out)
-
-    def fitted_at(self, number: int) -> int:
-        """Return the index of the observation of a number, or where it is held out of the next that is fitted."""
-        numbers = self.numbers[: len(self.fitted)]
-        return min(bisect_left(numbers, number), len(numbers) - 1)
-
-    def loading(self) -> Generator[None, None, Domain]:
-        """Read the images one by one, yielding before each, and return the domain. Raises InputError."""
-        # What a plan refuses, it refuses before the images are read.
-        size = (self.resolution,) * 2 if self.mesh is None else self.mesh.domain_size(*(self.resolution,) * 2)
-        coverage = covered_texels(self.capture, self.mesh, size)
-        plan = self.plan(coverage)
-        scratch = self.scratch if plan.stack_on == "scratch" else None
-        with naming_remedy(skipping=False):
-            if self.mesh is None:
-                return (yield from card_steps(self.capture, scratch=scratch))
-            return (yield from mesh_steps(self.capture, self.mesh, *size, scratch=scratch, shadows=self.shadows))
-
-    def notes(self) -> list[str]:
-        """Return what is to be said of how the images were read, once they have been."""
-        encoding = self.capture.encoding
-        text = encoding.message() if encoding is not None and encoding.known_by == "guess" else ""
-        return [text] if text else []
-
-    def know(self, domain: Domain) -> None:
-        """Find ``known``, which is in the frames of a domain's texels."""
-        self.fixed = dict(self.given)
-        if self.mesh is not None:  # images hold normals in Blender's tangent frame, the solver has one of its own
-            self.fixed = turned_normals(self.model, self.fixed, self.mesh, domain.bake, from_blender)
-
-    def asks_for_lights(self, domain: Domain) -> bool:
-        """Return whether the lights of a domain are to be looked for."""
-        wish = self.lights
-        return (
-            wish.intensities == "estimate"
-            or wish.degrees != 0
-            or (wish.intensities == "auto" and can_tell(domain, np.asarray(self.fitted)))
-        )
-
-    def lighting(self, domain: Domain, sample: LightSample) -> Generator[float, None, Lights | None]:
-        """Find the lights, yielding how far it is. sample: of ``light_sample.draw``. Raises InputError, ShaderError."""
-        return chosen_steps(
-            domain, self.model, self.seed, self.fixed, intensities=self.lights.intensities,
-            refine_degrees=self.lights.degrees, fitted=self.fitted, entry=self.entry, sample=sample,
-        )  # fmt: skip
-
-    def recovery(self, domain: Domain, plan: Plan, prepared: Prepared | None) -> AnyRecovery:
-        """Return the recovery that is planned, with what is ``known``. Raises InputError, ShaderError.
-
-        domain: of the observations that are fitted.
-        """
-        return planned_recovery(
-            plan, domain, self.model, self.schedule, self.seed, self.fixed, self.entry,
-            self.scratch, prepared,
-        )  # fmt: skip
-
-    def plan(self, coverage: np.ndarray) -> Plan:
-        """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
-        return make_plan(
-            coverage, self.model, self.schedule, self.given, len(self.capture.observations), len(self.held_out),
-            memory=self.memory, entry=self.entry, mesh=self.mesh, resumed=self.resumed,
-        )  # fmt: skip
+    asked: dict[str, Any]
 
 
 def missing(context) -> str:
@@ -205,7 +87,7 @@ def subject_object(context):
     return obj if obj is not None and obj.type == "MESH" else None
 
 
-def make_job(context) -> Job:
+def make_job(context) -> SceneJob:
     """Return the job that the scene's settings describe. Raises InputError naming the setting and the remedy."""
     if text := missing(context):
         raise InputError(text)
@@ -226,17 +108,16 @@ def make_job(context) -> Job:
     name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
     name = material.subject_name(name, origin)
     material.check_material(model, name)
-    size = capture.masks[0].shape
-    if mesh is not None:
-        size = mesh.domain_size(settings.resolution, settings.resolution)[::-1]
+    size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*[settings.resolution] * 2)
     tiles = ONE_SQUARE if mesh is None else mesh.tiles
-    return Job(
-        capture, name, origin, context.scene.session_uid, None if obj is None else obj.session_uid, mesh, model,
-        schedule, settings.seed, _given(settings, model, size, tiles), settings.resolution, wanted.entry, wanted.memory,
-        scratch_folder((wanted.folder() or Path.home()) / "x"),
-        free_place(context, size[0] / size[1]), _source(settings, capture, mesh, unseen), settings.shadows,
-        LightWish(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
-        asked=asked_of(settings, obj, slots), held_out=unseen,
+    return SceneJob(
+        capture=capture, name=name, model=model, schedule=schedule, seed=settings.seed, size=size,
+        scratch=scratch_folder((wanted.folder() or Path.home()) / "x"), mesh=mesh,
+        object_uid=None if obj is None else obj.session_uid, fixed=_given(settings, model, size[::-1], tiles),
+        held_out=unseen, shadows=settings.shadows, entry=wanted.entry, memory=wanted.memory,
+        lights=LightOptions(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
+        source=_source(settings, capture, mesh, unseen), origin=origin, scene_uid=context.scene.session_uid,
+        place=free_place(context, size[1] / size[0]), asked=asked_of(settings, obj, slots),
     )  # fmt: skip
 
 

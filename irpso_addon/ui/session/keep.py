@@ -2,90 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ...blender.materials import material
-from ...blender.materials.margins import blender_maps
-from ...core.errors import InputError, IrpsoError
-from ...geometry.relief.height import Height
-from ...gpu import context as gpu_context
+from ...core.errors import IrpsoError
+from ...pipeline import result
+from ...pipeline.result import Found, found_of
 from ...reflectance.model import shipped_models
-from ...results.derived_map import DerivedMap
-from ...results.derived_maps import DerivedMaps, derived_maps
+from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
-from ...results.maps import Maps
 from ...results.preview import Curves, convergence, display_image
-from ...results.report import build_report, limit_warnings, mode_warnings, prior_shares
-from ...solver.engine.modes import with_modes
-from ...solver.views.held_out import preview_names
-from ...solver.views.pictures import confidence_preview, error_preview
 from ..properties import preferences
 from . import session, unkept
 from .card_place import put_card
 
+_NO_EXTRAS = DerivedMaps()
 NOTHING = "Nothing has been recovered yet: press Recover"
 _STANDARD = "Standard"
 
 
-def found_maps(running: session.Session, confidence: bool) -> tuple[Maps, Maps]:
-    """Return what was found, in the solver's frames, and with normals in those of Blender's normal maps."""
-    maps = with_modes(running.maps(confidence))
-    if running.mesh is None:
-        return maps, maps
-    return maps, blender_maps(maps, running.mesh, running.domain.bake, running.domain.seams)
+def found_in(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
+    """Return what was found by now. wanted: maps besides the model's. Raises InputError where one cannot be made."""
+    return found_of(running.work, running.maps(confidence), wanted)
 
 
-def derived_maps_of(
-    running: session.Session, wanted: DerivedMaps, found: Maps, written: Maps
-) -> tuple[list[DerivedMap], Height | None]:
-    """Return the maps that are wanted besides the model's, and the relief. Raises InputError."""
-    wanted.check(found.model)
-    return derived_maps(wanted, found, written, running.domain.bake, running.mesh, running.job.capture.cameras[0])
-
-
-def report_of(running: session.Session, maps: Maps) -> dict[str, Any]:
-    """Return the report on a session's maps, as the command line writes it."""
-    job, progress = running.job, running.progress
+def report_of(running: session.Session, found: Found) -> dict[str, Any]:
+    """Return the report on what was found, as the command line writes it."""
+    job, model = running.job, running.job.model
     settings = {
         "capture": str(job.capture.source or job.capture.name),
-        "model": maps.model.name
-        if maps.model.name in shipped_models()
-        else str(maps.model.shader.with_suffix(".toml")),
-        "object": None if running.mesh is None else job.name,
-        "preset": asdict(job.schedule),
-        "fixed": sorted(job.given),
+        "model": model.name if model.name in shipped_models() else str(model.shader.with_suffix(".toml")),
+        "object": None if job.mesh is None else job.name,
+        "fixed": sorted(job.fixed),
         "hold_out": "auto" if job.held_out else None,
-        "entry": running.recovery.entry,
-        "done": progress.done,
+        "done": running.progress.done,
     }
-    report = build_report(
-        maps, settings=settings, seed=job.seed, gpu=gpu_context.describe()["renderer"],
-        iterations=progress.iteration_in_all, evaluations=progress.evaluations, seconds={"solve": running.seconds},
-        noise=running.domain.noise,
-    )  # fmt: skip
-    lights = running.lights
-    warnings = [*limit_warnings(maps, job.given), *mode_warnings(maps, job.schedule.fitness.priors), *job.notes()]
-    if lights is not None:
-        warnings += lights.warnings(job.lights.intensities != "auto")
-    if job.schedule.fitness.priors and (shares := prior_shares(maps, job.given)):
-        report["priors_decided"] = shares
-    report |= running.relit()[1] | {"warnings": warnings}
-    return report | ({} if lights is None else {"lights": lights.report(job.numbers)})
+    running.relight(found.solver)
+    return result.report_of(running.work, found, settings, running.seconds)
 
 
-def pictures_of(running: session.Session, maps: Maps) -> dict[str, np.ndarray]:
-    """Return the pictures of a result: file stem → (H, W, 3) display values.
-
-    They are a preview and how sure the numbers are; with photographs held out relit; with a history convergence.
-    """
-    job = running.job
-    names = preview_names(job.capture, job.unseen)
-    pictures = {"preview": error_preview(running.domain, maps, None, names)} | confidence_preview(maps)
-    pictures |= running.relit()[0]
+def pictures_of(running: session.Session, found: Found) -> dict[str, np.ndarray]:
+    """Return the pictures of a result: file stem → (H, W, 3) display values; convergence where there is a history."""
+    running.relight(found.solver)
+    pictures, maps = result.pictures_of(running.work, found), found.solver
     panels = [_curve("Mean error", [running.history])] if running.history else []
     watched = [probe for probe in running.probes if probe.curve]
     if watched:
@@ -144,25 +106,17 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
 def _keep(context, running: session.Session) -> str:
     """Keep, and return a sentence that says what was done. Raises InputError."""
-    name = running.job.name
-    subject = running.subject()
-    if subject is None and running.mesh is not None:
-        raise InputError(f"'{name}' has been deleted: undo that and keep again, or export the maps")
-    if subject is not None:
-        material.check_object(subject)
-    found, maps = found_maps(running, confidence=False)
-    _, height = derived_maps_of(running, DerivedMaps(displacement=context.scene.irpso.displacement), found, maps)
+    job = running.job
+    former = result.subject_of(job)
+    found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
     folder = preferences.current(context).folder()
-    uv_map = "" if running.mesh is None else material.other_uv_map(subject, running.mesh.uv_map)
-    made = material.build_material(maps, name, folder, uv_map, height)
-    made[material.ORIGIN], made[material.STAMP] = running.job.origin, running.stamp
-    if running.mesh is None:
-        former, subject = subject, material.card_object(name, *maps.covered.shape, height is not None)
+    made, subject = result.make_material(job, former, found, found.height, folder)
+    made[material.ORIGIN], made[material.STAMP] = job.origin, running.stamp
+    if job.mesh is None:
         if former is None:
-            put_card(subject, running.job.place)
+            put_card(subject, job.place)
         _show(context, subject, new=former is None)
-    material.apply_material(subject, made, () if running.mesh is None else running.mesh.solved_slots)
-    count = len(map_tables(maps.model))
+    count = len(map_tables(job.model))
     where = f"in {folder}" if folder else "packed into the file"
     return f"Material '{made.name}' on '{subject.name}', with {count} maps {where}"
 

@@ -13,52 +13,33 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ...blender.materials.material import STAMP, find_card
-from ...core.errors import InputError
-from ...core.steps import run_steps, told_as
+from ...blender.materials.material import STAMP, subject_object
 from ...core.udim import ONE_SQUARE
-from ...geometry.build import loading_steps
-from ...geometry.domain import Domain, subset
+from ...geometry.domain import Domain
 from ...gpu import context
 from ...gpu.context_guard import ContextGuard
+from ...pipeline.run import LIGHTS, PREPARE, READ, Kept, Run
 from ...results.maps import Maps
 from ...solver.engine.progress import Progress, TimeLeft
 from ...solver.lights.refine import Lights
-from ...solver.lights.sample import draw
-from ...solver.planning.memory import free_memory
-from ...solver.planning.planning import AnyRecovery, untiled
+from ...solver.planning.planning import AnyRecovery
 from ...solver.settings.schedule import Schedule
-from ...solver.state.prepare import Prepared, prepare
 from ...solver.views.display import Display
-from ...solver.views.held_out import relit_line, relit_steps
+from ...solver.views.held_out import relit_line
 from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
 from . import unkept
-from .job import Job
+from .job import SceneJob
 
 MOST_PROBES = 4
 _POLL_SECONDS = 0.002  # between looks at the thread that prepares
-_KEPT_SHARE = 0.1  # of the memory that is free, for what was prepared: a second run need not wait for that either
 _ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
+
+_TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess"}
 
 listeners: list[Callable[[], None]] = []  # called when there is something new to draw
 _current: Session | None = None
-_loaded: _Loaded | None = None  # the last domain that was read: a second run need not wait
-
-
-@dataclass
-class _Loaded:
-    """A domain that was read. source: Job.source. prepared: of ``basis``: model, seed and fitness. lights: of ``wish``.
-
-    A domain under lights that were found is another, of which nothing is kept.
-    """
-
-    source: tuple[Any, ...]
-    domain: Domain
-    basis: tuple[Any, ...] = ()
-    prepared: Prepared | None = None
-    wish: tuple[Any, ...] = ()
-    lights: Lights | None = None
+_kept = Kept()  # of the last run: a second one need not wait
 
 
 @dataclass
@@ -80,19 +61,14 @@ class Session:
     """One recovery under way or waiting to be kept. Nothing of the scene is changed by it.
 
     state: "loading", "preparing", "running", "paused" or "done"; it runs as well while photographs held out are relit.
-    title: what is being done, for people. domain: of all observations; fitted: of those that are not held out. history:
-    (iteration, mean error) now and then. longest_stall_s: the longest that one tick took. failure: why it ended, ""
-    while nothing is wrong.
+    title: what is being done, for people. work: the job on its way. history: (iteration, mean error) now and then.
+    longest_stall_s: the longest that one tick took. failure: why it ended, "" while nothing is wrong.
     """
 
-    def __init__(self, job: Job):
-        self.job = job
-        self.state, self.title, self.failure = "loading", "Reading images", ""
-        self.domain: Domain | None = None
-        self.fitted: Domain | None = None
-        self.recovery: AnyRecovery | None = None
+    def __init__(self, job: SceneJob):
+        self.work = Run(job, self._note, self._threaded, _kept)
+        self.state, self.title, self.failure = "loading", _TITLES[READ], ""
         self.display: Display | TiledDisplay | None = None
-        self.lights: Lights | None = None  # where they were to be found
         self.probes: list[Probe] = []
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
@@ -103,14 +79,37 @@ class Session:
         self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
         self._paused_in = self.state
-        self._read = 0
-        self._part = 0.0  # how far the lights are found, or the first guess
+        self._part = 0.0  # of the images, the lights or the first guess
         self._time_left, self._left = TimeLeft(), None
         self._asked = 0.0  # when the error was looked at last
         self._thread: threading.Thread | None = None
         self._relighting: Generator[None, None, None] | None = None
-        self._relit: tuple[str, dict[str, np.ndarray], dict[str, Any]] = "", {}, {}  # of a stamp: pictures, figures
         self._opening: Generator[None, None, None] | None = self._open()
+
+    @property
+    def job(self) -> SceneJob:
+        """What was asked for."""
+        return self.work.job
+
+    @property
+    def domain(self) -> Domain | None:
+        """The domain of all observations, None before it is read."""
+        return self.work.domain
+
+    @property
+    def fitted(self) -> Domain | None:
+        """The domain of the observations that are not held out."""
+        return self.work.fitted
+
+    @property
+    def recovery(self) -> AnyRecovery | None:
+        """The recovery, None before it has begun."""
+        return self.work.recovery
+
+    @property
+    def lights(self) -> Lights | None:
+        """The lights that were found, None where they stay as given."""
+        return self.work.lights
 
     @property
     def mesh(self):
@@ -130,11 +129,7 @@ class Session:
     @property
     def fraction(self) -> float:
         """How far what is under way is: the images, the lights, the first guess, or the recovery."""
-        if self.recovery is not None:
-            return self.recovery.progress.fraction
-        if self.state != "loading":
-            return self._part
-        return min(1.0, self._read / loading_steps(self.job.capture, self.mesh is not None))
+        return self._part if self.recovery is None else self.recovery.progress.fraction
 
     @property
     def rate(self) -> float:
@@ -170,8 +165,7 @@ class Session:
     @property
     def unseen(self) -> str:
         """How well the maps relight the photographs held out, "" where that is not known of them as they are now."""
-        stamp, _, figures = self._relit
-        return relit_line(figures) if stamp == self.stamp else ""
+        return relit_line(self.work.relit[1]) if self.work.is_relit else ""
 
     def observation(self, view: Any) -> int:
         """Return the index in the job's capture of the observation that a scene's ViewSettings show: a fitted one."""
@@ -189,10 +183,7 @@ class Session:
 
     def subject(self):
         """Return the bpy object of the mesh, or of the card once it was kept; None where there is none (any more)."""
-        uid = self.job.object_uid
-        if uid is not None:
-            return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
-        return find_card(self.job.name)
+        return subject_object(self.job.object_uid, self.job.name)
 
     def tick(self, budget_s: float) -> None:
         """Work for about so long. Whatever fails ends the session, with ``failure`` set."""
@@ -244,7 +235,7 @@ class Session:
 
         A second call does not wait for these.
         """
-        if self.job.held_out and not self.relighting and self._relit[0] != self.stamp:
+        if not self.work.is_relit and not self.relighting:
             self._relighting = self._relight()
             self.state, self.title = "running", "Relighting unseen photographs"
             _tell()
@@ -256,17 +247,13 @@ class Session:
 
     def maps(self, confidence: bool = True) -> Maps:
         """Return what has been found so far, in the solver's frames. confidence: as for a Recovery."""
-        return self.recovery.maps(confidence)
+        return self.work.maps(confidence)
 
-    def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Return the picture of the photographs held out beside what the maps make of them, and the report's figures.
-
-        Both are {} where none were held out. They are found now where they are not known.
-        """
-        if self.job.held_out and self._relit[0] != self.stamp:
+    def relight(self, maps: Maps) -> None:
+        """Relight the photographs held out from ``maps``, just found, where that has not been done."""
+        if not self.work.is_relit:
             self._leave_relighting()
-            run_steps(self._relight())
-        return self._relit[1:]
+            self.work.relight(maps)
 
     def add_probe(self, row: int, column: int) -> Probe | None:
         """Watch a texel. Return the oldest of four, which makes room for a fifth; None where there is room."""
@@ -294,9 +281,8 @@ class Session:
         self._join()
         if self.display is not None:
             self.display.close()
-        if self.recovery is not None:
-            self.recovery.close()
-        self.display = self.recovery = self.domain = self.fitted = None
+        self.work.close()
+        self.display = None
         if _current is self:
             _current = None
         _tell()
@@ -338,10 +324,7 @@ class Session:
 
     def _relight(self) -> Generator[None, None, None]:
         """Relight the photographs held out from the maps of this moment, yielding often."""
-        stamp, maps = self.stamp, self.maps(confidence=False)
-        yield
-        job = self.job
-        self._relit = stamp, *(yield from relit_steps(self.domain, maps, job.unseen, job.capture, self._threaded))
+        yield from self.work.relighting(self.maps(confidence=False))
 
     def _leave_relighting(self) -> None:
         self._join()
@@ -349,32 +332,11 @@ class Session:
 
     def _open(self) -> Generator[None, None, None]:
         """Read, prepare, begin: the way to the first picture, yielding where a window may be drawn."""
-        global _loaded
         context.ensure()
-        key = self.job.source
-        if key is not None and _loaded is not None and _loaded.source == key:
-            self.domain = _loaded.domain
-        else:
-            _loaded = None  # two domains at once may be more than there is room for
-            self.domain = yield from told_as(self.job.loading(), self._count_image)
-            if key is not None:
-                _loaded = _Loaded(key, self.domain)
-        self.state = "preparing"
-        self.job.know(self.domain)
-        if self.job.asks_for_lights(self.domain):
-            self.lights = yield from self._lighting()
-            self.domain = self.domain if self.lights is None else self.lights.applied(self.domain)
-        self.title = "Fitting a first guess"
-        plan, prepared = self.job.plan(self.domain.solvable), None
-        self.fitted = subset(self.domain, self.job.fitted)
-        if self.job.schedule.levels == 1:
-            prepared = yield from self._prepared(untiled(plan))
-        yield
-        self.recovery = self.job.recovery(self.fitted, plan, prepared)
+        yield from self.work.open()
         if self.job.resumed is not None:
             self._take(self.recovery.load(self.job.resumed))
-        self._guard = None if bpy.app.background else ContextGuard()
-        self.display = display_of(self.recovery, self.job.fixed)
+        self._watch()
         self.state = "running"
         if self.job.resumed is not None:  # at rest, as it was
             self.title = self.recovery.progress.title
@@ -382,45 +344,21 @@ class Session:
             if self.recovery.progress.done:
                 self.finish()
 
+    def _watch(self) -> None:
+        """Have pictures made of the recovery, in the graphics context of this moment."""
+        self._guard = None if bpy.app.background else ContextGuard()
+        self.display = display_of(self.recovery, self.work.fixed)
+
     def _take(self, notes: dict[str, np.ndarray]) -> None:
         """Take what was noted with a recovery that is gone on from."""
         self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
         self.seconds = float(notes[unkept.SECONDS])
 
-    def _count_image(self, _: None) -> None:
-        self._read += 1
-
-    def _note_part(self, part: float) -> None:
-        self._part = part
-
-    def _lighting(self) -> Generator[None, None, Lights | None]:
-        """Return the lights that are found, or were for the same settings before; None where they stay as given."""
-        job, self.title = self.job, "Finding the lights"
-        wish = (job.lights, job.model, job.seed, job.entry)
-        kept = _loaded if _loaded is not None and _loaded.domain is self.domain and not job.given else None
-        if kept is not None and kept.wish == wish:
-            return kept.lights
-        sample = yield from self._threaded(lambda: draw(self.domain, job.seed, np.asarray(job.fitted)))
-        found = yield from told_as(job.lighting(self.domain, sample), self._note_part)
-        self._part = 0.0
-        if kept is not None:
-            kept.wish, kept.lights = wish, found
-        return found
-
-    def _prepared(self, pack: bool) -> Generator[None, None, Prepared]:
-        """Return what the numpy part finds, or found for the same settings before. pack: as for ``prepare``."""
-        schedule = self.job.schedule
-        basis = (self.job.model, schedule.swarm.seed, schedule.fitness, pack)
-        unchanged = _loaded is not None and _loaded.domain is self.domain
-        if unchanged and _loaded.prepared is not None and _loaded.basis == basis:
-            return _loaded.prepared
-        if unchanged:
-            _loaded.prepared = None
-        work = (self.fitted, self.job.model, schedule, pack, self._note_part)
-        prepared = yield from self._threaded(lambda: prepare(*work))
-        if unchanged and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
-            _loaded.basis, _loaded.prepared = basis, prepared
-        return prepared
+    def _note(self, step: str, fraction: float) -> None:
+        """Note how far a step is. A thread does so too, while the session may be paused."""
+        self._part = fraction
+        if self.title != _TITLES[step]:
+            self.title, self.state = _TITLES[step], "loading" if step == READ else "preparing"
 
     def _threaded(self, function: Callable[[], Any]) -> Generator[None, None, Any]:
         """Return what a function of numpy returns: it runs in a thread of its own, so that the window lives on."""
@@ -445,20 +383,15 @@ class Session:
     def _change(self, schedule: Schedule) -> None:
         if self.recovery is None:  # it has not begun: what was prepared was for the other one
             self._join()
-            self.job = replace(self.job, schedule=schedule)
-            self._opening, self._paused_in, self._read = self._open(), "loading", 0
+            self.work = Run(replace(self.job, schedule=schedule), self._note, self._threaded, _kept)
+            self._opening, self._paused_in = self._open(), "loading"
             return
-        if schedule.levels != self.job.schedule.levels:
-            raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
-        changed = self.recovery.changed(schedule)
+        self.work.change(schedule)
         self._leave_relighting()
         self._paused_in = "running"
-        self.job = replace(self.job, schedule=schedule)
         self.display.close()
-        self.recovery.close()
-        self._guard = None if bpy.app.background else ContextGuard()
         self._time_left = TimeLeft()  # its work is another
-        self.recovery, self.display = changed, display_of(changed, self.job.fixed)
+        self._watch()
 
     def _look(self) -> None:
         """Note the mean error now and then."""
@@ -479,7 +412,7 @@ def current() -> Session | None:
     return _current
 
 
-def begin(job: Job) -> Session:
+def begin(job: SceneJob) -> Session:
     """Begin a session; one that waits to be kept is dropped."""
     global _current
     if _current is not None:
@@ -503,11 +436,10 @@ def _tell() -> None:
 
 def forget() -> None:
     """Drop the session and what was read for it: the file is another one now. What is not kept is stored."""
-    global _loaded
     if _current is not None:
         unkept.store(_current)
     end()
-    _loaded = None
+    _kept.clear()
 
 
 def register() -> None:

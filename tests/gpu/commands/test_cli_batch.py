@@ -152,7 +152,7 @@ def test_paths_are_relative_to_the_list(listed):
     jobs = batch.read_list(listed / "list.toml", build_parser().parse_args)
     assert jobs[0].words[:2] == ("recover", str(listed / "first"))
     (listed / "given.exr").touch()
-    text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nknown = ["normal=given.exr", "roughness=0.5"]\n'
+    text = '[[job]]\ncapture = "a"\nmodel = "own.toml"\nfixed = ["normal=given.exr", "roughness=0.5"]\n'
     (listed / "other.toml").write_text(text, encoding="utf-8")
     (other,) = batch.read_list(listed / "other.toml", build_parser().parse_args)
     assert {str(listed / "own.toml"), f"normal={listed / 'given.exr'}", "roughness=0.5"} <= set(other.words)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture.images.exr import read_exr
-from irpso_addon.commands import solve
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.files import replacing_file
+from irpso_addon.pipeline import drive
 from irpso_addon.solver.engine.progress import Progress
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
@@ -121,7 +121,7 @@ def test_the_seconds_of_a_run_are_those_of_all_its_goes(tmp_path):
             self.noted = float(notes["seconds"])
 
     run = GoneOnWith(fails=False)
-    seconds, _ = solve.drive(run, NoHistory(), solve.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
+    seconds, _ = drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", True, 0.0), quiet=True)
     assert 700 < run.noted <= seconds < 760
 
 
@@ -140,7 +140,7 @@ def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(
     path = tmp_path / "checkpoint.npz"
     path.write_bytes(b"the one before")
     run = FullDisk(fails=True)
-    _, warnings = solve.drive(run, NoHistory(), solve.Saving(path, every=0.0), quiet=True)
+    _, warnings = drive.drive(run, NoHistory(), drive.Saving(path, every=0.0), quiet=True)
     assert run.saved == 4 and len(warnings) == 1
     assert warnings[0] == f"no checkpoint: {path}: cannot be written (No space left on device); choose another place"
     assert capsys.readouterr().err == f"irpso: warning: {warnings[0]}\n"
@@ -150,14 +150,14 @@ def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(
 def test_checkpoints_come_when_their_time_has(tmp_path):
     runs = [FullDisk(fails=False) for _ in range(3)]
     for run, every in zip(runs, (0.0, 3600.0, None), strict=True):
-        solve.drive(run, NoHistory(), solve.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
+        drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
     assert [run.saved for run in runs] == [4, 0, 0]
 
 
 def test_what_a_killed_run_left_half_written_is_removed_by_the_next(tmp_path):
     left, other = tmp_path / ".checkpoint.partial-123.npz", tmp_path / "notes.partial-1.npz"
     left.touch(), other.touch()
-    solve.drive(FullDisk(fails=False), NoHistory(), solve.Saving(tmp_path / "checkpoint.npz"), quiet=True)
+    drive.drive(FullDisk(fails=False), NoHistory(), drive.Saving(tmp_path / "checkpoint.npz"), quiet=True)
     assert not left.exists() and other.exists()
 
 
@@ -166,4 +166,4 @@ def test_a_time_between_checkpoints_that_is_none_is_refused(seconds, capture, tm
     code, _, err = run_cli("recover", capture, "--checkpoint-every", seconds, "-o", tmp_path / "out")
     assert code == 2 and "--checkpoint-every" in err and not (tmp_path / "out").exists()
     with pytest.raises(InputError):
-        solve.check_every(float(seconds))
+        drive.check_every(float(seconds))

@@ -287,7 +287,7 @@ def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered,
 
 
 def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovered, tmp_path, monkeypatch):
-    from irpso_addon.commands import live
+    from irpso_addon.pipeline import live
 
     _, out, _ = recovered("lambert")
     folder, seen = tmp_path / "out", []
@@ -311,8 +311,8 @@ def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovere
 
 
 def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, tmp_path, monkeypatch):
-    from irpso_addon.commands import live
     from irpso_addon.core.errors import InputError
+    from irpso_addon.pipeline import live
 
     def full(path, *_, **__):
         raise InputError(f"{path}: cannot be written (No space left on device); choose another place")
@@ -326,10 +326,10 @@ def test_a_live_picture_that_cannot_be_written_does_not_stop_the_run(recovered, 
 
 
 def test_an_interrupt_before_the_first_iteration_leaves_nothing(recovered, tmp_path, monkeypatch):
-    from irpso_addon.commands import recover
+    from irpso_addon.pipeline import run
 
     _, out, _ = recovered("lambert")
-    monkeypatch.setattr(recover, "card_steps", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(run, "card_steps", lambda *_, **__: signal.raise_signal(signal.SIGINT))
     code, answer, err = run_cli("recover", out.parent / "lambert", "-o", tmp_path / "out")
     assert (code, answer, err.strip()) == (130, "", "irpso: interrupted")
     assert not list(tmp_path.iterdir())

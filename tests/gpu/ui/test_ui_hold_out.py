@@ -155,13 +155,13 @@ def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thr
 
 
 def test_a_comparison_that_fails_loses_no_maps(settings, monkeypatch):
+    from irpso_addon.pipeline import run
     from irpso_addon.ui.common import failures
-    from irpso_addon.ui.session import session
 
     def fail(*_):
         raise MemoryError
 
-    monkeypatch.setattr(session, "relit_steps", fail)
+    monkeypatch.setattr(run, "relit_steps", fail)
     running = begin()
     while running.active:
         running.tick(0.05)

@@ -1,6 +1,7 @@
 """Keeping what was found as a material, and exporting it as files, in background."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -156,8 +157,7 @@ def test_a_material_of_a_library_is_refused_with_what_to_do_and_nothing_is_made(
 
 
 def test_a_mesh_that_was_deleted_is_missed(recovered, monkeypatch):
-    monkeypatch.setattr(type(recovered), "mesh", property(lambda self: object()))
-    monkeypatch.setattr(type(recovered), "subject", lambda self: None)
+    monkeypatch.setattr(recovered.work, "job", replace(recovered.job, mesh=object(), object_uid=-1))
     assert "has been deleted" in refusal(bpy.ops.irpso.keep)
     assert not bpy.data.materials
 
@@ -191,13 +191,13 @@ def test_the_curves_of_an_export_are_at_the_iterations_they_were_taken(recovered
 
 
 def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
-    from irpso_addon.ui.session.keep import pictures_of
+    from irpso_addon.ui.session.keep import found_in, pictures_of
 
-    maps = recovered.maps()
-    assert set(pictures_of(recovered, maps)) == {"preview", "confidence"}
+    found = found_in(recovered, True)
+    assert set(pictures_of(recovered, found)) == {"preview", "confidence"}
     recovered.add_probe(3, 5)
     recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]
-    assert set(pictures_of(recovered, maps)) == {"preview", "confidence", "convergence"}
+    assert set(pictures_of(recovered, found)) == {"preview", "confidence", "convergence"}
 
 
 def test_a_fifth_probe_takes_the_place_and_the_number_of_the_oldest_which_is_told(recovered, capfd):

@@ -40,12 +40,13 @@ def begun():
 
 
 def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(settings):
-    from irpso_addon.ui.session.job import LightWish, make_job
+    from irpso_addon.pipeline.job import LightOptions
+    from irpso_addon.ui.session.job import make_job
 
-    assert make_job(bpy.context).lights == LightWish("auto", 0.0)
+    assert make_job(bpy.context).lights == LightOptions("auto", 0.0)
     settings.refine_directions = np.radians(2.5)
     settings.light_strengths = "ESTIMATE"
-    assert make_job(bpy.context).lights == LightWish("estimate", 2.5)
+    assert make_job(bpy.context).lights == LightOptions("estimate", 2.5)
     settings.refine_directions = 0
 
 
@@ -67,9 +68,9 @@ def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_resul
         running.tick(0.5)
     assert off(running.lights.intensities, FACTORS).max() < 0.02
     np.testing.assert_array_equal(running.recovery.domain.intensities, running.lights.intensities)
-    maps = running.maps()
-    assert np.median(cli_maker.angle(maps.values["normal"], truth["normal"])) < 0.5
-    assert keep.report_of(running, maps)["lights"] == running.lights.report()
+    found = keep.found_in(running, True)
+    assert np.median(cli_maker.angle(found.solver.values["normal"], truth["normal"])) < 0.5
+    assert keep.report_of(running, found)["lights"] == running.lights.report()
     drawn = Drawn()
     monkeypatch.setattr(
         panels.drawing, "fact", lambda layout, context, name, value, **_: drawn.notes["texts"].append(value)

@@ -83,18 +83,24 @@ def test_a_camera_that_was_edited_in_place_makes_another_domain(job, folder):
 
 
 def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain(job, monkeypatch):
-    from irpso_addon.ui.session import job as module
+    from irpso_addon.pipeline import run as module
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6)
     settings = bpy.context.scene.irpso
     settings.subject, settings.resolution = "MESH", 8
     asked, sources = [], []
-    monkeypatch.setattr(module, "mesh_steps", lambda *_, shadows, **__: asked.append(shadows) or iter(()))
+
+    def steps(*_, shadows, **__):
+        asked.append(shadows)
+        raise InputError("far enough")
+
+    monkeypatch.setattr(module, "mesh_steps", steps)
     for wanted in (None, False, True):
         if wanted is not None:
             settings.shadows = wanted
         made = job()
-        list(made.loading())
+        with pytest.raises(InputError, match="far enough"):
+            list(module.Run(made).open())
         sources.append(made.source)
     assert asked == [True, False, True]
     assert sources[0] == sources[2] != sources[1]
@@ -174,7 +180,7 @@ def test_both_ends_of_a_range_can_be_given(job):
     item.recover = False
     for value in load_model("principled").parameter("roughness").range:
         item.value = value
-        assert job().given["roughness"] == np.float32(value)
+        assert job().fixed["roughness"] == np.float32(value)
     item.value = 0.019
     with pytest.raises(InputError, match="between 0.02 and 1"):
         job()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from irpso_addon.commands.options import held_out_list
+from irpso_addon.commands.options.values import held_out_list
 from irpso_addon.core.errors import InputError
 from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_line, spared
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration.radiometry.frames import Patch, patch_mean
-from ..calibration.radiometry.response import Response, response_from_patches
-from ..calibration.radiometry.source import images_in
-from ..capture.images.exr_header import is_exr
-from ..capture.images.image import ImageRef, ImageStore
-from ..core.errors import InputError
-from .options import numbers_of_text
+from ...calibration.radiometry.frames import Patch, patch_mean
+from ...calibration.radiometry.response import Response, response_from_patches
+from ...calibration.radiometry.source import images_in
+from ...capture.images.exr_header import is_exr
+from ...capture.images.image import ImageRef, ImageStore
+from ...core.errors import InputError
+from .values import numbers_of_text
 
 
 def files_option(option: str, names: Sequence[str] | None) -> list[Path]:

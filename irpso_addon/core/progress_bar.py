@@ -1,39 +1,12 @@
-"""What a person at a terminal sees of long work: a progress bar on standard error, and none of Blender's reports."""
+"""A progress bar on standard error."""
 
 from __future__ import annotations
 
-import contextlib
-import io
-import itertools
 import sys
 import time
-from argparse import Namespace
-from collections.abc import Generator
-from typing import Any, TypeVar
 
-from ..core.steps import run_steps
-
-T = TypeVar("T")
 _WIDTH = 28
 _LINE_EVERY, _LINE_SECONDS = 0.1, 60  # of the work, and between lines, where standard error is no terminal
-
-
-def unseen_reports() -> contextlib.AbstractContextManager:
-    """Keep Blender's own reports ("Info: Saved copy as …") off standard output; its errors come as exceptions."""
-    return contextlib.redirect_stdout(io.StringIO())
-
-
-def silent(options: Namespace) -> bool:
-    """Return whether a command says nothing to people: --quiet, or --json, which speaks to programs."""
-    return options.quiet or options.json
-
-
-def counted(steps: Generator[Any, None, T], label: str, count: int, quiet: bool) -> T:
-    """Run about ``count`` steps, showing how many are made; return what they return."""
-    bar, made = ProgressBar(label, quiet, tenths=False), itertools.count()
-    found = run_steps(steps, lambda _: bar.show(min(1.0, next(made) / count)))
-    bar.close()
-    return found
 
 
 class ProgressBar:
@@ -82,3 +55,22 @@ class ProgressBar:
             return ""
         left = (now - start) * (1 - fraction) / (fraction - first) if left is None else left
         return f"  {int(left // 60)}:{int(left % 60):02d} left"
+
+
+class StepBars:
+    """A bar for each step of some work, one after another. Made to be called with a step and the part of it done."""
+
+    def __init__(self, quiet: bool = False):
+        self._quiet = quiet
+        self._step, self._bar = "", ProgressBar("", quiet)
+
+    def __call__(self, step: str, fraction: float) -> None:
+        """Show that ``fraction`` (0…1) of a step is done."""
+        if step != self._step:
+            self._bar.close()
+            self._step, self._bar = step, ProgressBar(step, self._quiet, tenths=False)
+        self._bar.show(fraction)
+
+    def close(self) -> None:
+        """End the last line."""
+        self._bar.close()

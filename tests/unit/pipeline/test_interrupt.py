@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from irpso_addon.commands import interrupt
+from irpso_addon.pipeline import interrupt
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""Driving a recovery from the command line: the progress bar, Ctrl-C, and checkpoints from time to time."""
+"""Driving a recovery to its end: the progress bar, Ctrl-C, and checkpoints from time to time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.files import remove_partials
+from ..core.progress_bar import ProgressBar
 from ..solver.engine.progress import TimeLeft
 from ..solver.engine.tiled import TiledRecovery
 from ..solver.planning.planning import AnyRecovery
 from ..solver.views.history import History
 from .interrupt import held_back
-from .progress import ProgressBar
 
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C

@@ -9,14 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import InputError
-from ..core.udim import ONE_SQUARE
-from ..reflectance.model import Parameter, ReflectanceModel
-from ..results.read import read_parameter
-from ..solver.settings.schedule import Schedule, load_schedule
-from ..solver.views.held_out import spared
+from ...core.errors import InputError
+from ...core.udim import ONE_SQUARE
+from ...reflectance.model import Parameter, ReflectanceModel
+from ...results.read import read_parameter
+from ...solver.settings.schedule import Schedule, load_schedule
+from ...solver.views.held_out import spared
 
 LARGEST_SIDE = 16384
+
+
+def silent(options: Namespace) -> bool:
+    """Return whether a command says nothing to people: --quiet, or --json, which speaks to programs."""
+    return options.quiet or options.json
 
 
 def size_option(option: str, text: str) -> tuple[int, int]:

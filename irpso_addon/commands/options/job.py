@@ -1,0 +1,174 @@
+"""Options of ``recover`` as a ``Job``."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ...blender.images import decode
+from ...blender.materials import material
+from ...blender.mesh import extract_mesh
+from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
+from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
+from ...capture.inspect.damage import naming_remedy
+from ...capture.inspect.sufficiency import check_normal
+from ...capture.read import read_capture
+from ...capture.types import Capture
+from ...core.errors import InputError
+from ...core.udim import ONE_SQUARE
+from ...geometry.surface.mesh import MeshData
+from ...geometry.surface.slots import slot_names, slots_of_text
+from ...pipeline.drive import CHECKPOINT, check_every
+from ...pipeline.job import Job, LightOptions
+from ...reflectance.model import ReflectanceModel, load_model
+from ...results.derived_maps import DerivedMaps, normals_of_text
+from ...results.read import read_maps
+from ...results.write import check_output_folder
+from ...solver.lights import refine
+from ...solver.planning.memory import parse_memory
+from ...solver.planning.planning import scratch_folder
+from ...solver.settings.schedule import Schedule
+from ...solver.state.checkpoint import glance
+from ...solver.views.held_out import held_out_last
+from .values import check_size, fixed_from_options, held_out_list, positive, schedule_from_options, size_option
+
+_RESOLUTION = "512"
+
+
+def job_of(options: Namespace, opened: bool = False) -> Job:
+    """Return the job that options ask for; ``entry`` "auto" of a run that is gone on with becomes the former one.
+
+    opened: whether the mesh is in the file that is open, to be taken as it is. Raises InputError.
+    """
+    folder = _output_folder(options)
+    options.blend = blend_of(options)
+    resolution = size_option("--resolution", options.resolution or _RESOLUTION)
+    model = load_model(options.model)
+    schedule = schedule_from_options(options)
+    refine.check(True, options.refine_directions)
+    check_every(options.checkpoint_every)
+    if options.memory:
+        parse_memory(options.memory)
+    _check_mesh_options(options)
+    _check_checkpoint(options, folder / CHECKPOINT, model, schedule)
+    subject, mesh, name = _subject(options, opened)
+    tiles = ONE_SQUARE if mesh is None else mesh.tiles
+    derived_maps_of(options).check(model)
+    fixed = fixed_from_options(options.fixed, model, tiles)
+    truth = read_maps(options.ground_truth, model, tiles) if options.ground_truth else None
+    with naming_remedy(options.skip_damaged):
+        capture = _capture(options)
+    held_out = capture.numbers(held_out_list(options.hold_out, capture.listed))
+    capture, _ = held_out_last(capture, held_out)
+    size = capture.masks[0].shape[::-1] if mesh is None else mesh.domain_size(*resolution)
+    job = Job(
+        capture=capture, name=name or capture.name, model=model, schedule=schedule, seed=options.seed, size=size,
+        scratch=scratch_folder(folder), mesh=mesh, object_uid=None if subject is None else subject.session_uid,
+        fixed=fixed, truth=truth, held_out=tuple(held_out),
+        lights=LightOptions(options.intensities, options.refine_directions), shadows=options.shadows,
+        skip_damaged=options.skip_damaged, entry=options.entry, memory=options.memory,
+        resumed=folder / CHECKPOINT if options.resume else None,
+        warnings=tuple(wide_lights_around(subject)) if _is_scene(options.capture) else (),
+    )  # fmt: skip
+    _check_fitted(options, job)
+    _check_sizes(options, job)
+    material.check_material(job.model, job.name)
+    if subject is not None:
+        material.check_object(subject)
+    return job
+
+
+def derived_maps_of(options: Namespace) -> DerivedMaps:
+    """Return the maps that are asked for besides the model's. Raises InputError."""
+    return DerivedMaps(normals_of_text("--normals", options.normals), options.height, options.displacement)
+
+
+def blend_of(options: Namespace) -> str | None:
+    """Return the file with the mesh: a capture that is a scene of Blender's holds it itself."""
+    if not _is_scene(options.capture):
+        return options.blend
+    if options.blend and Path(options.blend).resolve() != Path(options.capture).resolve():
+        raise InputError(
+            f"--blend {options.blend}: the capture is a scene, which has the mesh in it; leave --blend out"
+        )
+    return options.capture
+
+
+def _output_folder(options: Namespace) -> Path:
+    folder, source = check_output_folder(options.output), Path(options.capture)
+    if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
+        raise InputError(f"{folder}: holds the capture, whose images a result could replace; choose another with -o")
+    return folder
+
+
+def _check_mesh_options(options: Namespace) -> None:
+    """Raise InputError for an option of meshes where there is none, or of cards where there is one."""
+    if options.object and not options.blend:
+        raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
+    if options.resolution and not options.blend:
+        raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
+    if options.blend and options.distance is not None:
+        raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own place")
+    if options.slots and not options.blend:
+        raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
+
+
+def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
+    """Have --resume go on by the kind of pass that the run was begun with: the two differ in the last bits.
+
+    Raises InputError where the checkpoint is of no use, or cannot be written later on.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, where a checkpoint would go; choose another -o, or move it away")
+    if not options.resume:
+        return
+    if not path.is_file():
+        raise InputError(f"--resume: {path.parent} holds no {CHECKPOINT}; run without --resume")
+    found = glance(path, {"model": model.name, "preset": asdict(schedule), "seed": options.seed})
+    if options.entry == "auto":
+        options.entry = found["entry"]
+
+
+def _capture(options: Namespace) -> Capture:
+    """Return the capture; that of a scene's own cameras and lights is the file that was opened for the mesh."""
+    if _is_scene(options.capture):
+        return capture_of_open_file(options.colour_space, options.skip_damaged)
+    distance = positive("--distance", options.distance)
+    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged)
+    return replace(capture, card_distance=distance or capture.card_distance)
+
+
+def _is_scene(path: str) -> bool:
+    return Path(path).suffix.lower() == ".blend"
+
+
+def _subject(options: Namespace, opened: bool) -> tuple[Any, MeshData | None, str]:
+    """Return the object, its mesh, and the name for what is recovered of it; of a card the capture knows that."""
+    if not options.blend:
+        empty_blend()
+        return None, None, ""
+    if not opened:
+        open_blend(options.blend)
+    subject = mesh_object(options.object)
+    if options.slots is None:
+        return subject, extract_mesh(subject), subject.name
+    slots = slots_of_text(options.slots, slot_names(subject))
+    return subject, extract_mesh(subject, slots), material.slots_subject(subject, slots)
+
+
+def _check_fitted(options: Namespace, job: Job) -> None:
+    fitted = [job.capture.observations[k].light for k in job.fitted]
+    if not fitted:
+        raise InputError(f"{options.capture}: no observation is left to fit; hold out fewer")
+    if any(parameter.is_normal and parameter.name not in job.fixed for parameter in job.model.parameters):
+        check_normal(options.capture, fitted)
+
+
+def _check_sizes(options: Namespace, job: Job) -> None:
+    shape = job.size[::-1]
+    check_size(f"--ground-truth {options.ground_truth}", job.truth or {}, shape)
+    for text in options.fixed:
+        name = text.partition("=")[0].strip()
+        check_size(f"--fixed {text}", {name: job.fixed[name]}, shape)

@@ -1,0 +1,56 @@
+"""``--slots each``: the material slots of a mesh, by the material that they hold."""
+
+from __future__ import annotations
+
+import re
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...blender.mesh import extract_mesh
+from ...blender.scenes.scene import mesh_object, open_blend
+from ...core.errors import InputError
+from ...geometry.surface.slots import slot_names
+from ...results.write import check_output_folder
+
+EACH = "each"
+_UNFIT = re.compile(r"[^\w\- ]+")  # in the name of a folder
+
+
+def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, tuple[int, ...]]]:
+    """Open the file with the mesh; return the output folder, and name of a folder in it → the slots of one material.
+
+    Raises InputError where a slot has no usable UV map, or there are no slots.
+    """
+    folder = check_output_folder(options.output)
+    if not blend:
+        raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
+    if options.resume:
+        raise InputError(f"--resume: of {EACH} slot; resume the one that was interrupted: --slots NAME -o OUT/NAME")
+    open_blend(blend)
+    subject = mesh_object(options.object)
+    chosen = _slots_with_faces(subject)
+    for slots in chosen.values():
+        extract_mesh(subject, slots)
+    return folder, chosen
+
+
+def _slots_with_faces(subject: Any) -> dict[str, tuple[int, ...]]:
+    """Return name of a folder → the slots of one material. Raises InputError where there are no slots."""
+    names = slot_names(subject)
+    if not names:
+        raise InputError(f"--slots {EACH}: object '{subject.name}' has no material slots; leave it away")
+    used = np.zeros(len(subject.data.polygons), np.int32)
+    subject.data.polygons.foreach_get("material_index", used)
+    chosen: dict[str, list[int]] = {}
+    folders: dict[str, str] = {}
+    for slot in sorted(set(np.minimum(used, len(names) - 1).tolist())):
+        if names[slot] not in folders:
+            label = _UNFIT.sub("_", names[slot]).strip() or f"slot {slot}"
+            # Two names may differ by case alone, or by what no folder can be called.
+            taken = {other.lower() for other in folders.values()}
+            folders[names[slot]] = label if label.lower() not in taken else f"{label} {slot}"
+        chosen.setdefault(folders[names[slot]], []).append(slot)
+    return {label: tuple(slots) for label, slots in chosen.items()}

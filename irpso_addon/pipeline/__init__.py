@@ -1,0 +1,1 @@
+"""One recovery, whoever asks: a ``Job`` goes read → lights → plan → prepare → solve → report."""

@@ -1,0 +1,80 @@
+"""What a recovery is asked for, checked before anything slow: the same for command line, MPI and window."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.types import Capture
+from ..geometry.surface.mesh import MeshData
+from ..reflectance.model import ReflectanceModel
+from ..solver.lights.refine import Intensities
+from ..solver.settings.schedule import Schedule
+from ..solver.views.held_out import order_of
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """Which lights are calibrated. degrees: standard deviation of the error of their directions, 0 to keep them."""
+
+    intensities: Intensities = "auto"
+    degrees: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One recovery as it is asked for.
+
+    capture: with the observations that are held out at its end. name: of material and images. mesh: None for a card.
+    object_uid: Blender's session number of the mesh object. size: (width, height) of the domain. fixed: parameter name
+    → its map, normals in Blender's tangent frame; truth: the same of a ground truth. held_out: the numbers, from 0, of
+    the observations that are not fitted, in the order of their files or scene. scratch: the folder for scratch files.
+    skip_damaged: whether damaged images have been left out. resumed: the checkpoint to go on from. source: what the
+    sample stack depends on; equal sources have equal domains. None: unknown. warnings: found on checking.
+    """
+
+    capture: Capture
+    name: str
+    model: ReflectanceModel
+    schedule: Schedule
+    seed: int
+    size: tuple[int, int]
+    scratch: Path
+    mesh: MeshData | None = None
+    object_uid: int | None = None
+    fixed: Mapping[str, np.ndarray] = field(default_factory=dict)
+    truth: Mapping[str, np.ndarray] | None = None
+    held_out: tuple[int, ...] = ()
+    lights: LightOptions = LightOptions()
+    shadows: bool = True
+    skip_damaged: bool = False
+    entry: str = "auto"
+    memory: str | None = None
+    resumed: Path | None = None
+    source: tuple[Any, ...] | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def fitted(self) -> range:
+        """The indices of the capture's observations that are fitted."""
+        return range(len(self.capture.observations) - len(self.held_out))
+
+    @property
+    def unseen(self) -> range:
+        """The indices of those that are held out."""
+        return range(len(self.fitted), len(self.capture.observations))
+
+    @property
+    def numbers(self) -> list[int]:
+        """The number, from 0, that each of the capture's observations has in its files or scene."""
+        return order_of(len(self.capture.observations), self.held_out)
+
+    def fitted_at(self, number: int) -> int:
+        """Return the index of the observation of a number, or, where it is held out, of the next that is fitted."""
+        numbers = self.numbers[: len(self.fitted)]
+        return min(bisect_left(numbers, number), len(numbers) - 1)

@@ -1,0 +1,210 @@
+"""The road of a job over MPI ranks: each rank reads and solves its own texels, rank 0 writes the result."""
+
+from __future__ import annotations
+
+import signal
+import time
+from argparse import Namespace
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..capture.inspect.damage import naming_remedy
+from ..cluster.agreement import check_alike, choose_device, going_down_together
+from ..cluster.partition import Partition, Split, around, check_fits, check_gathered, split
+from ..cluster.recovery import Leader, RankedRecovery, serve
+from ..cluster.transport import Agreed, Ranks
+from ..cluster.worker import Worker
+from ..core.errors import InputError, IrpsoError
+from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
+from ..geometry.domain import Domain, GeometryBake, laid_on
+from ..geometry.seams.seams import SeamMap
+from ..gpu import context, probe
+from ..solver.lights.refine import Lights
+from ..solver.planning.cost import recovery_cost
+from ..solver.planning.memory import machine_memory
+from ..solver.planning.planning import covered_texels, uv_borders
+from .job import Job
+from .run import READ, Run, in_solver_frames
+
+Surface = tuple[GeometryBake, SeamMap | None]
+
+
+class RankedRun(Run):
+    """A job on its way over all ranks, on rank 0; the others ``serve``."""
+
+    def __init__(self, job: Job, leader: Leader, seconds: float, show: Callable[[str, float], None]):
+        """Begin with what all ranks have read. seconds: that this took."""
+        super().__init__(job, show)
+        self._leader, self._seconds = leader, seconds
+
+    def device_warnings(self) -> list[str]:
+        """Return a warning where ranks solved on unlike devices."""
+        names = sorted(set(self._leader.ask(Worker.renderers)))
+        if len(names) == 1:
+            return []
+        return [
+            f"ranks solved on unlike devices ({', '.join(names)}): the last bits of maps are not those of one of them"
+            " alone"
+        ]
+
+    def _read(self) -> Generator[None, None, Domain]:
+        yield from ()
+        self.seconds[READ] = self._seconds
+        return self._leader.domain
+
+    def _lit(self, lights: Lights) -> Domain:
+        found = lights.applied(self.domain)
+        self._leader.take_lights(found.lights, found.intensities)
+        return self._leader.domain
+
+    def _begin(self) -> Generator[None, None, None]:
+        yield from ()
+        self.recovery = RankedRecovery(self._leader, self.job.fitted, self.job.entry)
+
+    def _described(self) -> dict[str, Any]:
+        messages, sent = zip(*self._leader.ask(Worker.sent), strict=True)
+        return {
+            "entry": self.recovery.entry, "ranks": self._leader.ranks.size, "messages": messages, "bytes_sent": sent
+        }  # fmt: skip
+
+
+def run_on_ranks(
+    ranks: Ranks,
+    options: Namespace,
+    checked: Callable[[], Job],
+    show: Callable[[str, float], None],
+    lead: Callable[[RankedRun], dict],
+) -> dict:
+    """Return what ``lead`` makes of the run on rank 0, or the plan of a dry run; the other ranks have an exit code.
+
+    options: of ``recover``, which must be the same on all ranks. checked: returns the job. What stops one rank stops
+    all, within seconds; the last checkpoint stays.
+    """
+    leader: Leader | None = None
+    try:
+        with going_down_together(ranks, lambda: leader is None or leader.busy):
+            started = time.perf_counter()
+            job = ranks.agreed(lambda: _one_level(checked()))
+            check_alike(ranks, options, job.capture)
+            worker, found = _joined(ranks, options, job)
+            if worker is None:
+                result = {"plan": found}
+            elif ranks.leads:
+                leader = Leader(worker)
+                run = RankedRun(job, leader, time.perf_counter() - started, show)
+                result = lead(run)
+            else:
+                result = {"exit_code": _served(worker)}
+    except Agreed as agreed:
+        return refused(ranks, options, agreed.error)
+    except BaseException as error:
+        if leader is not None:  # the others wait for an order
+            leader.end(error.exit_code if isinstance(error, IrpsoError) else 130)
+            ranks.close()
+        raise
+    if leader is not None:
+        leader.end()
+    ranks.close()
+    return result
+
+
+def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict:
+    """Leave the MPI job for an error that every rank has found: rank 0 raises it, the others have an exit code."""
+    ranks.close()
+    if ranks.leads:
+        raise error
+    options.json = False
+    return {"exit_code": error.exit_code}
+
+
+def _one_level(job: Job) -> Job:
+    if job.schedule.levels > 1:
+        raise InputError(
+            f"levels = {job.schedule.levels}: several ranks do not solve a domain coarse to fine; set levels = 1, or"
+            " start one process"
+        )
+    return job
+
+
+def _joined(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, Split]:
+    """Read this rank's part of the observations; for a dry run the split alone is found."""
+    if not ranks.leads:
+        options.quiet, options.json = True, False
+    sharing = choose_device(ranks) if ranks.size > 1 else 1
+    ranks.agreed(lambda: (probe.probe(), context.ensure()))
+    # By what is recovered, not by its outline alone; and given by rank 0, whatever each device makes of a border.
+    surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
+    found = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
+    ranks.agreed(lambda: _check_fits(ranks, job, found, sharing, options.checkpoint_every is not None))
+    if options.dry_run:
+        return None, found
+    partition = _partition(ranks, job, found, surface)
+    fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
+    worker = Worker(ranks, partition, job.model, job.schedule, job.seed, fixed)
+    ranks.agreed(lambda: _check_lit(worker, job))
+    return worker, found
+
+
+def _surface(job: Job) -> Surface:
+    """Return the geometry of the whole domain, and its seams."""
+    return (card_bake(job.capture), None) if job.mesh is None else mesh_surface(job.mesh, *job.size)
+
+
+def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
+    counts = len(job.capture.observations), len(job.held_out)
+    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment")
+    coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
+    borders = None if job.mesh is None else uv_borders(job.mesh, coverage.shape)
+    return split(coverage, cost, ranks.size, borders)
+
+
+def _check_fits(ranks: Ranks, job: Job, found: Split, sharing: int, gathers: bool) -> None:
+    """Raise InputError where memory is too small. gathers: whether checkpoints bring all state to rank 0."""
+    memory = machine_memory(job.memory, str(context.describe()["renderer"]))
+    check_fits(found, ranks, memory, sharing)
+    if ranks.leads and gathers:
+        check_gathered(found, memory)
+
+
+def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partition:
+    """Read what this rank needs of the observations."""
+    box = found.boxes[ranks.rank]
+    part = None if box is None else around(found.shape, box, found.halo)
+
+    def read() -> Domain | None:
+        if part is None:
+            return None
+        with naming_remedy(job.skip_damaged):
+            if job.mesh is None:
+                return domain_from_card(job.capture, window=part)
+            return domain_from_mesh(job.capture, job.mesh, *job.size, shadows=job.shadows, window=part, surface=surface)
+
+    window = ranks.agreed(read)
+    bake, seams = surface
+    of_all = ranks.given(window and _without_texels(window))
+    whole = replace(of_all, bake=bake, seams=seams)
+    return Partition(whole, found.boxes, found.halo, window)
+
+
+def _without_texels(domain: Domain) -> Domain:
+    """Return what all ranks have in common of a domain, to be sent to them: 0 × 0 texels."""
+    return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), np.zeros((domain.observations, 0, 0, 4)))
+
+
+def _check_lit(worker: Worker, job: Job) -> None:
+    """Raise InputError where no rank sees anything lit, as one process would."""
+    if not worker.partition.whole.solvable.any():
+        what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
+        raise InputError(
+            f"no image of capture '{job.capture.name}' shows {what} lit; check its cameras, masks and exposure"
+        )
+
+
+def _served(worker: Worker) -> int:
+    # Rank 0 hears of it too, and orders what is to be done.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    return serve(worker)

@@ -1,0 +1,258 @@
+"""The road of a job to its recovery: read → lights → plan → prepare, in steps that a window can interleave."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..blender.materials.tangent_frames import from_blender, turned_normals
+from ..capture.inspect.damage import naming_remedy
+from ..core.errors import InputError
+from ..core.steps import here, run_steps, told_as
+from ..geometry.build import card_steps, loading_steps, mesh_steps
+from ..geometry.domain import Domain, GeometryBake, subset
+from ..results.maps import Maps
+from ..solver.engine.modes import with_modes
+from ..solver.engine.progress import Progress
+from ..solver.lights.refine import Lights, can_tell, chosen_steps
+from ..solver.lights.sample import draw
+from ..solver.planning.memory import free_memory
+from ..solver.planning.plan import Plan
+from ..solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, untiled
+from ..solver.settings.schedule import Schedule
+from ..solver.state.prepare import Prepared, prepare
+from ..solver.views.held_out import relit_steps
+from .job import Job
+
+T = TypeVar("T")
+MapsOf = Mapping[str, np.ndarray]  # parameter name → its map
+READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as they are shown
+_KEPT_SHARE = 0.1  # of the free memory, for a preparation that is kept
+
+
+@dataclass
+class Kept:
+    """What one run found and the next may take: the domain of a ``Job.source``, its lights and its preparation.
+
+    lights: of ``wish``; prepared: of ``basis``. Nothing is kept of a domain under lights that were found.
+    """
+
+    source: tuple[Any, ...] | None = None
+    domain: Domain | None = None
+    wish: tuple[Any, ...] | None = None
+    lights: Lights | None = None
+    basis: tuple[Any, ...] | None = None
+    prepared: Prepared | None = None
+
+    def clear(self) -> None:
+        """Let go of everything."""
+        self.source = self.domain = self.wish = self.lights = self.basis = self.prepared = None
+
+
+class Run:
+    """A job on its way. domain: of all observations, under the lights that were found; fitted: of those not held out.
+
+    fixed, truth: the job's, in the frames of the domain's texels. lights: None where they stay as given. seconds: of
+    each step. progress, settings: of the last ``maps``, for the report.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        show: Callable[[str, float], None] = lambda step, fraction: None,
+        elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = here,
+        kept: Kept | None = None,
+    ):
+        """Begin nothing yet.
+
+        show: is called with a step and the fraction of it that is done, 0…1, from any thread. elsewhere: runs a
+        function of numpy, yielding meanwhile. kept: of former runs.
+        """
+        self.job = job
+        self._show, self._elsewhere, self._kept = show, elsewhere, Kept() if kept is None else kept
+        self.domain: Domain | None = None
+        self.fitted: Domain | None = None
+        self.lights: Lights | None = None
+        self.recovery: AnyRecovery | None = None
+        self.fixed, self.truth = job.fixed, job.truth
+        self.seconds: dict[str, float] = {}
+        self.progress: Progress | None = None
+        self.settings: dict[str, Any] = {}
+        self._plan: Plan | None = None
+        self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
+
+    def first_plan(self) -> Plan:
+        """Return the plan by the outline of the subject alone, before an image is read. Raises InputError."""
+        return self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size))
+
+    def open(self) -> Generator[None, None, None]:
+        """Take all steps to the recovery, yielding often. Raises InputError, ShaderError."""
+        self.domain = yield from self._timed(READ, self._read())
+        self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake)
+        if self._asks_for_lights():
+            lights = yield from self._timed(LIGHTS, self._find_lights())
+            if lights is not None:
+                self.lights, self.domain = lights, self._lit(lights)
+        yield from self._timed(PREPARE, self._begin())
+
+    def maps(self, confidence: bool = True) -> Maps:
+        """Return what has been found so far, in the solver's frames. confidence: as for a recovery."""
+        self.progress, self.settings = self.recovery.progress, self._described()
+        return with_modes(self.recovery.maps(confidence))
+
+    def device_warnings(self) -> list[str]:
+        """Return what is doubtful of the devices that it is solved on."""
+        return []
+
+    def relighting(self, maps: Maps) -> Generator[None, None, None]:
+        """Render the observations held out from ``maps``, the last that were found, yielding often."""
+        steps = relit_steps(self.domain, maps, self.job.unseen, self.job.capture, self._elsewhere)
+        at = self.progress.evaluations
+        self._relit = at, *(yield from steps)
+
+    @property
+    def is_relit(self) -> bool:
+        """Whether ``relit`` is of what has been found by now, or nothing is held out."""
+        now = self.recovery.progress if self.recovery is not None else self.progress
+        return not self.job.held_out or (now is not None and self._relit[0] == now.evaluations)
+
+    @property
+    def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The picture of the observations held out beside their renders, and the figures for the report."""
+        return self._relit[1:]
+
+    def relight(self, maps: Maps) -> None:
+        """Do ``relighting`` at once, where it is still to be done."""
+        if self.job.held_out and self._relit[0] != self.progress.evaluations:
+            run_steps(self.relighting(maps))
+
+    def change(self, schedule: Schedule) -> None:
+        """Go on with another schedule from what has been found. Raises InputError; then nothing has changed."""
+        if schedule.levels != self.job.schedule.levels:
+            raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
+        changed = self.recovery.changed(schedule)
+        self.recovery.close()
+        self.recovery, self.job = changed, replace(self.job, schedule=schedule)
+
+    def close(self) -> None:
+        """Free what lies on the GPU, and let go of the domain."""
+        if self.recovery is not None:
+            self.recovery.close()
+        self.recovery = self.domain = self.fitted = None
+
+    def _read(self) -> Generator[None, None, Domain]:
+        job, kept = self.job, self._kept
+        self._show(READ, 0.0)
+        self._plan = self.first_plan()  # what a plan refuses, it refuses before the images are read
+        if job.source is not None and kept.source == job.source:
+            return kept.domain
+        kept.clear()  # two domains at once may be more than there is room for
+        scratch = job.scratch if self._plan.stack_on == "scratch" else None
+        if job.mesh is None:
+            steps = card_steps(job.capture, scratch=scratch)
+        else:
+            steps = mesh_steps(job.capture, job.mesh, *job.size, scratch=scratch, shadows=job.shadows)
+        count, made = loading_steps(job.capture, job.mesh is not None), itertools.count(1)
+        with naming_remedy(job.skip_damaged):
+            domain = yield from told_as(steps, lambda _: self._show(READ, min(1.0, next(made) / count)))
+        if job.source is not None:
+            kept.source, kept.domain = job.source, domain
+        return domain
+
+    def _asks_for_lights(self) -> bool:
+        lights = self.job.lights
+        return (
+            lights.intensities == "estimate"
+            or lights.degrees != 0
+            or (lights.intensities == "auto" and can_tell(self.domain, np.asarray(self.job.fitted)))
+        )
+
+    def _find_lights(self) -> Generator[None, None, Lights | None]:
+        """Return the lights that are found, or were for the same job before; None where they stay as given."""
+        job, kept = self.job, self._kept
+        self._show(LIGHTS, 0.0)
+        wish = job.lights, job.model, job.seed, job.entry
+        keeps = kept.domain is self.domain and not job.fixed
+        if keeps and kept.wish == wish:
+            return kept.lights
+        sample = yield from self._elsewhere(lambda: draw(self.domain, job.seed, np.asarray(job.fitted)))
+        steps = chosen_steps(
+            self.domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
+            refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, sample=sample,
+        )  # fmt: skip
+        found = yield from told_as(steps, lambda fraction: self._show(LIGHTS, fraction))
+        if keeps:
+            kept.wish, kept.lights = wish, found
+        return found
+
+    def _lit(self, lights: Lights) -> Domain:
+        """Return the domain under lights that were found."""
+        return lights.applied(self.domain)
+
+    def _planned(self, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
+        """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
+        job = self.job
+        return make_plan(
+            coverage, job.model, job.schedule, job.fixed, len(job.capture.observations), len(job.held_out),
+            memory=job.memory, entry=job.entry, stack_on=stack_on, mesh=job.mesh, resumed=job.resumed,
+        )  # fmt: skip
+
+    def _begin(self) -> Generator[None, None, None]:
+        """Plan, prepare, and make the recovery."""
+        job = self.job
+        self._show(PREPARE, 0.0)
+        self._plan = self._planned(self.domain.solvable, self._plan.stack_on)
+        self.fitted = subset(self.domain, job.fitted)
+        prepared = None
+        if job.schedule.levels == 1:  # else each level is prepared by itself
+            prepared = yield from self._prepared(untiled(self._plan))
+        yield
+        self.recovery = planned_recovery(
+            self._plan, self.fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared
+        )
+
+    def _prepared(self, pack: bool) -> Generator[None, None, Prepared]:
+        """Return the preparation, or that of an equal job before. pack: as for ``prepare``."""
+        schedule, kept = self.job.schedule, self._kept
+        basis = self.job.model, schedule.swarm.seed, schedule.fitness, pack
+        keeps = kept.domain is self.domain
+        if keeps and kept.prepared is not None and kept.basis == basis:
+            return kept.prepared
+        if keeps:
+            kept.prepared = None
+        work = self.fitted, self.job.model, schedule, pack, lambda fraction: self._show(PREPARE, fraction)
+        prepared = yield from self._elsewhere(lambda: prepare(*work))
+        if keeps and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
+            kept.basis, kept.prepared = basis, prepared
+        return prepared
+
+    def _described(self) -> dict[str, Any]:
+        """Return what the report says of how it was solved, beside what was asked for."""
+        return {"entry": self.recovery.entry, "tiles": len(self._plan.tiles)}
+
+    def _timed(self, name: str, steps: Generator[None, None, T]) -> Generator[None, None, T]:
+        """Make steps, and note the time spent in them; what the caller does between them does not count."""
+        self.seconds[name] = 0.0
+        while True:
+            started = time.perf_counter()
+            try:
+                next(steps)
+            except StopIteration as stop:
+                return stop.value
+            finally:
+                self.seconds[name] += time.perf_counter() - started
+            yield
+
+
+def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | None]:
+    """Return the job's fixed maps and ground truth with normals in the frames of the domain's texels."""
+    if job.mesh is None:
+        return job.fixed, job.truth
+    maps = (job.fixed, job.truth)
+    fixed, truth = (values and turned_normals(job.model, values, job.mesh, bake, from_blender) for values in maps)
+    return fixed, truth
