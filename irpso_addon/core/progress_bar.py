@@ -48,7 +48,7 @@ class ProgressBar:
         return time.perf_counter() - self._start
 
     def _left(self, now: float, fraction: float, left: float | None) -> str:
-        start, first = self._first
+        start, first = self._first or (now, fraction)
         if fraction >= 1:
             return f"  {now - self._start:.1f} s"
         if left is None and fraction <= first:
