@@ -12,9 +12,9 @@ import numpy as np
 
 from irpso_addon.blender.images import decode
 from irpso_addon.blender.scenes.scene import camera_from_object
-from irpso_addon.capture.images.linearise import srgb_to_linear
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
+from irpso_addon.core.encode import linear_from_srgb
 
 from . import materials, render, subjects
 from .resample import resampled
@@ -69,7 +69,7 @@ def scene_table(data: Path) -> dict[str, TexturedScene]:
 def cc0_maps(folder: Path, size: int, detail: int) -> TrueMaps:
     """Return the maps of an ambientCG material."""
     albedo, normal, roughness = (_pixels(folder / f"{name}.jpg") for name in ("albedo", "normal", "roughness"))
-    return _true_maps(srgb_to_linear(albedo), normal, roughness[..., 0], size, detail)
+    return _true_maps(linear_from_srgb(albedo), normal, roughness[..., 0], size, detail)
 
 
 def head_maps(folder: Path, size: int, detail: int) -> TrueMaps:
@@ -77,7 +77,7 @@ def head_maps(folder: Path, size: int, detail: int) -> TrueMaps:
     names = ("Map-COL", "Infinite-Level_02_Tangent_SmoothUV", "Map-SPEC")
     colour, normal, shine = (_pixels(folder / f"{name}.jpg") for name in names)
     roughness = _HEAD_ROUGHNESS[0] - _HEAD_ROUGHNESS[1] * shine[..., 0]
-    return _true_maps(srgb_to_linear(colour), normal, roughness, size, detail)
+    return _true_maps(linear_from_srgb(colour), normal, roughness, size, detail)
 
 
 def prepare(scene: TexturedScene, view: render.View, folder: Path) -> None:
@@ -173,7 +173,7 @@ def opaque(image: np.ndarray) -> np.ndarray:
 
 def linear_picture(path: Path) -> np.ndarray:
     """Return (H, W, 3) linear values of an sRGB picture."""
-    return srgb_to_linear(_pixels(path))
+    return linear_from_srgb(_pixels(path))
 
 
 def _pixels(path: Path) -> np.ndarray:

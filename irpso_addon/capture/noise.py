@@ -19,8 +19,8 @@ from contextlib import suppress
 
 import numpy as np
 
+from ..core.encode import linear_from_srgb
 from .errors import CaptureError
-from .images.linearise import srgb_to_linear
 from .types import Capture, Observation
 
 LEAST, MOST = 1 / 255, 8 / 255  # of white; one code is JPEG at its best, beyond eight the images are not aligned
@@ -36,7 +36,7 @@ _COMMON = 5
 _FEWEST = _COMMON + 2  # images of a block
 _SIDE, _BLOCKS, _FEWEST_BLOCKS = 8, 1000, 40  # pixels; how many are looked at, and how many must tell
 _DARK = 8  # mean code of a block under which black cuts the noise off
-_BETWEEN = srgb_to_linear(((np.arange(255) + 0.5) / 255).astype(np.float32))  # linear radiance between code k and k + 1
+_BETWEEN = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
 
 
 def noise_of(capture: Capture) -> Generator[None, None, float]:

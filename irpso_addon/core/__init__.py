@@ -1,1 +1,1 @@
-"""Errors, paths, files, stepwise work, PNG, colour encoding, drawing: what every room may use."""
+"""Errors, paths, files, stepwise work, PNG, colour encoding, drawing, graphs: what every room may use."""

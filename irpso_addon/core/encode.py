@@ -19,10 +19,10 @@ def srgb_from_linear(values: np.ndarray) -> np.ndarray:
 
 
 def linear_from_srgb(values: np.ndarray) -> np.ndarray:
-    """Return linear values of sRGB-encoded ones (IEC 61966-2-1), same shape."""
-    values = np.maximum(np.asarray(values, np.float64), 0.0)
-    curve = np.power((values + 0.055) / 1.055, 2.4)
-    return np.where(values <= 0.04045, values / 12.92, curve).astype(np.float32)
+    """Return linear values of sRGB-encoded ones (IEC 61966-2-1), same shape and type, in whose precision it is done."""
+    values = np.asarray(values)
+    curve = np.power((np.maximum(values, 0.04045) + 0.055) / 1.055, 2.4)
+    return np.where(values <= 0.04045, values / 12.92, curve).astype(values.dtype, copy=False)
 
 
 def encode_normal(normals: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,11 +19,12 @@ COLUMNS = 10
 ROWS = 100  # Blender's last number is 2000
 ONE_SQUARE = (FIRST,)
 PATTERN = "<UDIM>"
+Number = TypeVar("Number", int, np.ndarray)
 _NUMBER = re.compile(r"(1\d\d\d|2000)")
 
 
-def tile_number(column: int, row: int) -> int:
-    """Return the number of the square whose lower left corner has these texture coordinates."""
+def tile_number(column: Number, row: Number) -> Number:
+    """Return the number of the square whose lower left corner has these texture coordinates, or of several (N,)."""
     return FIRST + column + COLUMNS * row
 
 

@@ -14,7 +14,7 @@ from ..capture.bounds import bounded, weight_and_clipped
 from ..capture.camera import Camera
 from ..capture.noise import images_read, noise_of
 from ..capture.places import card_depth
-from ..capture.types import Capture, Light, Observation
+from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
 from ..core.steps import run_steps
 from .domain import Domain, GeometryBake, domain_of
@@ -137,8 +137,22 @@ def domain_from_mesh(
     UVs (unless allowed), images of another size than their camera, or, without a window, when no texel is seen by any
     camera; ValueError where the window leaves the domain.
     """
-    options = {"shadows": shadows, "falloff": falloff, "areas": areas, "window": window, "surface": surface}
-    return run_steps(mesh_steps(capture, mesh, width, height, grazing, allow_overlap, scratch, **options))
+    return run_steps(
+        mesh_steps(
+            capture,
+            mesh,
+            width,
+            height,
+            grazing,
+            allow_overlap,
+            scratch,
+            shadows=shadows,
+            falloff=falloff,
+            areas=areas,
+            window=window,
+            surface=surface,
+        )  # fmt: skip
+    )
 
 
 def mesh_steps(
@@ -171,7 +185,8 @@ def mesh_steps(
         camera = capture.cameras[index]
         return Projector(bake, bake_camera(mesh, camera), camera, grazing, steps, falloff)
 
-    stack = new_stack(len(capture.observations), *bake.coverage.shape, scratch)
+    rows, columns = bake.coverage.shape
+    stack = new_stack(len(capture.observations), rows, columns, scratch)
     yield from _fill(stack, capture, bake, project, caster)
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=noise)
@@ -253,8 +268,8 @@ def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
     found: dict[Light, list[int]] = {}
     for number, observation in enumerate(observations):
         light = observation.light
-        axis = None if light.axis is None else tuple(map(float, light.axis))
-        place = replace(light, vector=tuple(map(float, light.vector)), intensity=(1.0, 1.0, 1.0), axis=axis)
+        axis = None if light.axis is None else triple(light.axis)
+        place = replace(light, vector=triple(light.vector), intensity=(1.0, 1.0, 1.0), axis=axis)
         found.setdefault(place, []).append(number)
     return found
 

@@ -74,7 +74,8 @@ class Domain:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""
-        return self.bake.coverage.shape
+        height, width = self.bake.coverage.shape
+        return height, width
 
     @property
     def observations(self) -> int:

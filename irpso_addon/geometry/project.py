@@ -45,7 +45,7 @@ class _Group:
     counts: np.ndarray
     worth: np.ndarray
 
-    def part(self, chosen: np.ndarray) -> _Group:
+    def part(self, chosen: np.ndarray | slice) -> _Group:
         """Return the group of some of the texels."""
         arrays = (self.texels, self.first, self.fraction, self.sides, self.counts, self.worth)
         return _Group(self.along, *(array[chosen] for array in arrays))
@@ -230,7 +230,7 @@ class _Surface:
     faces: np.ndarray
     pixel: np.ndarray
 
-    def part(self, chosen: np.ndarray) -> _Surface:
+    def part(self, chosen: np.ndarray | slice) -> _Surface:
         """Return some of them."""
         return _Surface(self.numbers[chosen], self.points[chosen], self.faces[chosen], self.pixel[chosen])
 

@@ -55,7 +55,8 @@ class ArrayStack:
     @property
     def shape(self) -> tuple[int, int, int]:
         """(K, H, W)."""
-        return self.values.shape[:3]
+        count, height, width = self.values.shape[:3]
+        return count, height, width
 
     def layer(self, observation: int) -> np.ndarray:
         """Return (H, W, 4) the samples of one observation."""

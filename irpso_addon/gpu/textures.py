@@ -40,12 +40,6 @@ def download(texture: Any) -> np.ndarray:
     return _array(texture.read(), (texture.height, texture.width, channels))
 
 
-def download_rectangle(framebuffer: Any, x: int, y: int, width: int, height: int) -> np.ndarray:
-    """Return a copy (height, width, 4) of a part of a frame buffer's first colour attachment."""
-    with framebuffer.bind():  # its size is not known before
-        return _array(framebuffer.read_color(x, y, width, height, 4, 0, "FLOAT"), (height, width, 4))
-
-
 def _texture(width: int, height: int, layers: int = 0, **properties: Any) -> Any:
     """Return a new texture. Raises InputError where the GPU refuses it: settings can ask for more than it has."""
     import gpu

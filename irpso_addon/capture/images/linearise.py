@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.encode import linear_from_srgb
 from ..bounds import bounded
 
 COLOUR_SPACES = ("auto", "srgb", "linear")
@@ -45,13 +46,6 @@ class Samples:
     negative: np.ndarray
 
 
-def srgb_to_linear(values: np.ndarray) -> np.ndarray:
-    """Return linear light of sRGB-encoded values, both 0…1 (IEC 61966-2-1)."""
-    values = np.asarray(values)
-    curve = np.power((np.maximum(values, 0.04045) + 0.055) / 1.055, 2.4)
-    return np.where(values <= 0.04045, values / 12.92, curve).astype(values.dtype, copy=False)
-
-
 def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
 
@@ -68,7 +62,7 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
         if picture.bits == 8:
             clipped |= clipped.any(axis=-1, keepdims=True)
     if colour_space == "srgb" or (colour_space == "auto" and picture.bits == 8):
-        colour = srgb_to_linear(colour)
+        colour = linear_from_srgb(colour)
     return samples(colour, alpha, clipped)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Generator
 
 import numpy as np
 
-from ...core.steps import run_steps
 from . import three_images
 
 NARROW = 0.3  # flatness of directions within about 33° of their middle; 0.19 of those within 22°, 0.4 within 45°
@@ -58,17 +57,6 @@ def similar_frames(frames: np.ndarray, tolerance: float) -> list[tuple[int, int,
     return pairs
 
 
-def frame_shifts(frames: np.ndarray) -> np.ndarray:
-    """Return (K, 2) int: by how many pixels (right, up) each frame of (K, H, W) is off the others; 0 where unsure.
-
-    Phase correlation of the size of log-brightness gradients (edges stay in place when the light moves, their sign
-    does not) between each frame and the mean of the others, as in Kuglin and Hines 1975. Up to 16 pixels are searched.
-    A raking light moves such edges: a shift counts where three images made of the others explain the frame better once
-    it is moved back.
-    """
-    return run_steps(shift_steps(frames))
-
-
 def middle_window(mask: np.ndarray, side: int) -> tuple[slice, slice]:
     """Return rows and columns about the middle of a mask (H, W) that is not empty, ``side`` of each at most."""
 
@@ -81,7 +69,13 @@ def middle_window(mask: np.ndarray, side: int) -> tuple[slice, slice]:
 
 
 def shift_steps(frames: np.ndarray) -> Generator[None, None, np.ndarray]:
-    """Yield for each frame, again and again, and return what ``frame_shifts`` does."""
+    """Yield for each frame; return (K, 2) int: by how many pixels (right, up) each of (K, H, W) is off; 0 where unsure.
+
+    Phase correlation of the size of log-brightness gradients (edges stay in place when the light moves, their sign
+    does not) between each frame and the mean of the others, as in Kuglin and Hines 1975. Up to 16 pixels are searched.
+    A raking light moves such edges: a shift counts where three images made of the others explain the frame better once
+    it is moved back.
+    """
     shifts = np.zeros((len(frames), 2), int)
     reach = min(_MAX_SHIFT, *(side // 4 for side in frames.shape[1:]))
     if len(frames) < 3 or reach < 1:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..images.linearise import srgb_to_linear
+from ...core.encode import linear_from_srgb
 from .checks import flatness
 
 _EXPONENTS = np.geomspace(0.25, 4, 13)
@@ -84,7 +84,7 @@ def encoding_test(codes: np.ndarray, weight: np.ndarray, directions: np.ndarray,
     return EncodingTest(
         fall_off(codes.mean(axis=-1) / power[:, None], directions, _LOWEST),
         None if codes.max(initial=0) > 1 else
-        fall_off(srgb_to_linear(codes).mean(axis=-1) / power[:, None], directions, _LOWEST**2.2),
+        fall_off(linear_from_srgb(codes).mean(axis=-1) / power[:, None], directions, _LOWEST**2.2),
     )  # fmt: skip
 
 

@@ -8,9 +8,12 @@ the number of steps does not grow with the size. They end at a residual of 1e-4 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from ...core.graph import connected
 
 # A slope's error grows with the inverse square of nz, which asks for weights of its fourth power. On the normals of a
 # scanned bunny with 2° of noise the square does as well (0.08 texels of 102), in a fifth of the steps.
@@ -112,7 +115,7 @@ def integrate(
     return np.where(covered, heights - mean[np.where(covered, label, 0)], 0.0), steps
 
 
-def islands(shape: tuple[int, int], joined: list[tuple[int, np.ndarray]]) -> np.ndarray:
+def islands(shape: tuple[int, ...], joined: list[tuple[int, np.ndarray]]) -> np.ndarray:
     """Return (H, W) int, the number of the island that each texel is of, one alone being an island too.
 
     joined: for axes, (H, W − 1) for axis 1 and (H − 1, W) for axis 0, bool: where neighbours belong together.
@@ -123,27 +126,14 @@ def islands(shape: tuple[int, int], joined: list[tuple[int, np.ndarray]]) -> np.
     return connected(number.size, first, second).reshape(shape)
 
 
-def connected(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return (count,) int: things with the same number hang together by the pairs ``first``, ``second`` of indices."""
-    root = np.arange(count)
-    # The larger root hangs itself under the smaller one, then every path is cut short to its end.
-    while (apart := root[first] != root[second]).any():
-        first, second = first[apart], second[apart]
-        a, b = root[first], root[second]
-        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
-        while (root[root] != root).any():
-            root = root[root]
-    return np.unique(root, return_inverse=True)[1].reshape(-1)
-
-
-def _pair(shape: tuple[int, int], axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _pair(shape: tuple[int, ...], axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the texels that have a neighbour along an axis, and those neighbours."""
     if axis == 1:
         return (slice(None), slice(0, shape[1] - 1)), (slice(None), slice(1, shape[1]))
     return (slice(0, shape[0] - 1), slice(None)), (slice(1, shape[0]), slice(None))
 
 
-def _conjugate_gradients(edges: list, shape: tuple[int, int]) -> tuple[np.ndarray, int]:
+def _conjugate_gradients(edges: list, shape: tuple[int, ...]) -> tuple[np.ndarray, int]:
     """Return the least-squares heights, and the steps taken. Texels without an edge stay whatever they are."""
 
     def divergence(flows: list[np.ndarray]) -> np.ndarray:
@@ -175,7 +165,7 @@ def _conjugate_gradients(edges: list, shape: tuple[int, int]) -> tuple[np.ndarra
     return heights, step
 
 
-def _poisson(shape: tuple[int, int]):
+def _poisson(shape: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
     """Return the solver of the Poisson equation on the rectangle, with reflecting borders: its result has mean 0."""
     y, x = (2 - 2 * np.cos(np.pi * np.arange(size) / size) for size in shape)
     eigenvalues = y[:, None] + x[None]

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...capture.camera import Camera
+from ...core.graph import connected
 from ..surface.bake import SurfaceBake
 from ..surface.footprint import texel_steps
 from ..surface.mesh import MeshData
-from .height import Height, card_slopes, connected, integrate, relief_from_log, tangent_slopes
+from .height import Height, card_slopes, integrate, relief_from_log, tangent_slopes
 
 
 def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Height:
@@ -75,5 +76,5 @@ def uv_islands(mesh: MeshData) -> np.ndarray:
     corner = np.unique(corners, axis=0, return_inverse=True)[1].reshape(-1)
     triangle = np.repeat(np.arange(len(mesh.uvs)), 3)
     # Triangles and corners are nodes of one graph.
-    joined = connected(len(mesh.uvs) + corner.max() + 1, triangle, corner + len(mesh.uvs))
+    joined = connected(len(mesh.uvs) + int(corner.max()) + 1, triangle, corner + len(mesh.uvs))
     return joined[: len(mesh.uvs)]

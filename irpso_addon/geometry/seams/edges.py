@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.graph import connected
+
 if TYPE_CHECKING:
     from ..surface.mesh import MeshData
 
@@ -57,14 +59,14 @@ def seam_edges(mesh: MeshData, width: int, height: int) -> tuple[SeamEdges, np.n
     a, b = uv.reshape(-1, 2), np.roll(uv, -1, axis=1).reshape(-1, 2)
     a, b = np.where(turned[:, None], b, a), np.where(turned[:, None], a, b)
     edge = _numbered(np.minimum(first, second), np.maximum(first, second))
-    place = _welded(np.pad(mesh.uvs.reshape(-1, 2), ((0, 0), (0, 1)))).reshape(-1, 3)
-    place, other = place.ravel(), np.roll(place, -1, axis=1).ravel()
-    place = _numbered(np.where(turned, other, place), np.where(turned, place, other))
+    places = _welded(np.pad(mesh.uvs.reshape(-1, 2), ((0, 0), (0, 1)))).reshape(-1, 3)
+    one, other = places.ravel(), np.roll(places, -1, axis=1).ravel()
+    place = _numbered(np.where(turned, other, one), np.where(turned, one, other))
     shared, left = _paired(_numbered(edge, place), first != second)
     pairs, alone = _paired(edge, np.isin(np.arange(len(edge)), left))
     apart = np.ptp(np.concatenate([a, b], axis=-1)[pairs], axis=1).max(axis=-1, initial=0)
     same = apart < _SAME_PLACE
-    islands = components(len(corners), np.concatenate([shared, pairs[same]]) // 3)
+    islands = connected(len(corners), *np.concatenate([shared, pairs[same]]).T // 3).astype(np.int32)
     one, two = pairs[~same].T
     here, there = np.concatenate([one, two, alone]), np.concatenate([two, one, np.full(len(alone), -1)])
     return _described(mesh, uv, a, b, here, there, islands), islands
@@ -97,21 +99,14 @@ def _paired(keys: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.stack([order[twice], order[twice + 1]], axis=-1), order[alone]
 
 
-def components(count: int, links: np.ndarray) -> np.ndarray:
-    """Return (count,) int32 numbers of the connected components of a graph with links (L, 2)."""
-    label = np.arange(count)
-    while True:
-        ends = label[links]
-        ends = ends[ends[:, 0] != ends[:, 1]]
-        if not len(ends):
-            return np.unique(label, return_inverse=True)[1].astype(np.int32)
-        np.minimum.at(label, ends.max(axis=1), ends.min(axis=1))
-        while (label[label] != label).any():
-            label = label[label]
-
-
 def _described(
-    mesh: MeshData, uv: np.ndarray, a: np.ndarray, b: np.ndarray, here: np.ndarray, there: np.ndarray, islands
+    mesh: MeshData,
+    uv: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    here: np.ndarray,
+    there: np.ndarray,
+    islands: np.ndarray,
 ) -> SeamEdges:
     """Return the border edges ``here``, (E,) corners at which they begin; there: their other sides, −1 for none.
 

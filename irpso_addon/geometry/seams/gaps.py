@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .edges import SeamEdges, components
+from ...core.graph import connected
+from .edges import SeamEdges
 from .places import places_beyond, texel_at
 
 FIRST_CHART = -2  # charts that are parts of an island count down from here; −1 is no texel
@@ -63,10 +64,10 @@ def pieces_of(island: np.ndarray, reach: int) -> Pieces:
         label, count = _labelled(window == pairs[part, 1, None, None])
         kept.append(start + np.flatnonzero(count > 1))
         labels.append(label[count > 1].astype(np.int16))
-    kept, label = np.concatenate(kept), np.concatenate(labels)
+    chosen, label = np.concatenate(kept), np.concatenate(labels)
     core = label[:, before : before + reach, before : before + reach]
     block, piece = np.unique(np.stack([np.nonzero(core >= 0)[0], core[core >= 0]], axis=-1), axis=0).T.astype(np.int64)
-    return Pieces(corner[kept], pairs[kept, 1], label, block, piece)
+    return Pieces(corner[chosen], pairs[chosen, 1], label, block, piece)
 
 
 def charts_of(island: np.ndarray, pieces: Pieces) -> np.ndarray:
@@ -91,7 +92,8 @@ def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tup
     number = pieces.number()[a, label]
     seen = (number >= 0) & (chart[y, x] <= FIRST_CHART) & (chart[y, x] != FIRST_CHART - number)
     of_pieces = np.stack([x, y], axis=-1)[seen], FIRST_CHART - number[seen]
-    return tuple(np.concatenate(both) for both in zip(of_rest, of_pieces, strict=True))
+    places, charts = map(np.concatenate, zip(of_rest, of_pieces, strict=True))
+    return places, charts
 
 
 def beyond_pieces(
@@ -138,7 +140,7 @@ def _labelled(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         known = touch[..., :-1] & (above[..., 1:] == above[..., :-1]) & (below[..., 1:] == below[..., :-1])
         touch[..., 1:] &= ~known
         links.append(np.stack([above[touch], below[touch]], axis=-1))
-    piece = components(int(begins.sum()), np.concatenate(links))
+    piece = connected(int(begins.sum()), *np.concatenate(links).T).astype(np.int32)
     window = np.nonzero(begins)[0]
     first = np.full(len(mask), np.iinfo(np.int64).max)
     np.minimum.at(first, window, piece)

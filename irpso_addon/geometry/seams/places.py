@@ -20,7 +20,7 @@ _AROUND = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
 
 
 def places_beyond(
-    edges: SeamEdges, view: np.ndarray, covered: Covered, shape: tuple[int, int], reach: int
+    edges: SeamEdges, view: np.ndarray, covered: Covered, shape: tuple[int, ...], reach: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, 2) places past borders, and (N,) the border edge of their view that each is nearest to.
 

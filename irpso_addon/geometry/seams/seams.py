@@ -15,7 +15,7 @@ import numpy as np
 
 from .edges import SeamEdges, seam_edges
 from .gaps import beyond_pieces, charts_of, known_directly, pieces_of
-from .places import places_beyond, texel_at
+from .places import Covered, places_beyond, texel_at
 
 if TYPE_CHECKING:
     from ..surface.mesh import MeshData
@@ -57,7 +57,8 @@ class SeamMap:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""
-        return self.island.shape
+        height, width = self.island.shape
+        return height, width
 
 
 def seam_map(edges: SeamEdges, island: np.ndarray, reach: int = SEAM_REACH) -> SeamMap:
@@ -95,7 +96,7 @@ def seams_of(mesh: MeshData, triangle: np.ndarray, reach: int = SEAM_REACH) -> S
     return seam_map(edges, np.where(triangle >= 0, islands[np.maximum(triangle, 0)], -1), reach)
 
 
-def _covered(island: np.ndarray):
+def _covered(island: np.ndarray) -> Covered:
     """Return what tells whether places lie on the islands that look."""
 
     def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:

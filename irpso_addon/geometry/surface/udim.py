@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.udim import COLUMNS, ONE_SQUARE, ROWS, tile_number, tile_place
+from ...core.udim import COLUMNS, ONE_SQUARE, ROWS, tile_number
 
 # Texture coordinates this far outside a tile are rounding, not intent.
 _UV_ROUNDING = 1e-5
@@ -59,15 +59,6 @@ def layout_size(tiles: tuple[int, ...], width: int, height: int) -> tuple[int, i
             f" {_WIDEST - 1} can be; lower it, or recover the material slots one by one"
         )
     return len(tiles) * width, height
-
-
-def layout_place(tiles: tuple[int, ...], uv: np.ndarray) -> np.ndarray | None:
-    """Return the place (2,) in the layout of texture coordinates (2,), None where they lie in none of the tiles."""
-    for index, number in enumerate(tiles):
-        inside = np.asarray(uv, np.float64) - tile_place(number)
-        if ((inside >= 0) & (inside <= 1)).all():
-            return np.array([(inside[0] + index) / len(tiles), inside[1]])
-    return None
 
 
 def _places(uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

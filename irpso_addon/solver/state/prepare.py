@@ -306,11 +306,6 @@ def _mean(samples: np.ndarray) -> np.ndarray:
     return ((samples[..., 0] + samples[..., 1]) + samples[..., 2]) / samples.dtype.type(3)
 
 
-def _nan_percentile(values: np.ndarray, percentile: float) -> np.ndarray:
-    """Percentile over axis 0 of what is not NaN, linear between ranks; NaN for empty columns (np's own loops)."""
-    return _percentiles(values, [percentile])[0]
-
-
 def _percentiles(values: np.ndarray, percentiles: Sequence[float], divisor: float = 1) -> list[np.ndarray]:
     """Percentiles over axis 0 of what is not NaN, of the values over a divisor; NaN for empty columns."""
     ordered = np.ascontiguousarray(values.T)  # numbers that lie side by side sort faster

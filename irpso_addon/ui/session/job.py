@@ -202,7 +202,7 @@ def _picture_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarr
     if parameter.is_normal:
         return _normals(values, image.is_float and not encoded)
     if encoded and not image.is_float and parameter.color_space == "sRGB":
-        values = linear_from_srgb(values)
+        values = linear_from_srgb(np.maximum(values, 0).astype(np.float64))
     return np.clip(values, *parameter.range).astype(np.float32)
 
 

@@ -96,16 +96,6 @@ def test_a_copy_pass_copies_bit_for_bit():
     copy.close()
 
 
-def test_a_rectangle_of_a_frame_buffer_is_that_of_the_array():
-    copy = copy_pass()
-    array = numbers(13, 17, 4)
-    target = textures.empty(17, 13)
-    copy.run([target], {"u_source": textures.upload(array)})
-    found = textures.download_rectangle(copy.framebuffer([target]), 3, 5, 11, 2)
-    np.testing.assert_array_equal(found, array[5:7, 3:14])
-    copy.close()
-
-
 def test_a_texture_that_the_gpu_refuses_says_its_size_and_what_to_do():
     width = 2 * context.max_texture_size()
     with pytest.raises(InputError, match=rf"refuses a texture of {width} × 4 texels; choose a smaller --resolution"):

@@ -191,7 +191,6 @@ def test_no_picture_is_read_back(running, show, monkeypatch):
         raise AssertionError("read back")
 
     monkeypatch.setattr(textures, "download", refuse)
-    monkeypatch.setattr(textures, "download_rectangle", refuse)
     display = show(running)
     for shown in (("parameter", "normal"), ("error",), ("render",), ("reference",), ("confidence", "r1")):
         assert display.picture(Shown(*shown)) is not None

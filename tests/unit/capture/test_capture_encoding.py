@@ -7,9 +7,9 @@ import pytest
 
 from irpso_addon.capture import read_capture
 from irpso_addon.capture.images.headers import read_header
-from irpso_addon.capture.images.linearise import srgb_to_linear
 from irpso_addon.capture.inspect.falloff import encoding_test
 from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, decode_png, sphere, write_png
 from tests.builders.command_line import dome_lights
 from tests.oracles import reflectance as oracles
@@ -115,7 +115,7 @@ def test_srgb_files_that_do_not_state_it_stay_srgb(tmp_path, ball, name):
     surface = {**MATT, **OTHERS}[name]
     codes = encoded(photographed(surface, WIDE, normals), "srgb")
     folder = write_capture_of(tmp_path / "ball", codes, WIDE, mask)
-    expected = srgb_to_linear((codes[3] / 255).astype(np.float32))
+    expected = linear_from_srgb((codes[3] / 255).astype(np.float32))
     np.testing.assert_array_equal(read_capture(folder, decode_png).observations[3].read()[..., :3], expected)
     assert "encoding" not in inspect_capture(folder, decode_png).codes
 
@@ -138,7 +138,7 @@ def test_what_is_stated_counts_and_a_contradiction_is_only_warned_of(
     codes = encoded(photographed(MATT["white"], NARROW, normals), values) * (257 if bits == 16 else 1)
     folder = write_capture_of(tmp_path / "ball", codes, NARROW, mask, bits, extra)
     expected = (codes[2] / (2**bits - 1)).astype(np.float32)
-    expected = srgb_to_linear(expected) if read_as == "srgb" else expected
+    expected = linear_from_srgb(expected) if read_as == "srgb" else expected
     np.testing.assert_array_equal(read_capture(folder, decode_png, asked).observations[2].read()[..., :3], expected)
     messages = [f.message for f in inspect_capture(folder, decode_png, asked).findings if f.code == "encoding"]
     assert len(messages) == bool(said) and all(said in text for text in messages)

@@ -9,6 +9,7 @@ from irpso_addon.capture.inspect import checks, sufficiency
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
+from irpso_addon.core.steps import run_steps
 from tests.builders.captures import LIGHTS, decode_png, shade, sphere, write_diligent, write_png
 
 NORMALS, MASK = sphere(64)
@@ -229,7 +230,7 @@ def test_a_shifted_frame_is_told_by_how_much(tmp_path, move):
     found = report(tmp_path, frames)
     message = finding(found, "shifted")
     assert "004.exr" in message and f"{move[0]:+d} px right, {move[1]:+d} px up" in message
-    shifts = checks.frame_shifts(frames)
+    shifts = run_steps(checks.shift_steps(frames))
     assert shifts[4].tolist() == list(move) and not np.delete(shifts, 4, axis=0).any()
 
 
@@ -375,7 +376,7 @@ def test_shading_that_a_raking_light_moves_is_no_shift(seed):
     JPEG leaves them) 16 were, and now none is. Of a fifth of their frames, rolled by 2 px, 64 % were told to be and
     now 55 %; what is lost are bare balls and shining bunnies, whose light moves as much as they do.
     """
-    assert not checks.frame_shifts(raked_caps(seed)).any()
+    assert not run_steps(checks.shift_steps(raked_caps(seed))).any()
 
 
 @pytest.mark.parametrize("pixels", [2, 3, 4])
@@ -385,5 +386,5 @@ def test_shifts_of_what_has_texture_are_found_under_raking_lights_too(pixels):
     frames = raked_caps(4) * (0.2 + 0.8 * texture)
     moved = rng.choice([-pixels, pixels], 2)
     frames[8] = np.roll(frames[8], moved[::-1], axis=(0, 1))
-    found = checks.frame_shifts(frames)
+    found = run_steps(checks.shift_steps(frames))
     assert np.abs(found[8] - moved).max() <= 1 and not np.delete(found, 8, axis=0).any()

@@ -8,7 +8,8 @@ import pytest
 from irpso_addon.capture import CaptureError, Picture
 from irpso_addon.capture.images.exif import orientation_of, tiff_tags, upright
 from irpso_addon.capture.images.headers import read_header
-from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture, srgb_to_linear
+from irpso_addon.capture.images.linearise import mask_of_picture, samples_of_picture
+from irpso_addon.core.encode import linear_from_srgb
 from tests.builders.captures import chunk, write_png
 from tests.builders.exif import exif, jpeg
 
@@ -19,7 +20,7 @@ def picture(codes, bits):
 
 def test_the_srgb_curve_has_the_values_of_its_standard():
     # IEC 61966-2-1: code 0.5 is 0.21404114 of linear light; the straight part has slope 1/12.92.
-    found = srgb_to_linear(np.array([0.0, 0.02, 0.04045, 0.048, 0.5, 1.0]))
+    found = linear_from_srgb(np.array([0.0, 0.02, 0.04045, 0.048, 0.5, 1.0]))
     np.testing.assert_allclose(found, [0, 0.02 / 12.92, 0.0031308, (0.103 / 1.055) ** 2.4, 0.21404114, 1], rtol=1e-5)
 
 

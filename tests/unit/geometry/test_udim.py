@@ -6,7 +6,7 @@ import pytest
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.udim import tile_files, tile_number, tile_place, tile_stem
 from irpso_addon.geometry.surface.slots import overlapping_slots, slots_of_text
-from irpso_addon.geometry.surface.udim import lay_out, layout_place, layout_size
+from irpso_addon.geometry.surface.udim import lay_out, layout_size
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps, split_maps
 
@@ -78,13 +78,6 @@ def test_a_set_wider_than_random_numbers_are_keyed_is_refused_with_the_remedy():
     assert layout_size(tuple(range(1001, 1016)), 4096, 4096) == (61440, 4096)
     with pytest.raises(InputError, match="16 UDIM tiles of 4096 texels are 65536 side by side, at most 65535"):
         layout_size(tuple(range(1001, 1017)), 4096, 4096)
-
-
-def test_a_place_under_the_cursor_is_found_in_its_tile():
-    tiles = (1001, 1012)
-    np.testing.assert_allclose(layout_place(tiles, (0.5, 0.25)), (0.25, 0.25))
-    np.testing.assert_allclose(layout_place(tiles, (1.5, 1.75)), (0.75, 0.75))
-    assert layout_place(tiles, (1.5, 0.5)) is None and layout_place(tiles, (-0.1, 0.5)) is None
 
 
 def test_maps_are_split_into_their_tiles_and_numbers_stay_numbers():

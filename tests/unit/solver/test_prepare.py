@@ -33,15 +33,6 @@ def test_the_scale_is_the_percentile_of_the_weighted_samples(percentile, options
         assert scale[y, x] == pytest.approx(wanted, rel=1e-5)
 
 
-def test_the_percentile_of_columns_with_gaps_is_that_of_numpy():
-    values = np.random.default_rng(4).normal(size=(11, 60))
-    values[np.random.default_rng(5).random(values.shape) < 0.4] = np.nan
-    values[1:, 0] = np.nan
-    for percentile in (0, 20, 33.3, 75, 100):
-        wanted = np.nanpercentile(values, percentile, axis=0)
-        np.testing.assert_allclose(prepare._nan_percentile(values, percentile), wanted, rtol=1e-12)
-
-
 def test_a_texel_that_is_black_has_the_scale_1():
     domain = make_domain(3, 3, holes=False)
     domain.stack.values[:, 1, 1, :3] = 0
