@@ -21,11 +21,23 @@ _OUTPUT_CHANNELS = {"R32F": 1, "RGBA32F": 4, "RGBA16F": 4}
 
 
 @dataclass(frozen=True)
+class Packed:
+    """Numbers of a texel, four to an RGBA32F texture: NAME_0, NAME_1, … of ``textures``. room: of their array in GLSL.
+
+    A kernel that samples u_NAME has ``void read_NAME(ivec2 texel, out float c[room])``, 0 beyond the last texture; one
+    that puts out o_NAME has ``void write_NAME(inout float c[room])``.
+    """
+
+    textures: int
+    room: int = 12
+
+
+@dataclass(frozen=True)
 class Output:
-    """One texture that a kernel writes: the GLSL variable's name and the texture's format (R32F, RGBA32F, RGBA16F)."""
+    """What a kernel writes: the GLSL variable's name and the texture's format (R32F, RGBA32F, RGBA16F, or Packed)."""
 
     name: str
-    format: str = "RGBA32F"
+    format: str | Packed = "RGBA32F"
 
 
 @dataclass(frozen=True)
@@ -33,17 +45,26 @@ class Kernel:
     """A kernel: the file with ``bool texel_kernel(ivec2 texel)``, which returns false to leave a texel as it was.
 
     The function is not called kernel because that is a keyword of Metal, into which Blender translates it on macOS.
-    source: path under shaders/ or of the user's own. outputs: at most 6, all targets of one size. samplers: name →
-    FLOAT_2D or FLOAT_2D_ARRAY. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given: what
-    an #include of that name brings, as text (generated declarations) or as the path of a file (a model).
+    source: path under shaders/ or of the user's own. outputs: at most 6 textures, all of one size. samplers: name →
+    FLOAT_2D, FLOAT_2D_ARRAY or Packed. constants: name → INT or FLOAT (128 bytes in all). defines: name → value. given:
+    what an #include of that name brings, as text (generated declarations) or as the path of a file (a model).
     """
 
     source: str | Path
     outputs: tuple[Output, ...]
-    samplers: Mapping[str, str]
+    samplers: Mapping[str, str | Packed]
     constants: Mapping[str, str]
     defines: Mapping[str, str | int | float]
     given: Mapping[str, str | Path] = field(default_factory=dict)
+
+    @property
+    def targets(self) -> list[Output]:
+        """The textures that are written, one by one."""
+        return [
+            Output(name, kind)
+            for output in self.outputs
+            for name, kind in _textures(output.name, output.format, "RGBA32F")
+        ]
 
 
 class Pass:
@@ -54,8 +75,8 @@ class Pass:
     """
 
     def __init__(self, kernel: Kernel, entry: Entry = "fragment"):
-        if not 1 <= len(kernel.outputs) <= MAX_OUTPUTS:
-            raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.outputs)}")
+        if not 1 <= len(kernel.targets) <= MAX_OUTPUTS:
+            raise ValueError(f"a kernel has 1 to {MAX_OUTPUTS} outputs, {kernel.source} has {len(kernel.targets)}")
         context.ensure()
         self.kernel, self.entry = kernel, entry
         self._shader: Any = None
@@ -138,7 +159,8 @@ class Pass:
         return info
 
     def _sources(self) -> str:
-        return read_source(self.kernel.source, self.kernel.given)
+        source = read_source(self.kernel.source, self.kernel.given)
+        return _packed_functions(self.kernel, source) + source
 
     def _fragment(self, source: str, declared: Mapping[str, str]) -> Any:
         from gpu_extras.batch import batch_for_shader
@@ -153,7 +175,7 @@ class Pass:
 
     def _fragment_info(self, declared: Mapping[str, str]) -> Any:
         info = self._info(declared)
-        for slot, output in enumerate(self.kernel.outputs):
+        for slot, output in enumerate(self.kernel.targets):
             info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
         info.vertex_in(0, "VEC2", "position")
         return info
@@ -165,7 +187,7 @@ class Pass:
 
     def _compute_info(self, declared: Mapping[str, str]) -> Any:
         info = self._info(declared)
-        for slot, output in enumerate(self.kernel.outputs):
+        for slot, output in enumerate(self.kernel.targets):
             info.image(slot, output.format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
             info.define(f"OUTPUT_{slot}", output.name)
             info.define(f"OUTPUT_{slot}_TYPE", _GLSL[_OUTPUT_CHANNELS[output.format]][0])
@@ -200,13 +222,42 @@ class Pass:
         gpu.compute.dispatch(shader, *groups, 1)
 
 
+def _textures(name: str, kind: str | Packed, each: str) -> list[tuple[str, str]]:
+    """Return name and kind of every texture that a name stands for; packed ones are of the kind ``each``."""
+    return [(f"{name}_{i}", each) for i in range(kind.textures)] if isinstance(kind, Packed) else [(name, kind)]
+
+
+def _packed_functions(kernel: Kernel, source: str) -> str:
+    """Return the functions that read and write the packed numbers of which the source speaks."""
+    named = set(re.findall(r"\b(?:read|write)_\w+", source))
+    bound = [(f"read_{name.removeprefix('u_')}", name, kind) for name, kind in kernel.samplers.items()]
+    bound += [(f"write_{output.name.removeprefix('o_')}", output.name, output.format) for output in kernel.outputs]
+    lines = ['#line 1 "packed"']
+    for function, name, kind in bound:
+        if not isinstance(kind, Packed) or function not in named:
+            continue
+        if function.startswith("read_"):
+            lines += [f"void {function}(ivec2 texel, out float c[{kind.room}])", "{"]
+            lines += [f"    vec4 part_{i} = texelFetch({name}_{i}, texel, 0);" for i in range(kind.textures)]
+            parts = [f"part_{i // 4}[{i % 4}]" for i in range(4 * kind.textures)]
+            lines += [f"    c[{i}] = {part};" for i, part in enumerate(parts)]
+            lines += [f"    c[{i}] = 0.0;" for i in range(len(parts), kind.room)]
+        else:
+            lines += [f"void {function}(inout float c[{kind.room}])", "{"]
+            for i in range(kind.textures):
+                lines.append(f"    {name}_{i} = vec4({', '.join(f'c[{4 * i + k}]' for k in range(4))});")
+        lines.append("}")
+    return "\n".join([*lines, ""])
+
+
 def _declared(kernel: Kernel, source: str) -> dict[str, str]:
     """Return the samplers that the source speaks of. Raises GpuUnavailableError where the device has no room for them.
 
     Kernels share their tables of samplers, and some devices have no more than 16 units.
     """
     named = set(re.findall(r"\bu_\w+", source))
-    declared = {name: kind for name, kind in kernel.samplers.items() if name in named}
+    samplers = [each for name, kind in kernel.samplers.items() for each in _textures(name, kind, "FLOAT_2D")]
+    declared = {name: kind for name, kind in samplers if name in named}
     if len(declared) > (most := context.max_samplers()):
         raise GpuUnavailableError(
             f"this GPU reads {most} textures in a shader, {kernel.source} needs {len(declared)}; choose a model or a"

@@ -29,11 +29,33 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// What was seen of a texel under one light. weight: what it counts; l: the unit direction to the light in the texel's
-// frame; intensity: irradiance over π there; clipped: 1 in the channels whose radiance is a lower bound, else 0.
+// A texel under observation. v: the direction toward the camera, where all observations share one; scale: scale_at().
+struct Texel {
+    ivec2 at;
+    Frame frame;
+    vec3 v;
+    float scale;
+};
+
+Texel observed_texel(ivec2 at)
+{
+    Texel t;
+    t.at = at;
+    t.frame = frame_at(at);
+    t.v = vec3(0.0);
+#ifdef ONE_VIEW
+    t.v = view_at(t.frame, 0);
+#endif
+    t.scale = scale_at(at);
+    return t;
+}
+
+// What was seen of a texel under one light. weight: what it counts; l and v: the unit directions to light and camera in
+// the texel's frame; intensity: irradiance over π there; clipped: 1 in the channels whose radiance is a lower bound.
 struct Observation {
     float weight;
     vec3 l;
+    vec3 v;
     vec3 intensity;
     vec3 radiance;
     vec3 clipped;
@@ -43,11 +65,12 @@ struct Observation {
 // In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1].
 // With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has; what is under
 // GREY_SHADOW of the texel's scale is taken for shadow; where one channel is a bound the mean is.
-bool observe(ivec2 texel, Frame f, int k, out Observation o)
+bool observe(Texel t, int k, out Observation o)
 {
-    vec4 reference = texelFetch(u_stack, ivec3(texel, k), 0);
+    vec4 reference = texelFetch(u_stack, ivec3(t.at, k), 0);
     o.weight = reference.a;
     o.l = vec3(0.0);
+    o.v = t.v;
     o.intensity = vec3(0.0);
     o.radiance = reference.rgb;
     o.clipped = vec3(0.0);
@@ -62,7 +85,10 @@ bool observe(ivec2 texel, Frame f, int k, out Observation o)
         o.clipped = vec3(1.0);
 #endif
     }
-    o.l = light_at(f, k, o.intensity);
+    o.l = light_at(t.frame, k, o.intensity);
+#ifndef ONE_VIEW
+    o.v = view_at(t.frame, k);
+#endif
 #ifdef GREY
     vec3 has = vec3(greaterThan(o.intensity, vec3(0.0)));
     float channels = dot(has, vec3(1.0));
@@ -72,12 +98,15 @@ bool observe(ivec2 texel, Frame f, int k, out Observation o)
     // A channel that the light lacks is divided by 1 and counts nothing.
     o.radiance = vec3(dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / channels);
     o.intensity = vec3(1.0);
-    if (o.radiance.r < GREY_SHADOW * scale_at(texel)) {
+    if (o.radiance.r < GREY_SHADOW * t.scale) {
         return false;
     }
 #endif
     return true;
 }
+
+// The loop over all observations k of a texel that tell something of it: a statement or block with o follows.
+#define EACH_OBSERVATION(t, o) for (int k = 0; k < u_observations; k++) if (observe(t, k, o))
 
 // What a render of reflectance ρ is off by; a bound is met by whatever is brighter.
 vec3 error_of(Observation o, vec3 rho)

@@ -1,8 +1,8 @@
 // Over W×H texels: how much worse the photographs are met by the best of the materials far from the estimate, for every
 // searched number without a normal prior. The number takes TRIALS values of its range; the linear weights are found anew
 // for each (fitness/linear.glsl), everything else is held.
-// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative_0 …, four of the
-// ALTERNATIVES such numbers each: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
+// Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative, one each
+// for the ALTERNATIVES such numbers: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
 // fits better.
 
 #include "common/estimate.glsl"
@@ -24,17 +24,14 @@ float trial_at(int i)
 }
 
 // How many independent samples are left when all unknowns are determined.
-float samples_left(ivec2 texel, Frame f, Material best)
+float samples_left(Texel t, Material best)
 {
     ErrorSums told;
     clear_errors(told);
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 error = error_of(o, reflectance(best, o.l, view_at(f, k)));
-        float relative = relative_error(texel, o);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 error = error_of(o, reflectance(best, o.l, o.v));
+        float relative = relative_error(t, o);
         vec3 counted = o.weight * draws(o, error);
         add_error(told, error, relative * relative * counted, counted);
     }
@@ -42,24 +39,17 @@ float samples_left(ivec2 texel, Frame f, Material best)
 }
 
 // Gives s the linear weights that meet the samples best, weighted as the errors of ``best`` ask for.
-void refit(ivec2 texel, Frame f, Material best, inout Material s)
+void refit(Texel t, Material best, inout Material s)
 {
 #if LINEAR_BLOCKS > 0
     Equations e;
     Linear w;
     clear_equations(e);
     clear_linear(w);
-    float scale = loss_scale(texel);
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 v = view_at(f, k);
-        vec3 error = error_of(o, reflectance(best, o.l, v));
-        float relative = relative_error(texel, o);
-        vec3 weight = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
-        add_observation(e, s, o.l, v, o.intensity, o.radiance, weight);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 error = error_of(o, reflectance(best, o.l, o.v));
+        add_observation(e, s, o, reweighted(t, o, error, relative_error(t, o)));
     }
     solve_linear(e, w);
     linear_to(w, s);
@@ -73,13 +63,13 @@ bool texel_kernel(ivec2 texel)
         worse[i] = 0.0;
     }
     if (state_at(texel) == TEXEL_SOLVED) {
-        Frame f = frame_at(texel);
+        Texel t = observed_texel(texel);
         Material best = estimate_at(texel);
         float c[12];
         material_to(best, c);
-        float left = samples_left(texel, f, best);
+        float left = samples_left(t, best);
         float weights;
-        float fitness = fitness_of(texel, f, best, weights);
+        float fitness = fitness_of(t, best, weights);
         int place = 0;
         for (int u = 0; u < FREE_COUNT; u++) {
             int at;
@@ -98,20 +88,14 @@ bool texel_kernel(ivec2 texel)
                 }
                 c[at] = value;
                 Material s = material_from(c);
-                refit(texel, f, best, s);
-                lowest = min(lowest, fitness_of(texel, f, s, weights));
+                refit(t, best, s);
+                lowest = min(lowest, fitness_of(t, s, weights));
             }
             c[at] = own;
             worse[place] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
             place++;
         }
     }
-    o_alternative_0 = vec4(worse[0], worse[1], worse[2], worse[3]);
-#if ALTERNATIVES > 4
-    o_alternative_1 = vec4(worse[4], worse[5], worse[6], worse[7]);
-#endif
-#if ALTERNATIVES > 8
-    o_alternative_2 = vec4(worse[8], worse[9], worse[10], worse[11]);
-#endif
+    write_alternative(worse);
     return true;
 }

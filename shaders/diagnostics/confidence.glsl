@@ -1,7 +1,7 @@
 // Over W×H texels: the standard deviation of every parameter that was not given, from (JᵀJ)⁻¹ and the residual, over
 // all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN
 // the variance of the noise in u_noise.z.
-// Writes o_deviation_0 …, packed as the estimates are: a number a component, in the parameter's own units; the first
+// Writes o_deviation, packed as the estimates are: a number a component, in the parameter's own units; the first
 // component of a normal has the root of its two tangent variances, in radians, the others 0.
 
 #include "common/estimate.glsl"
@@ -47,18 +47,14 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
     for (int u = 0; u < FREE_COUNT; u++) {
         steps[u] = steps_of(c, u);
     }
-    Frame f = frame_at(texel);
+    Texel t = observed_texel(texel);
     Material s = material_from(c);
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 v = view_at(f, k);
-        vec3 rho = reflectance(s, o.l, v);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 rho = reflectance(s, o.l, o.v);
         vec3 render = o.intensity * rho;
         vec3 error = error_of(o, rho);
-        float relative = relative_error(texel, o);
+        float relative = relative_error(t, o);
         vec3 counted = o.weight * draws(o, error);
         vec3 weight = relative * relative * counted;
         add_error(told, error, weight, counted);
@@ -66,8 +62,8 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
         vec3 j[FREE_COUNT];
         for (int u = 0; u < FREE_COUNT; u++) {
             vec2 by = steps[u];
-            vec3 first = o.intensity * reflectance(moved(c, u, by.x), o.l, v) - render;
-            vec3 second = o.intensity * reflectance(moved(c, u, by.y), o.l, v) - render;
+            vec3 first = o.intensity * reflectance(moved(c, u, by.x), o.l, o.v) - render;
+            vec3 second = o.intensity * reflectance(moved(c, u, by.y), o.l, o.v) - render;
             // The slope at 0 of the parabola through the three.
             j[u] = (first * (by.y / by.x) - second * (by.x / by.y)) / (by.y - by.x);
         }
@@ -177,7 +173,7 @@ float variance_of(ivec2 texel, ErrorSums told)
     float freedom = freedom_of(told);
     float least = 0.0;
 #if FITNESS == FITNESS_ROBUST
-    least = NOISE_FLOOR / (loss_scale(texel) * loss_scale(texel));
+    least = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
 #endif
     return freedom > 0.0 ? alike_of(told) * told.errors / freedom + least : -1.0;
 #endif
@@ -214,12 +210,6 @@ bool texel_kernel(ivec2 texel)
             sigma[at] = min(width, length(vec2(sigma[at], own)));
         }
     }
-    o_deviation_0 = vec4(sigma[0], sigma[1], sigma[2], sigma[3]);
-#if ESTIMATES > 1
-    o_deviation_1 = vec4(sigma[4], sigma[5], sigma[6], sigma[7]);
-#endif
-#if ESTIMATES > 2
-    o_deviation_2 = vec4(sigma[8], sigma[9], sigma[10], sigma[11]);
-#endif
+    write_deviation(sigma);
     return true;
 }

@@ -7,16 +7,13 @@
 // Returns (mean absolute difference over channels and weighted samples, weights, largest difference, 0).
 vec4 mean_error(ivec2 texel, Material s)
 {
-    Frame f = frame_at(texel);
     float sum = 0.0;
     float weights = 0.0;
     float largest = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 error = abs(error_of(o, reflectance(s, o.l, view_at(f, k))));
+    Texel t = observed_texel(texel);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 error = abs(error_of(o, reflectance(s, o.l, o.v)));
         sum += o.weight * (error.r + error.g + error.b);
         weights += o.weight;
         largest = max(largest, max(error.r, max(error.g, error.b)));

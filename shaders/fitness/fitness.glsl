@@ -8,28 +8,19 @@
 #include "fitness/with_priors.glsl"
 
 // The fitness, and the weights of the samples together.
-float fitness_of(ivec2 texel, Frame f, Material s, out float weights)
+float fitness_of(Texel t, Material s, out float weights)
 {
     float sum = 0.0;
     weights = 0.0;
-    float scale = loss_scale(texel);
-#ifdef ONE_VIEW
-    vec3 v = view_at(f, 0);
-#endif
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-#ifndef ONE_VIEW
-        vec3 v = view_at(f, k);
-#endif
-        vec3 error = error_of(o, reflectance(s, o.l, v));
+    float scale = loss_scale(t.scale);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 error = error_of(o, reflectance(s, o.l, o.v));
 #ifdef GREY
         // Of a model in colour it is the grey that is compared.
         error = vec3((error.r + error.g + error.b) / 3.0);
 #endif
-        sum += o.weight * loss_of(scale * relative_error(texel, o) * error);
+        sum += o.weight * loss_of(scale * relative_error(t, o) * error);
         weights += o.weight;
     }
     float mean = sum / (3.0 * weights);

@@ -4,6 +4,7 @@
 // one, and the radiance that belongs to none of them; void linear_range(…) and void linear_to(…) go with it.
 
 #include "basis.glsl"
+#include "common/observation.glsl"
 
 // What the normal equations are summed up in. A colour's channels do not meet, so its part is diagonal.
 struct Equations {
@@ -34,15 +35,15 @@ void clear_equations(out Equations e)
 }
 
 // Adds one observation: bases under its light, radiance left for them to explain, weight of each channel.
-void add_observation(inout Equations e, Material s, vec3 l, vec3 v, vec3 intensity, vec3 radiance, vec3 weight)
+void add_observation(inout Equations e, Material s, Observation o, vec3 weight)
 {
     vec3 colors[COLOR_ROOM];
     vec3 numbers[NUMBER_ROOM];
     vec3 rest;
-    basis_at(s, l, v, colors, numbers, rest);
-    vec3 right = radiance - intensity * rest;
-    vec3 once = weight * intensity;
-    vec3 twice = once * intensity;
+    basis_at(s, o.l, o.v, colors, numbers, rest);
+    vec3 right = o.radiance - o.intensity * rest;
+    vec3 once = weight * o.intensity;
+    vec3 twice = once * o.intensity;
     for (int i = 0; i < COLORS; i++) {
         e.color_right[i] += once * colors[i] * right;
         for (int j = 0; j <= i; j++) {

@@ -6,11 +6,11 @@
 #define FITNESS_ROBUST 2
 #define FITNESS_BOUNDED 3
 
-// Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale.
-float loss_scale(ivec2 texel)
+// Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale (scale_at).
+float loss_scale(float scale)
 {
 #if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_BOUNDED
-    return 1.0 / (scale_at(texel) * u_delta);
+    return 1.0 / (scale * u_delta);
 #else
     return 1.0;
 #endif

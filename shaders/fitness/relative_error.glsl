@@ -12,14 +12,14 @@ float srgb_slope(float radiance)
 // outlier until it is met to a few percent, and the descent never comes there.
 // With NOISE, the standard deviation of the files' sRGB codes, δ is no less than what that is in radiance: in the dark a
 // code is far less than δ, in a dark texel that one lamp lights far more.
-float relative_error(ivec2 texel, Observation o)
+float relative_error(Texel t, Observation o)
 {
 #if (FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_BOUNDED)
-    float level = scale_at(texel) * u_brightness;
+    float level = t.scale * u_brightness;
     float brightest = max(o.radiance.r, max(o.radiance.g, o.radiance.b));
     float relative = brightest > level ? pow(level / brightest, HIGHLIGHT_POWER) : 1.0;
 #if defined(NOISE) && !defined(GREY)
-    float delta = 1.0 / (loss_scale(texel) * relative);
+    float delta = 1.0 / (loss_scale(t.scale) * relative);
     float noise = NOISE * srgb_slope(clamp(brightest, 0.0, 1.0));
     relative *= delta * inversesqrt(delta * delta + noise * noise);
 #endif
@@ -27,4 +27,10 @@ float relative_error(ivec2 texel, Observation o)
 #else
     return 1.0;
 #endif
+}
+
+// The weight of an error in least squares that minimise the loss (iteratively reweighted).
+vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
+{
+    return o.weight * relative * relative * draws(o, error) * loss_weight(loss_scale(t.scale) * relative * error);
 }

@@ -14,7 +14,7 @@ bool texel_kernel(ivec2 texel)
     Material own = estimate_at(texel);
     vec4 status = texelFetch(u_status, texel, 0);
     o_status = vec4(status.xy, CALM, status.w);
-    write_estimate(own);
+    write_material(own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
@@ -26,7 +26,7 @@ bool texel_kernel(ivec2 texel)
         turn_to_mirror(texel, c);
     }
 #endif
-    Frame f = frame_at(texel);
+    Texel t = observed_texel(texel);
     int count = textureSize(u_materials, 0).x;
     bool found = false;
     float least = 0.0;
@@ -34,7 +34,7 @@ bool texel_kernel(ivec2 texel)
         take_material(k, c);
         Material offer = material_from(c);
         float weights;
-        float fitness = with_priors(fitness_of(texel, f, offer, weights), weights, offer);
+        float fitness = with_priors(fitness_of(t, offer, weights), weights, offer);
         float freedom = freedom_of(weights);
         // Written so that NaN is no offer.
         if (!(fitness < UNFIT)) {
@@ -46,7 +46,7 @@ bool texel_kernel(ivec2 texel)
         if (wanted && (!found || deviance < least)) {
             found = true;
             least = deviance;
-            write_estimate(offer);
+            write_material(offer);
         }
     }
     o_status.w += float(count);

@@ -24,7 +24,7 @@ float penalty_of(ivec2 texel, inout float c[12])
 // JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², J per range.
 void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])
 {
-    float scale = loss_scale(texel);
+    float scale = loss_scale(scale_at(texel));
     float precision_of = falloff_precision() / (scale * scale);
     for (int u = 0; u < FREE_COUNT; u++) {
         int at;

@@ -9,15 +9,15 @@ bool texel_kernel(ivec2 texel)
 {
     o_fitness = UNFIT;
     if (state_at(texel) == TEXEL_SOLVED) {
-        Frame f = frame_at(texel);
+        Texel t = observed_texel(texel);
         int told = 0;
-        for (int k = 0; k < u_observations; k++) {
-            Observation o;
-            told += observe(texel, f, k, o) ? 1 : 0;
+        Observation o;
+        EACH_OBSERVATION(t, o) {
+            told++;
         }
         if (told >= LEAST_SAMPLES) {
             float weights;
-            o_fitness = fitness_of(texel, f, estimate_at(texel), weights);
+            o_fitness = fitness_of(t, estimate_at(texel), weights);
         }
     }
     return true;

@@ -1,12 +1,11 @@
 // Over W×H texels: where the fit with a prior begins, with every colour and scalar at the mean of what a texel's own samples
 // and the prior say, each weighed by its precision. A texel of which the prior would have less than LEAST_SHARE in every
-// number is left as it is. Reads the estimates, their own deviations, the prior (belief.glsl) and u_noise.
-// Writes o_estimate_0 …, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
+// number is left as it is. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
+// Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"
 #include "components.glsl"
-#include "prior/own.glsl"
 #include "prior/penalty.glsl"
 
 bool texel_kernel(ivec2 texel)
@@ -21,9 +20,9 @@ bool texel_kernel(ivec2 texel)
         float own[12];
         float mean[12];
         float deviation[12];
-        own_at(texel, own);
-        means_at(texel, mean);
-        deviations_at(texel, deviation);
+        read_own(texel, own);
+        read_mean(texel, mean);
+        read_deviation(texel, deviation);
         for (int i = 0; i < COMPONENTS; i++) {
             float width;
             int kind;
@@ -39,6 +38,6 @@ bool texel_kernel(ivec2 texel)
         material_to(estimate_at(texel), c);
         o_status.z = CALM;
     }
-    write_estimate(material_from(c));
+    write_estimate(c);
     return true;
 }

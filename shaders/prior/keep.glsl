@@ -1,4 +1,4 @@
-// Over W×H texels: the fit with the prior (u_work_0 …, u_work_status), where with its penalty it is better than what the
+// Over W×H texels: the fit with the prior (u_work, u_work_status), where with its penalty it is better than what the
 // texel had and without it is not worse by more than TOLERANCE² in deviance; elsewhere the estimates as they were.
 // Reads u_noise (whose x are the losses of the estimates), u_penalty (theirs), the geometry and the sample stack.
 
@@ -7,7 +7,6 @@
 #include "fitness/lobes.glsl"
 #include "refine/status.glsl"
 #include "prior/loss_unit.glsl"
-#include "refine/work.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
@@ -17,11 +16,11 @@ bool texel_kernel(ivec2 texel)
         vec4 noise = texelFetch(u_noise, texel, 0);
         float unit = loss_unit(texel);
         float c[12];
-        work_at(texel, c);
+        read_work(texel, c);
         order_lobes(c);
         Material work = material_from(c);
         float weights;
-        float fitness = fitness_of(texel, frame_at(texel), work, weights);
+        float fitness = fitness_of(observed_texel(texel), work, weights);
         float loss = 3.0 * weights * fitness;
         float before = (noise.x * unit + texelFetch(u_penalty, texel, 0).x) / (3.0 * weights);
         bool better = objective < with_priors(before, weights, result);
@@ -29,6 +28,6 @@ bool texel_kernel(ivec2 texel)
             result = work;
         }
     }
-    write_estimate(result);
+    write_material(result);
     return true;
 }

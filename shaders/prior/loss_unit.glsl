@@ -6,7 +6,7 @@
 float loss_unit(ivec2 texel)
 {
 #if FITNESS == FITNESS_ROBUST
-    float scale = loss_scale(texel);
+    float scale = loss_scale(scale_at(texel));
     return scale * scale;
 #else
     return 1.0;

@@ -1,7 +1,6 @@
 // What a Gaussian prior adds to the loss, per number (x − m)² / v, which is a deviance: in losses as loss_unit.glsl
-// says. Reads u_noise and the prior (belief.glsl), over the unknowns of free_parameters.glsl.
+// says. Reads u_noise and the prior: u_mean, and u_deviation, which is 0 where it says nothing; over the unknowns of free_parameters.glsl.
 
-#include "prior/belief.glsl"
 #include "prior/loss_unit.glsl"
 #include "free_parameters.glsl"
 
@@ -9,8 +8,8 @@ float penalty_of(ivec2 texel, inout float c[12])
 {
     float mean[12];
     float deviation[12];
-    means_at(texel, mean);
-    deviations_at(texel, deviation);
+    read_mean(texel, mean);
+    read_deviation(texel, deviation);
     float sum = 0.0;
     for (int i = 0; i < COMPONENTS; i++) {
         if (deviation[i] > 0.0) {
@@ -27,8 +26,8 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
 {
     float mean[12];
     float deviation[12];
-    means_at(texel, mean);
-    deviations_at(texel, deviation);
+    read_mean(texel, mean);
+    read_deviation(texel, deviation);
     float noise = texelFetch(u_noise, texel, 0).w;
     for (int u = 0; u < FREE_COUNT; u++) {
         int at;

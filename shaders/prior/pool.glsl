@@ -4,16 +4,14 @@
 // Laird 1986, Meta-analysis in Clinical Trials), with s for how often a neighbour counts:
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
 //   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  of the deviation √(t² + 1 / Σ s w).
-// Reads the estimates, their own deviations, what is believed of the neighbours (belief.glsl) and the packing.
-// Writes o_mean_0 … and o_deviation_0 …: m and its deviation where LAST, else what is believed next: a texel whose own
+// Reads the estimates, their own deviations in u_own, what is believed of the neighbours in u_mean and u_deviation
+// (0: nothing), and the packing. Writes o_mean and o_deviation: m and its deviation where LAST, else what is believed next: a texel whose own
 // samples say nothing of a number passes on what its neighbours say.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"
 #include "common/packing.glsl"
 #include "components.glsl"
-#include "prior/belief.glsl"
-#include "prior/own.glsl"
 #include "common/taps.glsl"
 
 // A number that is uncertain by more than this fraction of its range is not told: noise is not linear that far.
@@ -66,8 +64,8 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
         }
         float y[12];
         float theirs[12];
-        means_at(other, y);
-        deviations_at(other, theirs);
+        read_mean(other, y);
+        read_deviation(other, theirs);
         float s = likeness(x, own, y, theirs);
         for (int i = 0; i < COMPONENTS; i++) {
             float width;
@@ -96,9 +94,9 @@ bool texel_kernel(ivec2 texel)
     float mean[12];
     float deviation[12];
     material_to(estimate_at(texel), x);
-    own_at(texel, own);
-    means_at(texel, mean);
-    deviations_at(texel, deviation);
+    read_own(texel, own);
+    read_mean(texel, mean);
+    read_deviation(texel, deviation);
     if (state_at(texel) == TEXEL_SOLVED) {
         float t2[12];
         for (int i = 0; i < 12; i++) {
@@ -135,15 +133,7 @@ bool texel_kernel(ivec2 texel)
             }
         }
     }
-    o_mean_0 = vec4(mean[0], mean[1], mean[2], mean[3]);
-    o_deviation_0 = vec4(deviation[0], deviation[1], deviation[2], deviation[3]);
-#if ESTIMATES > 1
-    o_mean_1 = vec4(mean[4], mean[5], mean[6], mean[7]);
-    o_deviation_1 = vec4(deviation[4], deviation[5], deviation[6], deviation[7]);
-#endif
-#if ESTIMATES > 2
-    o_mean_2 = vec4(mean[8], mean[9], mean[10], mean[11]);
-    o_deviation_2 = vec4(deviation[8], deviation[9], deviation[10], deviation[11]);
-#endif
+    write_mean(mean);
+    write_deviation(deviation);
     return true;
 }

@@ -17,7 +17,7 @@ bool texel_kernel(ivec2 texel)
         }
 #endif
     }
-    write_estimate(material_from(c));
+    write_estimate(c);
     o_status = fresh_status(texelFetch(u_status, texel, 0).w);
     return true;
 }

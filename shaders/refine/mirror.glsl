@@ -8,16 +8,13 @@
 // there is none in front of the surface.
 void turn_to_mirror(ivec2 texel, inout float c[12])
 {
-    Frame f = frame_at(texel);
     float most = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
+    Texel t = observed_texel(texel);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
         vec3 has = vec3(greaterThan(o.intensity, vec3(0.0)));
         float bright = dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / max(dot(has, vec3(1.0)), 1.0);
-        vec3 between = o.l + view_at(f, k);
+        vec3 between = o.l + o.v;
         if (bright > most && between.z > 0.0) {
             most = bright;
             vec3 n = normalize(between);

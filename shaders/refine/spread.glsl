@@ -58,13 +58,13 @@ bool texel_kernel(ivec2 texel)
     Material own = estimate_at(texel);
     vec4 status = texelFetch(u_status, texel, 0);
     o_status = vec4(status.xy, CALM, status.w);
-    write_estimate(own);
+    write_material(own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
     float c[12];
     material_to(own, c);
-    Frame f = frame_at(texel);
+    Texel t = observed_texel(texel);
     ivec4 place = surface_place_of(texel);
     Material tried[OFFERS];
     float sum[OFFERS];
@@ -77,20 +77,16 @@ bool texel_kernel(ivec2 texel)
         tried[p] = own;
         sum[p] = 0.0;
         if (there[p]) {
-            tried[p] = offer_of(other, f, p / 4, c);
+            tried[p] = offer_of(other, t.frame, p / 4, c);
         }
     }
     float weights = 0.0;
-    float scale = loss_scale(texel);
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 v = view_at(f, k);
-        float relative = scale * relative_error(texel, o);
+    float scale = loss_scale(t.scale);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        float relative = scale * relative_error(t, o);
         for (int p = 0; p < OFFERS; p++) {
-            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            vec3 error = error_of(o, reflectance(tried[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
         }
         weights += o.weight;
@@ -119,7 +115,7 @@ bool texel_kernel(ivec2 texel)
     }
     for (int p = 0; p < OFFERS; p++) {
         if (p == chosen) {
-            write_estimate(tried[p]);
+            write_material(tried[p]);
             o_status = fresh_status(o_status.w);
         }
     }

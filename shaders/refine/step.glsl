@@ -25,7 +25,7 @@
 #define FARTHEST 0.2
 
 // Adds up JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material as it is, and the weights.
-vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
+vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
 {
     Material s = material_from(c);
     Steps steps;
@@ -33,23 +33,18 @@ vec2 linearise(ivec2 texel, Frame f, inout float c[12], out float a[FREE_COUNT *
     take_steps(c, steps);
     NormalSums sums;
     clear_sums(sums);
-    float scale = loss_scale(texel);
+    float scale = loss_scale(t.scale);
     float loss = 0.0;
     float weights = 0.0;
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 v = view_at(f, k);
-        vec3 render = reflectance(s, o.l, v);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 render = reflectance(s, o.l, o.v);
         vec3 error = error_of(o, render);
-        float relative = relative_error(texel, o);
+        float relative = relative_error(t, o);
         loss += o.weight * loss_of(scale * relative * error);
         weights += o.weight;
-        vec3 weight = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
-        weight *= o.intensity;
-        add_slopes(s, steps, render, o.l, v, weight * error, weight * o.intensity, sums);
+        vec3 weight = reweighted(t, o, error, relative) * o.intensity;
+        add_slopes(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
     }
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
@@ -64,7 +59,7 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
                 inout float slope[FREE_COUNT])
 {
 #if PRIORS > 0
-    float scale = loss_scale(texel);
+    float scale = loss_scale(scale_at(texel));
 #if FITNESS == FITNESS_L1
     float unit = 2.0 * (fitness + NOISE_FLOOR) / (scale * scale);
 #else
@@ -118,10 +113,10 @@ void stepped(inout float given[12], inout float by[FREE_COUNT], out float c[12])
 
 void improve(ivec2 texel, inout float c[12], inout vec4 status)
 {
-    Frame f = frame_at(texel);
+    Texel t = observed_texel(texel);
     float a[FREE_COUNT * FREE_COUNT];
     float slope[FREE_COUNT];
-    vec2 sums = linearise(texel, f, c, a, slope);
+    vec2 sums = linearise(t, c, a, slope);
     add_penalty(texel, c, a, slope);
     float fitness = (sums.x + penalty_of(texel, c)) / (3.0 * sums.y);
     float before = with_priors(fitness, sums.y, material_from(c));
@@ -168,16 +163,12 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
         tried[p] = material_from(candidate);
         sum[p] = penalty_of(texel, candidate);
     }
-    float scale = loss_scale(texel);
-    for (int k = 0; k < u_observations; k++) {
-        Observation o;
-        if (!observe(texel, f, k, o)) {
-            continue;
-        }
-        vec3 v = view_at(f, k);
-        float relative = scale * relative_error(texel, o);
+    float scale = loss_scale(t.scale);
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        float relative = scale * relative_error(t, o);
         for (int p = 0; p < CANDIDATES; p++) {
-            vec3 error = error_of(o, reflectance(tried[p], o.l, v));
+            vec3 error = error_of(o, reflectance(tried[p], o.l, o.v));
             sum[p] += o.weight * loss_of(relative * error);
         }
     }
@@ -218,7 +209,7 @@ bool texel_kernel(ivec2 texel)
         // What is done under another δ is not done.
         status.z = u_settles != 0 ? status.z : 0.0;
     }
-    write_estimate(material_from(c));
+    write_estimate(c);
     o_status = status;
     return true;
 }

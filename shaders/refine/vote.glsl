@@ -1,18 +1,17 @@
 // Over W×H texels: the more probable of two materials by the samples and the votes of the texels around (votes.glsl).
-// Reads the best so far (u_estimate_…, u_status), what has been worked on (u_work_…, u_work_status), the samples' weights
+// Reads the best so far (u_estimate, u_status), what has been worked on (u_work, u_work_status), the samples' weights
 // and the packing.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"
 #include "refine/votes.glsl"
-#include "refine/work.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
     float own[12];
     float work[12];
-    material_to(estimate_at(texel), own);
-    work_at(texel, work);
+    read_estimate(texel, own);
+    read_work(texel, work);
     vec4 before = texelFetch(u_status, texel, 0);
     vec4 after = texelFetch(u_work_status, texel, 0);
     bool better = false;
@@ -30,9 +29,10 @@ bool texel_kernel(ivec2 texel)
         }
     }
     if (better) {
-        write_estimate(material_from(work));
-    } else {
-        write_estimate(material_from(own));
+        write_estimate(work);
+    }
+    else {
+        write_estimate(own);
     }
     o_status = better ? after : before;
     o_status.w = max(before.w, after.w);

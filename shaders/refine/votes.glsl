@@ -1,6 +1,6 @@
 // How many of the texels around, and elsewhere on the surface, hold searched numbers like given ones, and what their votes
 // are worth: the next draw from a Pólya urn (Blackwell & MacQueen 1973, Ferguson Distributions via Pólya Urn Schemes)
-// repeats a value in proportion to how often it was drawn. Reads u_estimate_0 … of the neighbours, and the packing.
+// repeats a value in proportion to how often it was drawn. Reads u_estimate of the neighbours, and the packing.
 // materials.glsl is materials/shared.glsl or materials/none.glsl.
 
 #include "common/estimate.glsl"

@@ -23,6 +23,12 @@ void read_particle(sampler2D atlas, ivec2 texel, int particle, out float x[8])
     }
 }
 
+// The four numbers of a particle that lie in one block.
+vec4 block_of(inout float x[8], int block)
+{
+    return vec4(x[4 * block], x[4 * block + 1], x[4 * block + 2], x[4 * block + 3]);
+}
+
 // Finds whose number an atlas texel is; returns false on tiles that belong to no particle.
 bool atlas_owner(ivec2 place, out ivec2 texel, out int block, out int particle)
 {

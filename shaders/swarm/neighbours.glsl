@@ -1,24 +1,10 @@
 // Eq. 4 of the paper: the mean of the global bests in an H×H window around a texel, in the coordinates of its search.
-// Reads u_best_0, u_best_1 and the packing. Uncovered neighbours do not count. On a mesh a neighbour's normal is first
+// Reads u_best and the packing. Uncovered neighbours do not count. On a mesh a neighbour's normal is first
 // turned from its own tangent frame into this texel's.
 
 #include "common/frame.glsl"
 #include "common/packing.glsl"
 #include "swarm/encoding.glsl"
-
-void read_best(ivec2 texel, out float g[8])
-{
-    vec4 part = texelFetch(u_best_0, texel, 0);
-    for (int i = 0; i < 4; i++) {
-        g[i] = part[i];
-    }
-#if BLOCKS > 1
-    part = texelFetch(u_best_1, texel, 0);
-#endif
-    for (int i = 0; i < 4; i++) {
-        g[4 + i] = part[i];
-    }
-}
 
 void turn_normal(Frame from, Frame to, inout float g[8])
 {

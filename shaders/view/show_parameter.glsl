@@ -1,5 +1,5 @@
-// Over the domain: one parameter as a picture. Reads u_packed and the estimates; with MEASURES the deviations, and alpha is
-// UNUSED where that of the number at u_at is over u_unknown.
+// Over the domain: one parameter as a picture. Reads u_packed, the estimates and u_measure: alpha is UNUSED where the
+// deviation of the number at u_at is over u_unknown.
 // u_at, u_components: which numbers of a material. u_encoding: 0 a fraction of the range from u_low, u_width wide;
 // 1 a colour; 2 a normal. A parameter of one number is grey, of two red and green, of four its first three.
 
@@ -37,10 +37,6 @@ bool texel_kernel(ivec2 texel)
             value.z = 0.0;
         }
     }
-    float alpha = 1.0;
-#if MEASURES > 0
-    alpha = measure_at(at, u_at) > u_unknown ? UNUSED : 1.0;
-#endif
-    o_picture = vec4(value, alpha);
+    o_picture = vec4(value, measure_at(at, u_at) > u_unknown ? UNUSED : 1.0);
     return true;
 }

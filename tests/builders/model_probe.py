@@ -3,7 +3,7 @@
 import numpy as np
 
 from irpso_addon.gpu import textures
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.passes import Kernel, Output, Packed, Pass
 from irpso_addon.reflectance.glsl import material_declaration
 
 
@@ -18,7 +18,8 @@ def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", ent
     inputs = {f"u_components_{i}": components[None, :, 4 * i : 4 * i + 4] for i in range(3)}
     inputs |= {"u_light_in": light[None], "u_view_in": view[None]}
     kernel = Kernel(
-        str(root / "tests/gpu/kernels/model_probe.glsl"), (Output("o_value"),), {n: "FLOAT_2D" for n in inputs}, {},
+        str(root / "tests/gpu/kernels/model_probe.glsl"), (Output("o_value"),),
+        {"u_components": Packed(3), "u_light_in": "FLOAT_2D", "u_view_in": "FLOAT_2D"}, {},
         {"VALUE": value}, {"material.glsl": material_declaration(model), "model.glsl": model.shader},
     )  # fmt: skip
     one = Pass(kernel, entry)

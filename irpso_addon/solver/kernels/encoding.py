@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ...gpu.passes import Packed
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
+
+_ROOM = 8  # dimensions of a particle, at most
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,11 @@ class Encoding:
     def blocks(self) -> int:
         """How many RGBA texels hold one particle."""
         return 1 if self.dimensions <= 4 else 2
+
+    @property
+    def packed(self) -> Packed:
+        """How a particle's numbers lie in textures."""
+        return Packed(self.blocks, _ROOM)
 
 
 def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: NormalSearch) -> Encoding:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Entry, Kernel, Output, Packed, Pass
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -58,51 +58,40 @@ def build_sequential_swarm_passes(
     entry: Entry,
 ) -> SequentialSwarmPasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
-    estimates = estimate_samplers(model)
+    estimates = packed(model)
     given = {**model_includes(model), "codec.glsl": encoding.source}
     tiling = {"PARTICLES": particles, "TILES_X": across}
     defines = {
         **domain_defines,
         **encoding.defines,
-        **estimate_defines(model),
         **tiling,
         **schedule_defines(schedule),
     }
-    blocks = range(encoding.blocks)
-    bests = {f"u_best_{b}": FLOAT_2D for b in blocks}
+    fixed = {"u_best": encoding.packed, "u_estimate": estimates, **PACKING}
     particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
-    candidates = {f"u_candidate_position_{b}": FLOAT_2D for b in blocks}
-    speeds = {f"u_candidate_velocity_{b}": FLOAT_2D for b in blocks}
-    moved = tuple(Output(f"o_{kind}_{b}") for kind in ("position", "velocity") for b in blocks)
-    best_outputs = tuple(Output(f"o_best_{b}") for b in blocks)
-    verdict = {"u_verdict": FLOAT_2D}
+    candidate = {f"u_candidate_{name}": encoding.packed for name in ("position", "velocity")} | {"u_verdict": FLOAT_2D}
+    moved = (*(Output(f"o_{name}", encoding.packed) for name in ("position", "velocity")), Output("o_verdict"))
+    fitness = Output("o_fitness", "R32F")
 
     def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
         kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
-    read = {**particle, "u_best_fitness": FLOAT_2D, **bests, **estimates, **OBSERVATIONS, **PACKING}
+    read = {**particle, "u_best_fitness": FLOAT_2D, **fixed, **OBSERVATIONS}
     return SequentialSwarmPasses(
-        start=make("move", (*moved, Output("o_verdict")), read, MOVE, START=1),
-        move=make("move", (*moved, Output("o_verdict")), read, MOVE),
-        commit_state=make(
-            "commit_state", (Output("o_position"), Output("o_velocity")), {**candidates, **speeds, **verdict}, _SIZE
-        ),
-        commit_personal=make(
-            "commit_personal", (Output("o_best"), Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
-        ),
-        commit_global=make(
-            "commit_global", (*best_outputs, Output("o_fitness", "R32F")), {**candidates, **verdict}, _SIZE
-        ),
-        resolve=make("resolve", estimate_outputs(model), {**bests, **estimates, **PACKING}, _SIZE, how="fragment"),
+        start=make("move", moved, read, MOVE, START=1),
+        move=make("move", moved, read, MOVE),
+        commit_state=make("commit_state", (Output("o_position"), Output("o_velocity")), candidate, _SIZE),
+        commit_personal=make("commit_personal", (Output("o_best"), fitness), candidate, _SIZE),
+        commit_global=make("commit_global", (Output("o_best", encoding.packed), fitness), candidate, _SIZE),
+        resolve=make("resolve", (Output("o_estimate", estimates),), fixed, _SIZE, how="fragment"),
         take_halo=take_halo_pass(encoding, defines),
     )
 
 
 def take_halo_pass(encoding: Encoding, defines: dict[str, int]) -> Pass:
     """Compile the pass that takes given bests at the texels of neighbouring tiles."""
-    outputs = tuple(Output(f"o_best_{b}") for b in range(encoding.blocks))
-    samplers = {**{f"u_given_{b}": FLOAT_2D for b in range(encoding.blocks)}, **GEOMETRY}
+    outputs, samplers = (Output("o_best", encoding.packed),), {"u_given": encoding.packed, **GEOMETRY}
     return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
 
 
@@ -130,12 +119,13 @@ def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pa
 
 def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
     """Return the same pass over the texels that u_sampled names, in places of its own."""
-    samplers = {**estimate_samplers(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
-    defines = {**domain_defines, **estimate_defines(model)}
+    samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
     outputs = (Output("o_residual"),)
     includes = model_includes(model)
     return Pass(
-        Kernel("diagnostics/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, defines, includes)
+        Kernel(
+            "diagnostics/residual_sampled.glsl", outputs, samplers, {"u_observations": "INT"}, domain_defines, includes
+        )
     )
 
 
@@ -146,10 +136,9 @@ def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass
 
 def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
     """Compile the pass of standard deviations; ``free``: the source of free_parameters.glsl."""
-    outputs = tuple(Output(f"o_deviation_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
-    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    outputs, samplers = (Output("o_deviation", packed(model)),), {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free}
-    defines = {**defines, **estimate_defines(model), **fitness_defines(fitness)}
+    defines = {**defines, **fitness_defines(fitness)}
     return Pass(Kernel("diagnostics/confidence.glsl", outputs, samplers, FITNESS, defines, given))
 
 
@@ -157,12 +146,10 @@ def alternatives_pass(
     model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
 ) -> Pass:
     """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
-    outputs = tuple(Output(f"o_alternative_{i}") for i in range(-(-defines["ALTERNATIVES"] // 4)))
-    samplers = {**estimate_samplers(model), **OBSERVATIONS}
+    outputs = (Output("o_alternative", Packed(-(-defines["ALTERNATIVES"] // 4))),)
+    samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
-    defines = {
-        **defines, **free.defines, **linear.defines, **estimate_defines(model), **fitness_defines(fitness)
-    }  # fmt: skip
+    defines = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
     return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 
 
@@ -172,8 +159,7 @@ def copy_pass() -> Pass:
 
 
 def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:
-    samplers = {**estimate_samplers(model), **OBSERVATIONS}
-    defines = {**defines, **estimate_defines(model)}
+    samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     return Pass(Kernel(source, (Output(output),), samplers, constants, defines, model_includes(model)))
 
 
@@ -186,16 +172,6 @@ def model_includes(model: ReflectanceModel) -> dict:
     }
 
 
-def estimate_defines(model: ReflectanceModel) -> dict[str, int]:
-    """Return ESTIMATES, how many textures hold a model's components."""
-    return {"ESTIMATES": -(-model.components // 4)}
-
-
-def estimate_samplers(model: ReflectanceModel) -> dict[str, str]:
-    """Return the samplers of a model's estimates."""
-    return {f"u_estimate_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
-
-
-def estimate_outputs(model: ReflectanceModel) -> tuple[Output, ...]:
-    """Return the outputs that write a model's estimates."""
-    return tuple(Output(f"o_estimate_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))
+def packed(model: ReflectanceModel) -> Packed:
+    """Return how a model's components lie in textures."""
+    return Packed(-(-model.components // 4))

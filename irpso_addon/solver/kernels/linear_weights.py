@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...core.errors import InputError
+from ...gpu.passes import Packed
 from ...reflectance.model import Parameter, ReflectanceModel
 
 MAX_WEIGHTS = 8  # two RGBA texels hold the linear weights of a swarm's best
@@ -31,6 +32,11 @@ class LinearWeights:
     def blocks(self) -> int:
         """How many RGBA texels hold them."""
         return -(-self.components // 4)
+
+    @property
+    def packed(self) -> Packed:
+        """How they lie in textures."""
+        return Packed(self.blocks, MAX_WEIGHTS)
 
     @property
     def defines(self) -> dict[str, int]:

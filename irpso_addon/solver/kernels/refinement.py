@@ -17,11 +17,9 @@ from .kernels import (
     GEOMETRY,
     OBSERVATIONS,
     PACKING,
-    estimate_defines,
-    estimate_outputs,
-    estimate_samplers,
     fitness_defines,
     model_includes,
+    packed,
 )
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
@@ -87,8 +85,8 @@ def build_refinement_passes(
     free, slopes = resolved_slopes(model, resolved)
     evaluations, offers = renders(model, resolved)
     defines = {
-        **domain_defines, **free.defines, **estimate_defines(model),
-        **fitness_defines(fitness), "EVALUATIONS": evaluations, **step_defines(settings),
+        **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
+        "EVALUATIONS": evaluations,
     }  # fmt: skip
     spread, materials = "refine/spread", {}
     if isinstance(resolved, ResolvedMaterials):
@@ -100,9 +98,9 @@ def build_refinement_passes(
         "penalty.glsl": penalty,
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
     }  # fmt: skip
-    outputs = (*estimate_outputs(model), Output("o_status"))
-    held = {**estimate_samplers(model), "u_status": FLOAT_2D}
-    work = {f"u_work_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
+    outputs = Output("o_estimate", packed(model)), Output("o_status")
+    held = {"u_estimate": packed(model), "u_status": FLOAT_2D}
+    work = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
     voted = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
@@ -113,10 +111,8 @@ def build_refinement_passes(
         begin=make("refine/begin", OBSERVATIONS, {"u_observations": "INT", "u_start": "INT"}),
         step=make("refine/step", OBSERVATIONS, STEP),
         spread=make(spread, {**OBSERVATIONS, **PACKING, **materials}, {**FITNESS, "u_mirror": "INT"}),
-        keep=make("refine/keep", {**work, "u_work_status": FLOAT_2D, **GEOMETRY}, {}, "fragment"),
-        vote=make("refine/vote", {**work, "u_work_status": FLOAT_2D, **materials, **OBSERVATIONS, **PACKING}, FITNESS)
-        if voted
-        else None,
+        keep=make("refine/keep", {**work, **GEOMETRY}, {}, "fragment"),
+        vote=make("refine/vote", {**work, **materials, **OBSERVATIONS, **PACKING}, FITNESS) if voted else None,
         evaluations=evaluations,
         offers=offers,
     )

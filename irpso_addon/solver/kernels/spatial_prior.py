@@ -18,11 +18,9 @@ from .kernels import (
     OBSERVATIONS,
     PACKING,
     copy_pass,
-    estimate_defines,
-    estimate_outputs,
-    estimate_samplers,
     fitness_defines,
     model_includes,
+    packed,
 )
 from .refinement import STEP, renders, resolved_slopes, step_defines
 
@@ -72,13 +70,13 @@ def build_prior_passes(
     prior, held = resolved.prior, _held(model, resolved.parameters)
     free = build_free_parameters(model, held)
     common = {
-        **domain_defines, **estimate_defines(model), **free.defines, **_lobes(model, held),
+        **domain_defines, **free.defines, **_lobes(model, held),
         **_settings(prior, schedule.refinement), **fitness_defines(schedule.fitness), "COMPONENTS": model.components,
     }  # fmt: skip
-    means, deviations, own = (_samplers(model, name) for name in ("mean", "deviation", "own"))
-    estimates, belief = estimate_samplers(model), {**means, **deviations}
-    beliefs = (*_outputs(model, "mean"), *_outputs(model, "deviation"))
-    work = {**_samplers(model, "work"), "u_work_status": FLOAT_2D}
+    numbers = packed(model)
+    estimates, own, work = ({f"u_{name}": numbers} for name in ("estimate", "own", "work"))
+    belief = {"u_mean": numbers, "u_deviation": numbers}
+    mean, deviation, estimate = (Output(f"o_{name}", numbers) for name in ("mean", "deviation", "estimate"))
     includes = {
         **model_includes(model), "components.glsl": components_source(model, resolved),
         "free_parameters.glsl": free.source,
@@ -89,26 +87,26 @@ def build_prior_passes(
         return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
 
     return PriorPasses(
-        noise=make("prior/noise", (Output("o_noise"), *_outputs(model, "mean")), {**estimates, **OBSERVATIONS}),
+        noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
         variance=make("prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
         deviation=make(
             "diagnostics/confidence",
-            _outputs(model, "deviation"),
+            (deviation,),
             {**estimates, **OBSERVATIONS, **_NOISE},
             NOISE_GIVEN=1,
         ),
-        pool=make("prior/pool", beliefs, {**estimates, **belief, **own, **PACKING}),
-        pool_last=make("prior/pool", beliefs, {**estimates, **belief, **own, **PACKING}, LAST=1),
+        pool=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}),
+        pool_last=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}, LAST=1),
         begin=make(
             "prior/begin",
-            (*estimate_outputs(model), Output("o_status"), Output("o_penalty", "R32F")),
+            (estimate, Output("o_status"), Output("o_penalty", "R32F")),
             {**estimates, **belief, **own, **_NOISE, **GEOMETRY},
         ),
         step=_step_pass(model, resolved, common, {**estimates, **belief, **_NOISE}, includes, entry),
         keep=make(
             "prior/keep",
-            estimate_outputs(model),
-            {**estimates, **work, **_NOISE, "u_penalty": FLOAT_2D, **OBSERVATIONS},
+            (estimate,),
+            {**estimates, **work, "u_work_status": FLOAT_2D, **_NOISE, "u_penalty": FLOAT_2D, **OBSERVATIONS},
             "fragment",
         ),
         copy=copy_pass(),
@@ -149,7 +147,7 @@ def _step_pass(
     penalty = SHADERS / "prior" / "penalty.glsl"
     return Pass(
         Kernel(
-            "refine/step.glsl", (*estimate_outputs(model), Output("o_status")),
+            "refine/step.glsl", (Output("o_estimate", packed(model)), Output("o_status")),
             {**samplers, "u_status": FLOAT_2D, **OBSERVATIONS}, STEP,
             {**unordered, **slopes, "EVALUATIONS": renders(model, resolved.step)[0]},
             {**includes, "free_parameters.glsl": free.source, "slopes.glsl": slopes_source, "penalty.glsl": penalty},
@@ -177,11 +175,3 @@ def _lobes(model: ReflectanceModel, held: set[str]) -> dict[str, int]:
 
 def _held(model: ReflectanceModel, parameters: tuple[Parameter, ...]) -> set[str]:
     return {p.name for p in model.parameters} - {p.name for p in parameters}
-
-
-def _samplers(model: ReflectanceModel, name: str) -> dict[str, str]:
-    return {f"u_{name}_{i}": FLOAT_2D for i in range(estimate_defines(model)["ESTIMATES"])}
-
-
-def _outputs(model: ReflectanceModel, name: str) -> tuple[Output, ...]:
-    return tuple(Output(f"o_{name}_{i}") for i in range(estimate_defines(model)["ESTIMATES"]))

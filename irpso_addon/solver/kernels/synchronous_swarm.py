@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Entry, Kernel, Output, Packed, Pass
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
 from . import kernels
@@ -46,40 +46,39 @@ def build_synchronous_swarm_passes(
     entry: Entry,
 ) -> SynchronousSwarmPasses:
     """Compile the passes for ``particles`` in an atlas ``across`` tiles wide."""
-    blocks, linears = range(encoding.blocks), range(linear.blocks)
-    bests = {f"u_best_{b}": kernels.FLOAT_2D for b in blocks}
-    means = {f"u_mean_{b}": kernels.FLOAT_2D for b in blocks}
-    weights = {f"u_best_linear_{b}": kernels.FLOAT_2D for b in linears}
-    fitnesses = [f"fitness_{i}" for i in range(-(-particles // 4))]
-    estimates = kernels.estimate_samplers(model)
+    estimates, fitness = kernels.packed(model), Packed(-(-particles // 4), MAX_PARTICLES)
     state = {f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
-    best_so_far = {"u_best_fitness": kernels.FLOAT_2D, **bests, **weights, **kernels.PACKING}
-    found = {f"u_{name}": kernels.FLOAT_2D for name in [*fitnesses, *(f"linear_{b}" for b in linears)]}
+    best_so_far = {
+        "u_best": encoding.packed, "u_best_linear": linear.packed, "u_best_fitness": kernels.FLOAT_2D, **kernels.PACKING
+    }  # fmt: skip
+    found = {"u_fitness": fitness, "u_linear": linear.packed}
     # Particles are placed by the estimates and moved by the means: all together are more than 16 textures.
-    placed, moved = {**best_so_far, **estimates}, {**best_so_far, **state, **means}
+    placed = {**best_so_far, "u_estimate": estimates}
+    moved = {**best_so_far, **state, "u_mean": encoding.packed, "u_estimate": Packed(0)}
     defines = {
-        **domain_defines, **encoding.defines, **linear.defines, **kernels.estimate_defines(model),
-        **kernels.schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across,
+        **domain_defines, **encoding.defines, **linear.defines, **kernels.schedule_defines(schedule),
+        "PARTICLES": particles, "TILES_X": across,
         "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
     given = {**kernels.model_includes(model), "codec.glsl": encoding.source, "basis.glsl": linear.source}
 
-    def make(source: str, outputs: list[Output], samplers: dict, how: Entry = entry, **more: int) -> Pass:
+    def make(source: str, outputs: tuple[Output, ...], samplers: dict, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"
-        return Pass(Kernel(name, tuple(outputs), samplers, kernels.MOVE, {**defines, **more}, given), how)
+        return Pass(Kernel(name, outputs, samplers, kernels.MOVE, {**defines, **more}, given), how)
 
-    finds = [Output(f"o_{name}") for name in fitnesses] + [Output(f"o_linear_{b}") for b in linears]
-    commits = [Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")]
-    best = [Output(f"o_best_{b}") for b in blocks] + [Output(f"o_best_linear_{b}") for b in linears]
-    best.append(Output("o_best_fitness", "R32F"))
+    finds = Output("o_fitness", fitness), Output("o_linear", linear.packed)
+    commits = Output("o_position"), Output("o_velocity"), Output("o_best"), Output("o_fitness", "R32F")
+    best = (
+        Output("o_best", encoding.packed), Output("o_best_linear", linear.packed), Output("o_best_fitness", "R32F")
+    )  # fmt: skip
     return SynchronousSwarmPasses(
         place=make("evaluate", finds, {**placed, **kernels.OBSERVATIONS}, START=1),
         place_commit=make("commit", commits, {**placed, **state, **found}, START=1),
         place_best=make("best", best, {**placed, **found}, START=1),
-        mean=make("mean", [Output(f"o_mean_{b}") for b in blocks], best_so_far),
-        move=make("evaluate", finds, {**moved, **estimates, **kernels.OBSERVATIONS}),
-        commit=make("commit", commits, {**moved, **found}, ESTIMATES=0),
-        best=make("best", best, {**moved, **found}, ESTIMATES=0),
-        resolve=make("resolve", list(kernels.estimate_outputs(model)), {**placed, **state}, how="fragment"),
+        mean=make("mean", (Output("o_mean", encoding.packed),), best_so_far),
+        move=make("evaluate", finds, {**moved, "u_estimate": estimates, **kernels.OBSERVATIONS}),
+        commit=make("commit", commits, {**moved, **found}),
+        best=make("best", best, {**moved, **found}),
+        resolve=make("resolve", (Output("o_estimate", estimates),), {**placed, **state}, how="fragment"),
         take_halo=kernels.take_halo_pass(encoding, defines),
     )

@@ -249,36 +249,31 @@ def _narrow(lights: np.ndarray) -> bool:
 
 def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
     normal = next(p.name for p in model.parameters if p.is_normal)
-    samplers = {**kernels.estimate_samplers(model), **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
-    defines = {**defines, **kernels.estimate_defines(model), "NORMAL_COMPONENT": model.offset(normal)}
-    return Pass(
-        Kernel(
-            "prefit/adopt.glsl", kernels.estimate_outputs(model), samplers, {}, defines, kernels.model_includes(model)
-        )
-    )
+    packed = kernels.packed(model)
+    samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
+    defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}
+    outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, given))
 
 
 def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
-    count = kernels.estimate_defines(model)["ESTIMATES"]
+    packed = kernels.packed(model)
     samplers = {
-        **kernels.estimate_samplers(model), **kernels.OBSERVATIONS, "u_prefit_fitness": kernels.FLOAT_2D,
-        **{f"u_work_{i}": kernels.FLOAT_2D for i in range(count)},
+        "u_estimate": packed, "u_work": packed, "u_prefit_fitness": kernels.FLOAT_2D, **kernels.OBSERVATIONS
     }  # fmt: skip
     defines = {
-        **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
+        **defines, **kernels.fitness_defines(schedule.fitness, "bounded"),
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
-    given = kernels.model_includes(model)
-    return Pass(
-        Kernel("prefit/acceptance.glsl", kernels.estimate_outputs(model), samplers, kernels.FITNESS, defines, given)
-    )
+    outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, given))
 
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
-    samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS}
+    samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     free = build_free_parameters(model, ()).count
     defines = {
-        **defines, **kernels.estimate_defines(model), **kernels.fitness_defines(schedule.fitness, "bounded"),
+        **defines, **kernels.fitness_defines(schedule.fitness, "bounded"),
         "LEAST_SAMPLES": max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * free),
     }  # fmt: skip
     outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)

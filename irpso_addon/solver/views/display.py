@@ -13,7 +13,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Kernel, Output, Pass
+from ...gpu.passes import Kernel, Output, Packed, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
 from ..engine.coarse_to_fine import Pyramid
@@ -172,7 +172,7 @@ class Display:
                 self._measures[kind] = _Measure(kernels.residual_pass(model, self._defines), 1, "R32F", constants)
             else:
                 made, constants = self._recovery.deviation_pass()
-                count = kernels.estimate_defines(model)["ESTIMATES"]
+                count = kernels.packed(model).textures
                 self._measures[kind] = _Measure(made, count, "RGBA32F", constants)
         return self._measures[kind]
 
@@ -272,16 +272,14 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
 
 def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, int]) -> Pass:
     """Compile the pass that draws a kind of picture."""
-    estimates, measures = kernels.estimate_samplers(model), 0
-    name, samplers, constants = f"show_{kind}", {**estimates, **kernels.OBSERVATIONS}, _OBSERVATION
-    if kind in ("error", "confidence", "unknown"):
-        measures = 1 if kind == "error" else len(estimates)
-    measured = {f"u_measure_{i}": kernels.FLOAT_2D for i in range(measures)}
+    packed = kernels.packed(model)
+    measured = Packed({"error": 1, "confidence": packed.textures, "unknown": packed.textures}.get(kind, 0))
+    samplers = {"u_estimate": packed, "u_measure": measured, "u_ramp": kernels.FLOAT_2D}
+    name, constants = f"show_{kind}", _OBSERVATION
     if kind in ("parameter", "unknown"):
-        name, samplers, constants = "show_parameter", {**estimates, **measured}, _PARAMETER
-    elif measured:
-        name, samplers, constants = "show_measure", {**measured, "u_ramp": kernels.FLOAT_2D}, _MEASURE
-    samplers = {**samplers, **kernels.PACKING}
-    defines = {**domain_defines, **kernels.estimate_defines(model), "MEASURES": measures}
+        name, constants = "show_parameter", _PARAMETER
+    elif measured.textures:
+        name, constants = "show_measure", _MEASURE
+    samplers |= kernels.OBSERVATIONS | kernels.PACKING
     output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
-    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, defines, given))
+    return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, given))

@@ -106,14 +106,15 @@ class TexelProbe:
         """Return the components of the estimate, padded to whole texels, then the error and three more numbers."""
         if self._texel is None:
             model = self._recovery.model
-            samplers = {**kernels.estimate_samplers(model), **kernels.OBSERVATIONS, **kernels.PACKING}
-            defines = {**self._defines, **kernels.estimate_defines(model)}
+            packed = kernels.packed(model)
+            samplers = {"u_estimate": packed, **kernels.OBSERVATIONS, **kernels.PACKING}
+            defines = {**self._defines, "ESTIMATES": packed.textures}
             constants = {**_AT, "u_observations": "INT"}
             given = kernels.model_includes(model)
             self._texel = Pass(
                 Kernel("view/probe_texel.glsl", (Output("o_numbers"),), samplers, constants, defines, given)
             )
-            self._row = textures.empty(defines["ESTIMATES"] + 1, 1)
+            self._row = textures.empty(packed.textures + 1, 1)
         self._texel.run([self._row], lent, {**at, "u_observations": self._recovery.domain.observations})
         numbers = textures.download(self._row).ravel()
         return numbers if numbers[-1] > 0 else None
@@ -167,15 +168,13 @@ class _SwarmProbe:
         defines = {
             **domain_defines,
             **encoding.defines,
-            **kernels.estimate_defines(model),
             **kernels.schedule_defines(phase.schedule),
             "PARTICLES": phase.particles,
             "TILES_X": self._held.atlas.across,
         }
         samplers = {
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
-            **{f"u_best_{b}": kernels.FLOAT_2D for b in range(encoding.blocks)},
-            **kernels.estimate_samplers(model), **kernels.PACKING,
+            "u_best": encoding.packed, "u_estimate": kernels.packed(model), **kernels.PACKING,
         }  # fmt: skip
         given = {**kernels.model_includes(model), "codec.glsl": encoding.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}

@@ -7,10 +7,9 @@ bool texel_kernel(ivec2 texel)
     if (verdict.w < 0.0 || verdict.z == 0.0) {
         return false;
     }
-    o_best_0 = texelFetch(u_candidate_position_0, texel, 0);
-#if BLOCKS > 1
-    o_best_1 = texelFetch(u_candidate_position_1, texel, 0);
-#endif
+    float x[8];
+    read_candidate_position(texel, x);
+    write_best(x);
     o_fitness = verdict.x;
     return true;
 }

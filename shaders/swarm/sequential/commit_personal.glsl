@@ -14,12 +14,9 @@ bool texel_kernel(ivec2 place)
     if (int(verdict.w) != particle || verdict.y == 0.0) {
         return false;
     }
-    o_best = texelFetch(u_candidate_position_0, texel, 0);
-#if BLOCKS > 1
-    if (block == 1) {
-        o_best = texelFetch(u_candidate_position_1, texel, 0);
-    }
-#endif
+    float x[8];
+    read_candidate_position(texel, x);
+    o_best = block_of(x, block);
     o_fitness = verdict.x;
     return true;
 }

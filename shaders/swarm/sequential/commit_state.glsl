@@ -14,13 +14,11 @@ bool texel_kernel(ivec2 place)
     if (int(texelFetch(u_verdict, texel, 0).w) != particle) {
         return false;
     }
-    o_position = texelFetch(u_candidate_position_0, texel, 0);
-    o_velocity = texelFetch(u_candidate_velocity_0, texel, 0);
-#if BLOCKS > 1
-    if (block == 1) {
-        o_position = texelFetch(u_candidate_position_1, texel, 0);
-        o_velocity = texelFetch(u_candidate_velocity_1, texel, 0);
-    }
-#endif
+    float x[8];
+    float v[8];
+    read_candidate_position(texel, x);
+    read_candidate_velocity(texel, v);
+    o_position = block_of(x, block);
+    o_velocity = block_of(v, block);
     return true;
 }

@@ -9,12 +9,14 @@
 
 bool texel_kernel(ivec2 texel)
 {
-    o_position_0 = vec4(0.0);
-    o_velocity_0 = vec4(0.0);
-#if BLOCKS > 1
-    o_position_1 = vec4(0.0);
-    o_velocity_1 = vec4(0.0);
-#endif
+    float x[8];
+    float v[8];
+    for (int i = 0; i < 8; i++) {
+        x[i] = 0.0;
+        v[i] = 0.0;
+    }
+    write_position(x);
+    write_velocity(v);
     o_verdict = vec4(0.0, 0.0, 0.0, -1.0);
     float best = texelFetch(u_best_fitness, texel, 0).x;
     // A swarm that has reached the threshold h of the paper is done.
@@ -22,9 +24,7 @@ bool texel_kernel(ivec2 texel)
         return true;
     }
 
-    float x[8];
-    float v[8];
-    Frame f = frame_at(texel);
+    Texel t = observed_texel(texel);
 #ifdef START
     int particle = u_particle;
     place_particle(texel, particle, x, v);
@@ -37,12 +37,12 @@ bool texel_kernel(ivec2 texel)
         mean[i] = 0.0;
     }
     if (u_c3 != 0.0) {
-        neighbourhood_mean(texel, f, mean);
+        neighbourhood_mean(texel, t.frame, mean);
     }
     move_particle(texel, particle, mean, x, v);
 #if NEIGHBOUR_EVERY > 0
     if ((u_iteration + 1) % NEIGHBOUR_EVERY == 0) {
-        try_neighbour(texel, f, int(choice.y % 8u), x);
+        try_neighbour(texel, t.frame, int(choice.y % 8u), x);
     }
 #endif
     float personal = texelFetch(u_particle_fitness, atlas_texel(texel, 0, particle), 0).x;
@@ -50,17 +50,13 @@ bool texel_kernel(ivec2 texel)
     order_lobes(x, v);
 
     Material s = estimate_at(texel);
-    decode(x, reach_of(scale_at(texel)), s);
+    decode(x, reach_of(t.scale), s);
     float weights;
-    float fitness = fitness_of(texel, f, s, weights);
+    float fitness = fitness_of(t, s, weights);
     fitness = fitness < UNFIT ? with_priors(fitness, weights, s) : UNFIT;
 
-    o_position_0 = vec4(x[0], x[1], x[2], x[3]);
-    o_velocity_0 = vec4(v[0], v[1], v[2], v[3]);
-#if BLOCKS > 1
-    o_position_1 = vec4(x[4], x[5], x[6], x[7]);
-    o_velocity_1 = vec4(v[4], v[5], v[6], v[7]);
-#endif
+    write_position(x);
+    write_velocity(v);
     // A first personal best is taken whatever it is worth: the particle must have been somewhere.
 #ifdef START
     bool improved = true;

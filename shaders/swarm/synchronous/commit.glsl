@@ -2,7 +2,6 @@
 // where that is its best so far, remembers it. Reads the old atlas, writes the new one.
 
 #include "swarm/synchronous/moved.glsl"
-#include "swarm/synchronous/fitnesses.glsl"
 
 bool texel_kernel(ivec2 place)
 {
@@ -23,18 +22,19 @@ bool texel_kernel(ivec2 place)
     float x[8];
     float v[8];
     moved(texel, frame_at(texel), particle, x, v);
-    o_position = vec4(x[4 * block], x[4 * block + 1], x[4 * block + 2], x[4 * block + 3]);
-    o_velocity = vec4(v[4 * block], v[4 * block + 1], v[4 * block + 2], v[4 * block + 3]);
-    float fitness = fitness_at(texel, particle);
+    o_position = block_of(x, block);
+    o_velocity = block_of(v, block);
+    float fitness[16];
+    read_fitness(texel, fitness);
     // A first personal best is taken whatever it is worth: the particle must have been somewhere.
 #ifdef START
     bool improved = true;
 #else
-    bool improved = fitness < o_fitness;
+    bool improved = fitness[particle] < o_fitness;
 #endif
     if (improved) {
         o_best = o_position;
-        o_fitness = fitness;
+        o_fitness = fitness[particle];
     }
     return true;
 }

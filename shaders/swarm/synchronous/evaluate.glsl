@@ -1,6 +1,6 @@
 // Pass A of a swarm that moves all its particles at once, over W×H texels: evaluates every particle where it comes to.
 // Reads the swarm atlas, the global bests with their linear weights, the estimates, the geometry and the sample stack.
-// Writes o_fitness_0 …, four particles each, and in o_linear_0, o_linear_1 the linear weights of the best of them.
+// Writes o_fitness, a number a particle, and in o_linear the linear weights of the best of them.
 // Where the particles come to is found again by the passes that commit: cheaper than writing it out, and six outputs
 // would not hold it. With START it evaluates the places at which particles begin.
 //
@@ -24,9 +24,9 @@ bool texel_kernel(ivec2 texel)
     float lowest = 2.0 * UNFIT;
 #endif
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_best_fitness, texel, 0).x > u_threshold) {
-        Frame f = frame_at(texel);
-        float scale = loss_scale(texel);
-        float reach = reach_of(scale_at(texel));
+        Texel t = observed_texel(texel);
+        float scale = loss_scale(t.scale);
+        float reach = reach_of(t.scale);
         Material given = estimate_at(texel);
 #if LINEAR_BLOCKS > 0
         Material incumbent = incumbent_at(texel);
@@ -41,7 +41,7 @@ bool texel_kernel(ivec2 texel)
             for (int p = 0; p < CHUNK; p++) {
                 float x[8];
                 float v[8];
-                moved(texel, f, min(first + p, PARTICLES - 1), x, v);
+                moved(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
                 s[p] = given;
                 decode(x, reach, s[p]);
                 sum[p] = 0.0;
@@ -50,19 +50,14 @@ bool texel_kernel(ivec2 texel)
                 clear_linear(linear[p]);
 #endif
             }
+            Observation o;
             float weights = 0.0;
 #if LINEAR_BLOCKS > 0
-            for (int k = 0; k < u_observations; k++) {
-                Observation o;
-                if (!observe(texel, f, k, o)) {
-                    continue;
-                }
-                vec3 v = view_at(f, k);
-                vec3 error = error_of(o, reflectance(incumbent, o.l, v));
-                float relative = relative_error(texel, o);
-                vec3 counted = o.weight * relative * relative * draws(o, error) * loss_weight(scale * relative * error);
+            EACH_OBSERVATION(t, o) {
+                vec3 error = error_of(o, reflectance(incumbent, o.l, o.v));
+                vec3 weight = reweighted(t, o, error, relative_error(t, o));
                 for (int p = 0; p < CHUNK; p++) {
-                    add_observation(equations[p], s[p], o.l, v, o.intensity, o.radiance, counted);
+                    add_observation(equations[p], s[p], o, weight);
                 }
             }
             for (int p = 0; p < CHUNK; p++) {
@@ -70,15 +65,10 @@ bool texel_kernel(ivec2 texel)
                 linear_to(linear[p], s[p]);
             }
 #endif
-            for (int k = 0; k < u_observations; k++) {
-                Observation o;
-                if (!observe(texel, f, k, o)) {
-                    continue;
-                }
-                vec3 v = view_at(f, k);
-                float relative = scale * relative_error(texel, o);
+            EACH_OBSERVATION(t, o) {
+                float relative = scale * relative_error(t, o);
                 for (int p = 0; p < CHUNK; p++) {
-                    vec3 error = error_of(o, reflectance(s[p], o.l, v));
+                    vec3 error = error_of(o, reflectance(s[p], o.l, o.v));
                     sum[p] += o.weight * loss_of(relative * error);
                 }
                 weights += o.weight;
@@ -99,23 +89,11 @@ bool texel_kernel(ivec2 texel)
             }
         }
     }
-    o_fitness_0 = vec4(fitness[0], fitness[1], fitness[2], fitness[3]);
-#if PARTICLES > 4
-    o_fitness_1 = vec4(fitness[4], fitness[5], fitness[6], fitness[7]);
-#endif
-#if PARTICLES > 8
-    o_fitness_2 = vec4(fitness[8], fitness[9], fitness[10], fitness[11]);
-#endif
-#if PARTICLES > 12
-    o_fitness_3 = vec4(fitness[12], fitness[13], fitness[14], fitness[15]);
-#endif
+    write_fitness(fitness);
 #if LINEAR_BLOCKS > 0
     float w[8];
     numbers_of(winner, w);
-    o_linear_0 = vec4(w[0], w[1], w[2], w[3]);
-#if LINEAR_BLOCKS > 1
-    o_linear_1 = vec4(w[4], w[5], w[6], w[7]);
-#endif
+    write_linear(w);
 #endif
     return true;
 }

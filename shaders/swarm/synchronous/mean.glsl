@@ -11,9 +11,6 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED) {
         neighbourhood_mean(texel, frame_at(texel), mean);
     }
-    o_mean_0 = vec4(mean[0], mean[1], mean[2], mean[3]);
-#if BLOCKS > 1
-    o_mean_1 = vec4(mean[4], mean[5], mean[6], mean[7]);
-#endif
+    write_mean(mean);
     return true;
 }

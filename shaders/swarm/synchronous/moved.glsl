@@ -1,5 +1,5 @@
 // Where a particle of a swarm that moves as a whole comes to in this iteration. Every pass that asks gets one answer.
-// Reads u_mean_0, u_mean_1: the neighbourhood means of Eq. 4.
+// Reads u_mean: the neighbourhood means of Eq. 4.
 
 #include "swarm/update.glsl"
 
@@ -9,16 +9,7 @@ void moved(ivec2 texel, Frame f, int particle, out float x[8], out float v[8])
     place_particle(texel, particle, x, v);
 #else
     float mean[8];
-    vec4 part = texelFetch(u_mean_0, texel, 0);
-    for (int i = 0; i < 4; i++) {
-        mean[i] = part[i];
-    }
-#if BLOCKS > 1
-    part = texelFetch(u_mean_1, texel, 0);
-#endif
-    for (int i = 0; i < 4; i++) {
-        mean[4 + i] = part[i];
-    }
+    read_mean(texel, mean);
     move_particle(texel, particle, mean, x, v);
 #if NEIGHBOUR_EVERY > 0
     // The last four take the bests of the four texels beside this one: directions 1, 3, 4 and 6 of eight.

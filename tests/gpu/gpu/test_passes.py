@@ -12,7 +12,7 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.gpu.compiler import messages_of
 from irpso_addon.gpu.library import read_source
-from irpso_addon.gpu.passes import Kernel, Output, Pass
+from irpso_addon.gpu.passes import Kernel, Output, Packed, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.kernels import copy_pass, render_pass
 
@@ -221,6 +221,24 @@ def test_samplers_that_a_kernel_does_not_speak_of_take_no_room(entry, monkeypatc
     monkeypatch.setattr(context, "max_samplers", lambda: 0)
     with pytest.raises(GpuUnavailableError, match=r"reads 0 textures in a shader, common/copy\.glsl needs 1; choose"):
         Pass(copy.kernel, entry).compile()
+
+
+def test_packed_numbers_are_read_and_written_four_to_a_texture(entry, tmp_path):
+    kernel = tmp_path / "shift.glsl"
+    kernel.write_text(
+        "bool texel_kernel(ivec2 texel) { float c[12]; float d[12]; read_held(texel, c); read_none(texel, d);"
+        " for (int i = 0; i < 12; i++) { d[i] += 10.0 * c[(i + 1) % 12]; } write_found(d); return true; }\n"
+    )
+    numbers = np.random.default_rng(3).random((3, 5, 8), np.float32)
+    inputs = {f"u_held_{i}": textures.upload(numbers[..., 4 * i : 4 * i + 4].copy()) for i in range(2)}
+    samplers = {"u_held": Packed(2), "u_none": Packed(0)}
+    work = Pass(Kernel(kernel, (Output("o_found", Packed(3)),), samplers, {}, {}), entry)
+    targets = [textures.empty(5, 3) for _ in range(3)]
+    work.run(targets, inputs)
+    found = np.concatenate([read(target) for target in targets], axis=-1)
+    padded = np.pad(numbers, ((0, 0), (0, 0), (0, 4)))
+    np.testing.assert_array_equal(found, np.float32(10) * np.roll(padded, -1, axis=-1))
+    work.close()
 
 
 # ---- sources -----------------------------------------------------------------------------------------------------
