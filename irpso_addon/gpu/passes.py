@@ -66,6 +66,16 @@ class Kernel:
             for name, kind in _textures(output.name, output.format, "RGBA32F")
         ]
 
+    def declared(self, source: str) -> dict[str, str]:
+        """Return the textures that the source of this kernel reads, with their kinds: kernels share their tables."""
+        named = set(re.findall(r"\b(?:u|read)_\w+", source))
+        return {
+            each: kind_of_each
+            for name, kind in self.samplers.items()
+            for each, kind_of_each in _textures(name, kind, "FLOAT_2D")
+            if each in named or (isinstance(kind, Packed) and f"read_{name.removeprefix('u_')}" in named)
+        }
+
 
 class Pass:
     """A kernel, compiled where it is first run. Fragment and compute entries take the same arguments, write the same.
@@ -251,13 +261,8 @@ def _packed_functions(kernel: Kernel, source: str) -> str:
 
 
 def _declared(kernel: Kernel, source: str) -> dict[str, str]:
-    """Return the samplers that the source speaks of. Raises GpuUnavailableError where the device has no room for them.
-
-    Kernels share their tables of samplers, and some devices have no more than 16 units.
-    """
-    named = set(re.findall(r"\bu_\w+", source))
-    samplers = [each for name, kind in kernel.samplers.items() for each in _textures(name, kind, "FLOAT_2D")]
-    declared = {name: kind for name, kind in samplers if name in named}
+    """Return ``kernel.declared``. Raises GpuUnavailableError where the device has no room: some have only 16 units."""
+    declared = kernel.declared(source)
     if len(declared) > (most := context.max_samplers()):
         raise GpuUnavailableError(
             f"this GPU reads {most} textures in a shader, {kernel.source} needs {len(declared)}; choose a model or a"

@@ -1,6 +1,5 @@
 """What every pass binds, against what GPUs have: 16 textures to read, 8 images to write, 6 colour attachments."""
 
-import re
 from functools import cache
 from pathlib import Path
 
@@ -76,13 +75,13 @@ def make_passes(resolved, model, schedule):
 
 
 @cache
-def named_in(source, given):
-    return set(re.findall(r"\bu_\w+", read_source(source, dict(given))))
+def source_of(path, given):
+    return read_source(path, dict(given))
 
 
 def samplers_of(kernel):
-    """Return the samplers that a kernel declares: those of its table that its source names."""
-    return sorted(named_in(kernel.source, frozenset(kernel.given.items())) & set(kernel.samplers))
+    """Return the textures that a kernel declares: those of its table that its source reads."""
+    return sorted(kernel.declared(source_of(kernel.source, frozenset(kernel.given.items()))))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -106,4 +105,4 @@ def test_no_pass_of_any_model_and_preset_asks_for_more_than_every_gpu_has(made, 
     assert len(made) > 30
     for kernel in made:
         assert len(samplers_of(kernel)) <= SAMPLERS, (kernel.source, samplers_of(kernel))
-        assert len(kernel.outputs) <= min(IMAGES, 6), kernel.source
+        assert len(kernel.targets) <= min(IMAGES, 6), kernel.source
