@@ -23,6 +23,12 @@ def read_source(path: str | Path, given: Mapping[str, str | Path] = {}) -> str:
     return "\n".join(_expand(_find(str(path), None, given, "shader library", 0), given, set())) + "\n"
 
 
+def defined(path: str, prefix: str = "") -> dict[str, int | float]:
+    """Return the numbers that a file of shaders/ names by ``#define PREFIX_NAME number``, by NAME."""
+    found = re.findall(rf"^#define {prefix}(\w+) ([-+.\w]+)", (SHADERS / path).read_text(encoding="utf-8"), re.M)
+    return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
+
+
 def _expand(found: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
     seen.add(found)
     if isinstance(found, Path):

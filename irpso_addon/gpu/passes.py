@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from ..core.errors import GpuUnavailableError
 from . import context, context_guard
+from .bands import Bands
 from .compiler import compile_shader
 from .library import read_source
 
@@ -132,6 +133,32 @@ class Pass:
         finally:
             gpu.shader.unbind()
 
+    def in_bands(
+        self,
+        name: str,
+        bands: Bands,
+        seconds: float,
+        targets: Sequence[Any],
+        textures: Mapping[str, Any],
+        constants: Mapping[str, int | float] = {},
+        counted: bool = False,
+    ) -> Iterator[None]:
+        """Run over all rows in bands of about ``seconds``, timed under a name; yields after each. As ``Bands.run``."""
+        return bands.run(
+            name, targets[0].height, seconds, lambda rows: self.run(targets, textures, constants, rows),
+            lambda: self.fence(targets), counted,
+        )  # fmt: skip
+
+    def at_once(
+        self,
+        bands: Bands,
+        targets: Sequence[Any],
+        textures: Mapping[str, Any],
+        constants: Mapping[str, int | float] = {},
+    ) -> Iterator[None]:
+        """Run something short over all rows, then yield."""
+        return bands.once(lambda: self.run(targets, textures, constants), lambda: self.fence(targets))
+
     def framebuffer(self, targets: Sequence[Any]) -> Any:
         """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets and window.
 
@@ -242,20 +269,17 @@ def _packed_functions(kernel: Kernel, source: str) -> str:
     named = set(re.findall(r"\b(?:read|write)_\w+", source))
     bound = [(f"read_{name.removeprefix('u_')}", name, kind) for name, kind in kernel.samplers.items()]
     bound += [(f"write_{output.name.removeprefix('o_')}", output.name, output.format) for output in kernel.outputs]
-    lines = ['#line 1 "packed"']
+    lines = [read_source("common/packed.glsl") + '#line 1 "packed"']
     for function, name, kind in bound:
         if not isinstance(kind, Packed) or function not in named:
             continue
         if function.startswith("read_"):
             lines += [f"void {function}(ivec2 texel, out float c[{kind.room}])", "{"]
-            lines += [f"    vec4 part_{i} = texelFetch({name}_{i}, texel, 0);" for i in range(kind.textures)]
-            parts = [f"part_{i // 4}[{i % 4}]" for i in range(4 * kind.textures)]
-            lines += [f"    c[{i}] = {part};" for i, part in enumerate(parts)]
-            lines += [f"    c[{i}] = 0.0;" for i in range(len(parts), kind.room)]
+            lines += [f"    UNPACK({name}_{i}, texel, c, {4 * i})" for i in range(kind.textures)]
+            lines += [f"    c[{i}] = 0.0;" for i in range(4 * kind.textures, kind.room)]
         else:
             lines += [f"void {function}(inout float c[{kind.room}])", "{"]
-            for i in range(kind.textures):
-                lines.append(f"    {name}_{i} = vec4({', '.join(f'c[{4 * i + k}]' for k in range(4))});")
+            lines += [f"    {name}_{i} = PACK(c, {4 * i});" for i in range(kind.textures)]
         lines.append("}")
     return "\n".join([*lines, ""])
 

@@ -1,8 +1,6 @@
-// The texels around one that a prior looks at: 5×5, and rings of 16 at twice, four times, … the distance, up to 2^SCALES.
+// The texels around one that a prior looks at: 5×5, and rings of 16 at twice, four times, … the distance; TAPS in all.
 // A few dozen looks reach as far as a window of a thousand texels (holes between them as in the algorithme à trous;
 // Holschneider et al. 1989, A Real-Time Algorithm for Signal Analysis with the Help of the Wavelet Transform).
-
-#define TAPS (24 + 16 * (SCALES - 1))
 
 ivec2 tap_at(int t)
 {

@@ -10,13 +10,6 @@
 #include "refine/status.glsl"
 #include "refine/votes.glsl"
 
-// The four texels beside this one, and the four two away.
-#if SEARCHED > 0
-#define OFFERS 8
-#else
-#define OFFERS 4
-#endif
-
 Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
 {
     float c[12];

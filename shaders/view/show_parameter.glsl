@@ -1,7 +1,11 @@
 // Over the domain: one parameter as a picture. Reads u_packed, the estimates and u_measure: alpha is UNUSED where the
 // deviation of the number at u_at is over u_unknown.
-// u_at, u_components: which numbers of a material. u_encoding: 0 a fraction of the range from u_low, u_width wide;
-// 1 a colour; 2 a normal. A parameter of one number is grey, of two red and green, of four its first three.
+// u_at, u_components: which numbers of a material. u_encoding: a fraction of the range from u_low, u_width wide,
+// a colour, or a normal. A parameter of one number is grey, of two red and green, of four its first three.
+
+#define ENCODING_FRACTION 0
+#define ENCODING_COLOR 1
+#define ENCODING_NORMAL 2
 
 #include "common/estimate.glsl"
 #include "common/packing.glsl"
@@ -24,11 +28,11 @@ bool texel_kernel(ivec2 texel)
     if (u_components == 1) {
         value = vec3(value.x);
     }
-    if (u_encoding == 2) {
+    if (u_encoding == ENCODING_NORMAL) {
         // 1e-12: a direction that has no length has none to show.
         value = 0.5 * value * inversesqrt(max(dot(value, value), 1e-12)) + 0.5;
     }
-    else if (u_encoding == 1) {
+    else if (u_encoding == ENCODING_COLOR) {
         value = srgb_from_linear(value);
     }
     else {

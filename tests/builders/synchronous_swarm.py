@@ -9,7 +9,7 @@ import numpy as np
 from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.phases.synchronous_swarm import SynchronousSwarmPhase
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule

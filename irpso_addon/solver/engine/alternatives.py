@@ -49,17 +49,10 @@ class Alternatives:
         if self._pass is None:
             return
         if not self._targets:
-            self._targets = [textures.empty(*estimates.size) for _ in self._pass.kernel.outputs]
-        targets = self._targets
+            self._targets = [textures.empty(*estimates.size) for _ in self._pass.kernel.targets]
         inputs = {**domain.textures, **estimates.bindings(resolved)}
         constants = loss_constants(domain, self._fitness.delta)
-        yield from bands.run(
-            "alternatives",
-            targets[0].height,
-            seconds,
-            lambda rows: self._pass.run(targets, inputs, constants, rows),
-            lambda: self._pass.fence(targets),
-        )
+        yield from self._pass.in_bands("alternatives", bands, seconds, self._targets, inputs, constants)
 
     def read(self) -> dict[str, np.ndarray]:
         """Return what was measured last: name → (h, w, components) float32, packed; 0 where none is solved."""

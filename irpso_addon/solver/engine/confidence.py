@@ -65,16 +65,9 @@ class Confidence:
         """Find what ``read`` returns, in bands of rows; yields after each."""
         if not self._targets:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
-        targets = self._targets
         inputs = {**domain.textures, **estimates.bindings(resolved)}
         constants = loss_constants(domain, self._fitness.delta)
-        yield from bands.run(
-            "confidence",
-            targets[0].height,
-            seconds,
-            lambda rows: self._pass.run(targets, inputs, constants, rows),
-            lambda: self._pass.fence(targets),
-        )
+        yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 
     def bindings(self) -> dict[str, Any]:
         """Return u_deviation_0 …, packed as the estimates are: each parameter's components where its own begin."""

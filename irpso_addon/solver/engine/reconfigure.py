@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..kernels.encoding import build_encoding
-from ..phases.sequential_swarm import SequentialSwarmPhase, particle_count
+from ..phases.sequential_swarm import SequentialSwarmPhase
+from ..phases.swarm import particle_count
 from ..phases.synchronous_swarm import SynchronousSwarmPhase
 from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedSwarm, resolve

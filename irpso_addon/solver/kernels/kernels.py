@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ...gpu.library import defined
 from ...gpu.passes import Entry, Kernel, Output, Packed, Pass
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
@@ -26,8 +27,7 @@ MOVE = {
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
     "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
-LOSSES = {"l1": 0, "l2": 1, "robust": 2, "bounded": 3}  # FITNESS_… in shaders/fitness/loss.glsl
-_WALLS = {"clamp": 0, "stop": 1, "reflect": 2}  # WALLS_… in shaders/swarm/update.glsl
+LOSSES, _WALLS = defined("fitness/loss.glsl", "FITNESS_"), defined("swarm/update.glsl", "WALLS_")
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
     return {
         "REACH": swarm.neighbourhood // 2,
         **fitness_defines(schedule.fitness),
-        "WALLS": _WALLS[swarm.walls],
+        "WALLS": _WALLS[swarm.walls.upper()],
         "NEIGHBOUR_EVERY": swarm.neighbour_every,
         "LINEAR_REACH": f"{swarm.linear_reach:.9f}",
     }
@@ -109,7 +109,7 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
 
 def fitness_defines(fitness: Fitness, loss: str = "") -> dict[str, str | int]:
     """Return the constants of a fitness that are compiled in, or of another loss in its place."""
-    return {"FITNESS": LOSSES[loss or fitness.loss], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
+    return {"FITNESS": LOSSES[(loss or fitness.loss).upper()], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
 
 
 def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:

@@ -26,7 +26,7 @@ NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
 CANDIDATES = 3  # dampings that are tried together
 SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/refine/spread.glsl, votes.glsl)
-_OFFERS = {True: 8, False: 4}  # OFFERS of shaders/refine/spread.glsl: twice four where something is searched
+_OFFERS = {True: 8, False: 4}  # of the neighbours: twice four where something is searched
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def build_refinement_passes(
     evaluations, offers = renders(model, resolved)
     defines = {
         **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
-        "EVALUATIONS": evaluations,
+        "EVALUATIONS": evaluations, "OFFERS": offers,
     }  # fmt: skip
     spread, materials = "refine/spread", {}
     if isinstance(resolved, ResolvedMaterials):

@@ -54,12 +54,12 @@ class PriorPasses:
 
 
 def reach_of(prior: Prior) -> int:
-    """Return how many texels away a prior looks at once (TAPS of shaders/common/taps.glsl)."""
+    """Return how many texels away a prior looks at once."""
     return 2**prior.scales
 
 
 def taps_of(prior: Prior) -> int:
-    """Return how many texels around a prior looks at (TAPS of shaders/common/taps.glsl)."""
+    """Return how many texels around a prior looks at: TAPS of shaders/common/taps.glsl."""
     return 24 + 16 * (prior.scales - 1)
 
 
@@ -163,7 +163,7 @@ def _settings(prior: Prior, refinement: Refinement) -> dict[str, str | int]:
     }  # fmt: skip
     return {
         **step_defines(refinement),
-        "SCALES": prior.scales,
+        "TAPS": taps_of(prior),
         **{name: f"{value:.9f}" for name, value in numbers.items()},
     }
 

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...gpu.library import defined
 from ...reflectance.model import Parameter, ReflectanceModel
 
 SAMPLE = 8192  # texels, of the whole domain
-ALIKE_SEARCHED, ALIKE_LINEAR = 0.1, 0.15  # as in shaders/materials/shared.glsl
+_ALIKE = defined("materials/shared.glsl", "ALIKE_")
+ALIKE_SEARCHED, ALIKE_LINEAR = _ALIKE["SEARCHED"], _ALIKE["LINEAR"]
 _ROWS = 7  # of the table: means of 12 numbers, inverse variances of 12, and how much there is of a material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation

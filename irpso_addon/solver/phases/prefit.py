@@ -132,11 +132,8 @@ class PrefitPhase(Phase):
         """
         targets = [textures.empty(*self._own.size, "R32F")]
         inputs = {**self._own.bindings(resolved=True), **self._domain.textures}
-        constants, measure = _acceptance_constants(self._domain, self._schedule), self._measure
-        yield from bands.run(
-            "measure", targets[0].height, seconds, lambda rows: measure.run(targets, inputs, constants, rows),
-            lambda: measure.fence(targets),
-        )  # fmt: skip
+        constants = _acceptance_constants(self._domain, self._schedule)
+        yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         return textures.download(targets[0])[..., 0]
 
     def fitness(self) -> np.ndarray:
@@ -205,11 +202,8 @@ class AcceptanceTest:
         """Put into the resolved estimates what is to be believed of them, in bands; the last one makes it so."""
         work = {f"u_work_{i}": texture for i, texture in enumerate(self._estimates.resolved)}
         inputs = {**self._estimates.bindings(), **work, **self._domain.textures, "u_prefit_fitness": self._fitness}
-        constants, targets = _acceptance_constants(self._domain, self._schedule), self._decided
-        yield from bands.run(
-            "acceptance", targets[0].height, seconds, lambda rows: self._pass.run(targets, inputs, constants, rows),
-            lambda: self._pass.fence(targets),
-        )  # fmt: skip
+        constants = _acceptance_constants(self._domain, self._schedule)
+        yield from self._pass.in_bands("acceptance", bands, seconds, self._decided, inputs, constants)
         self._estimates.resolved, self._decided = self._decided, self._estimates.resolved
 
     def close(self) -> None:

@@ -160,7 +160,8 @@ class RefinementPhase(Phase):
 
     def preview(self, targets: list[Any]) -> None:
         """Put the better of the best so far and what is worked on into other textures, before it is judged."""
-        self._run(self.passes.keep, [*targets, self.textures.kept], self._kept_from())
+        inputs = {**self._kept_from(), **self._domain.textures}
+        self.passes.keep.run([*targets, self.textures.kept], inputs, self._constants())
 
     def _keep(self) -> None:
         self._ensure()
@@ -278,13 +279,10 @@ class RefinementPhase(Phase):
         constants = loss_constants(self._domain, widening * self._schedule.fitness.delta)
         return {**constants, "u_start": start, "u_settles": int(widening == 1)}
 
-    def _run(self, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST) -> None:
-        work.run(targets, {**inputs, **self._domain.textures}, self._constants(start))
-
     def _once(
         self, bands: Bands, work: Pass, targets: list[Any], inputs: dict[str, Any], start: int = BEST
     ) -> Iterator[None]:
-        return bands.once(lambda: self._run(work, targets, inputs, start), lambda: work.fence(targets))
+        return work.at_once(bands, targets, {**inputs, **self._domain.textures}, self._constants(start))
 
     def _banded(
         self,
@@ -297,7 +295,4 @@ class RefinementPhase(Phase):
         widening: float = 1.0,
     ) -> Iterator[None]:
         given, constants = {**inputs, **self._domain.textures}, self._constants(widening=widening)
-        return bands.run(
-            name, targets[0].height, seconds, lambda rows: work.run(targets, given, constants, rows),
-            lambda: work.fence(targets), counted=work is self.passes.step,
-        )  # fmt: skip
+        return work.in_bands(name, bands, seconds, targets, given, constants, counted=work is self.passes.step)

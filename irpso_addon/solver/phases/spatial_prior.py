@@ -200,12 +200,8 @@ class SpatialPriorPhase(Phase):
         held.work, held.spare_work = held.spare_work, held.work
 
     def _copies(self, bands: Bands, sources: list[Any], targets: list[Any]) -> Iterator[None]:
-        copy = self.passes.copy
         for source, target in zip(sources, targets, strict=True):
-            yield from bands.once(
-                lambda source=source, target=target: copy.run([target], {"u_source": source}),
-                lambda target=target: copy.fence([target]),
-            )
+            yield from self.passes.copy.at_once(bands, [target], {"u_source": source})
 
     def _inputs(self) -> dict[str, Any]:
         return {**self._estimates.bindings(), **self.textures.bindings(), **self._domain.textures}
@@ -224,7 +220,4 @@ class SpatialPriorPhase(Phase):
     ) -> Iterator[None]:
         inputs, constants, passes = {**self._inputs(), **(given or {})}, self._constants(), self.passes
         counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
-        return bands.run(
-            name, targets[0].height, seconds, lambda rows: work.run(targets, inputs, constants, rows),
-            lambda: work.fence(targets), counted=counted,
-        )  # fmt: skip
+        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted)

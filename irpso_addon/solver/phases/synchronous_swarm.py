@@ -1,4 +1,4 @@
-"""A stage whose swarms move as a whole: every iteration evaluates all particles, with linear weights in closed form."""
+"""Swarms that move as a whole: every iteration evaluates all particles, with linear weights in closed form."""
 
 from __future__ import annotations
 
@@ -12,60 +12,29 @@ from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
-from ..kernels.encoding import build_encoding
 from ..kernels.linear_weights import LinearWeights, linear_weights
 from ..kernels.synchronous_swarm import MAX_PARTICLES, build_synchronous_swarm_passes
-from ..settings.resolve import ResolvedSwarm
-from ..settings.schedule import Schedule
-from ..state.reader import Reader
-from ..state.textures import SOLVED, UNFIT, DomainTextures, Estimates, IncrementalAllocation, plan_atlas, texel_states
-from .phase import Phase
-from .sequential_swarm import ALL_TOLD, particle_count, reach_at, swarm_constants
+from ..state.textures import UNFIT, DomainTextures, IncrementalAllocation, plan_atlas
+from .swarm import ALL_TOLD, SwarmPhase, swarm_constants
 
 
-class SynchronousSwarmPhase(Phase):
+class SynchronousSwarmPhase(SwarmPhase):
     """The swarms of a stage that move as a whole, a Phase. Iteration −1 places all particles.
 
-    State is kept twice: a generation is judged from the old one and written into the new one, then they change places.
+    State is kept twice: an iteration reads the old one and writes the new one, then they change places.
     """
 
-    def __init__(
-        self,
-        stage: ResolvedSwarm,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        seed: int,
-        domain: DomainTextures,
-        estimates: Estimates,
-        entry: Entry,
-    ):
-        self.stage, self.schedule, self.seed = stage, schedule, seed
-        self.title, self.iterations = stage.title, stage.iterations
-        self._domain, self._estimates = domain, estimates
-        self.encoding = build_encoding(model, stage, schedule.swarm.normal)
-        self.linear = linear_weights(model, stage.solved)
-        self.particles = _checked(particle_count(schedule, self.encoding.dimensions))
-        self.width, self.height = domain.packing.width, domain.packing.height
+    def _build(self, model: ReflectanceModel, domain: DomainTextures, entry: Entry) -> None:
+        self.linear = linear_weights(model, self.stage.solved)
+        _check(self.particles)
         self.textures = SynchronousSwarmTextures(
             self.width, self.height, self.particles, self.encoding.blocks, self.linear
         )
+        across = self.textures.atlas.across
         self.passes = build_synchronous_swarm_passes(
-            model,
-            self.encoding,
-            self.linear,
-            schedule,
-            self.particles,
-            self.textures.atlas.across,
-            domain.defines,
-            entry,
+            model, self.encoding, self.linear, self.schedule, self.particles, across, domain.defines, entry
         )
-        self.reader = Reader(entry)
         self.iteration = -1
-
-    @property
-    def done(self) -> bool:
-        """Whether all iterations have been made."""
-        return self.iteration >= self.iterations
 
     @property
     def evaluations(self) -> int:
@@ -76,11 +45,6 @@ class SynchronousSwarmPhase(Phase):
         return self.particles * (2 if self.linear.blocks else 1)
 
     @property
-    def reach(self) -> int:
-        """How many texels away the iteration that is next reads global bests."""
-        return reach_at(self.schedule, self.iteration, self.iterations)
-
-    @property
     def placed(self) -> bool:
         """Whether the particles have been placed."""
         return self.iteration >= 0
@@ -88,32 +52,20 @@ class SynchronousSwarmPhase(Phase):
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
         yield from self.textures.make()
-        old, passes, constants = self.textures, self.passes, self.constants()
-        placing = self.iteration < 0
-        inputs = {**old.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
-        judged = {**inputs, **old.found_bindings()}
-        find, commit, best = (
-            (passes.place, passes.place_commit, passes.place_best)
-            if placing
-            else (passes.move, passes.commit, passes.best)
-        )
-        steps = [
-            ("place" if placing else "synchronous", find, old.found, inputs),
-            ("place commit" if placing else "commit", commit, old.spare_state, judged),
-            ("place best" if placing else "best", best, old.spare_bests, judged),
-        ]
-        if constants["u_c3"] != 0 and not placing:
-            steps.insert(0, ("mean", passes.mean, old.mean, inputs))
-        for name, work, targets, given in steps:
-            yield from bands.run(
-                name,
-                targets[0].height,
-                seconds,
-                lambda rows, work=work, targets=targets, given=given: work.run(targets, given, constants, rows),
-                lambda work=work, targets=targets: work.fence(targets),
-                counted=work is find,
-            )
-        old.swap()
+        held, passes, constants = self.textures, self.passes, self.constants()
+        inputs = self._inputs()
+        found = {**inputs, **held.found_bindings()}
+        if self.iteration < 0:
+            steps = ("place", passes.place), ("place commit", passes.place_commit), ("place best", passes.place_best)
+        else:
+            steps = ("synchronous", passes.move), ("commit", passes.commit), ("best", passes.best)
+            if constants["u_c3"] != 0:
+                yield from passes.mean.in_bands("mean", bands, seconds, held.mean, inputs, constants)
+        (name, find), *commits = steps
+        yield from find.in_bands(name, bands, seconds, held.found, inputs, constants, counted=True)
+        for (name, work), targets in zip(commits, (held.spare_state, held.spare_bests), strict=True):
+            yield from work.in_bands(name, bands, seconds, targets, found, constants)
+        held.swap()
         self.iteration += 1
 
     def constants(self) -> dict[str, int | float]:
@@ -122,65 +74,6 @@ class SynchronousSwarmPhase(Phase):
         return swarm_constants(
             self.stage, self.schedule, self._domain, self.seed, self.iteration, self.particles, told
         )  # fmt: skip
-
-    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Put the global bests and their linear weights into the resolved estimates, at once: it is cheap."""
-        yield from self.textures.make()
-        targets = self._estimates.resolved
-        yield from bands.once(lambda: self.preview(targets), lambda: self.passes.resolve.fence(targets))
-
-    def preview(self, targets: list[Any]) -> None:
-        """Put the global bests and their linear weights into other textures."""
-        inputs = {**self.textures.read_bindings(), **self._estimates.bindings(), **self._domain.textures}
-        self.passes.resolve.run(targets, inputs, self.constants())
-
-    def reached(self, threshold: float) -> bool:
-        """Return whether every swarm of this tile has a fitness at or under the threshold h."""
-        moved = texel_states(self._domain.domain) == SOLVED
-        return bool((self._domain.packing.unpack(self.fitness())[moved] <= threshold).all())
-
-    def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: every swarm's best place, in [0, 1]; NaN where none is solved."""
-        self.textures.ensure()
-        packed = np.concatenate([self.reader.read(t) for t in self.textures.bests[: self.encoding.blocks]], axis=-1)
-        return self._domain.packing.unpack(packed[..., : self.encoding.dimensions], np.nan)
-
-    def fitness(self) -> np.ndarray:
-        """Return (h, w) float32, packed as the domain's textures: every swarm's best fitness."""
-        self.textures.ensure()
-        return self.reader.read(self.textures.bests[-1])[..., 0]
-
-    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) places, and (M, n), as the bests of the texels that belong to other tiles."""
-        self.textures.ensure()
-        packed = np.zeros((self.height, self.width, 4 * self.encoding.blocks), np.float32)
-        packed[..., : self.encoding.dimensions] = self._domain.packing.pack(values, ghosts)
-        given = {f"u_given_{b}": textures.upload(packed[..., 4 * b : 4 * b + 4]) for b in range(self.encoding.blocks)}
-        targets = self.textures.bests[: self.encoding.blocks]
-        self.passes.take_halo.run(targets, {**given, **self._domain.textures}, self.constants())
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return all that the swarms remember."""
-        self.textures.ensure()
-        return {name: self.reader.read(texture) for name, texture in self.textures.remembered.items()}
-
-    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        """Go on from what ``state`` returned at an iteration."""
-        self.textures.restore(arrays)
-        self.iteration = iteration
-
-    def inherit(self, old: SynchronousSwarmPhase) -> None:
-        """Go on with the swarms of a stage that looks for the same, which is over then."""
-        self.textures.stop()
-        self.textures, old.textures, self.iteration = old.textures, None, old.iteration
-
-    def close(self) -> None:
-        """Free shaders and textures."""
-        self.passes.close()
-        self.reader.close()
-        if self.textures is not None:
-            self.textures.stop()
-        self.textures = None
 
 
 class SynchronousSwarmTextures(IncrementalAllocation):
@@ -220,6 +113,16 @@ class SynchronousSwarmTextures(IncrementalAllocation):
         self.bests, self.spare_bests = self.spare_bests, self.bests
 
     @property
+    def best_places(self) -> list[Any]:
+        """The textures of the global bests' places."""
+        return self.bests[: self._blocks]
+
+    @property
+    def best_fitness(self) -> Any:
+        """The texture of the global bests' fitness."""
+        return self.bests[-1]
+
+    @property
     def remembered(self) -> dict[str, Any]:
         """The textures that outlive an iteration, by name: what a checkpoint holds."""
         names = ("position", "velocity", "best", "fitness")
@@ -236,13 +139,13 @@ class SynchronousSwarmTextures(IncrementalAllocation):
 
     def read_bindings(self) -> dict[str, Any]:
         """Return by sampler name what is remembered."""
-        places, weights = self.bests[: self._blocks], self.bests[self._blocks : -1]
+        weights = self.bests[self._blocks : -1]
         return {
             **{f"u_particle_{name}": texture for name, texture in list(self.remembered.items())[:4]},
-            **{f"u_best_{i}": texture for i, texture in enumerate(places)},
+            **{f"u_best_{i}": texture for i, texture in enumerate(self.best_places)},
             **{f"u_best_linear_{i}": texture for i, texture in enumerate(weights)},
             **{f"u_mean_{i}": texture for i, texture in enumerate(self.mean)},
-            "u_best_fitness": self.bests[-1],
+            "u_best_fitness": self.best_fitness,
         }
 
     def found_bindings(self) -> dict[str, Any]:
@@ -253,10 +156,9 @@ class SynchronousSwarmTextures(IncrementalAllocation):
         }
 
 
-def _checked(particles: int) -> int:
+def _check(particles: int) -> None:
     if particles > MAX_PARTICLES:
         raise InputError(
             f'particles: update = "all" moves at most {MAX_PARTICLES} together, not {particles}; lower particles or'
             " particles_per_dimension"
         )
-    return particles

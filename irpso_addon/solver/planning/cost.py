@@ -9,7 +9,7 @@ from ...reflectance.model import ReflectanceModel
 from ..engine.alternatives import asked
 from ..kernels.refinement import SPREAD_REACH, renders
 from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_of
-from ..phases.sequential_swarm import particle_count, reach_at
+from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
     ResolvedPrefit,

@@ -11,12 +11,13 @@ import numpy as np
 from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...gpu import context, textures
+from ...gpu.library import defined
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import Encoding
 from .packing import Packing
 
-UNFIT = 1e30  # as in shaders/fitness/unfit.glsl: the fitness of what was never evaluated
-OUTSIDE, SOLVED, HALO = 0.0, 1.0, 2.0  # as in shaders/common/frame.glsl
+UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
+OUTSIDE, SOLVED, HALO = (defined("common/frame.glsl", "TEXEL_")[name] for name in ("OUTSIDE", "SOLVED", "HALO"))
 
 
 class DomainTextures:
@@ -227,44 +228,32 @@ class SwarmTextures(IncrementalAllocation):
         self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * self.blocks)]
         yield
         self.verdict = textures.empty(*small, value=-1.0)
-        self.global_best = [textures.empty(*small, value=0.5) for _ in range(self.blocks)]
-        self.global_fitness = textures.empty(*small, "R32F", value=UNFIT)
+        self.best_places = [textures.empty(*small, value=0.5) for _ in range(self.blocks)]
+        self.best_fitness = textures.empty(*small, "R32F", value=UNFIT)
         yield
 
     @property
     def remembered(self) -> dict[str, Any]:
         """The textures that outlive an iteration, by name: what a checkpoint holds."""
-        bests = {f"global_best_{i}": t for i, t in enumerate(self.global_best)}
-        return {
-            "position": self.position,
-            "velocity": self.velocity,
-            "best": self.best,
-            "fitness": self.fitness,
-            "global_fitness": self.global_fitness,
-            **bests,
-        }
+        bests = {f"global_best_{i}": texture for i, texture in enumerate(self.best_places)}
+        held = {name: getattr(self, name) for name in ("position", "velocity", "best", "fitness")}
+        return {**held, "global_fitness": self.best_fitness, **bests}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """Take the contents that ``remembered`` had, from arrays of the same names."""
         self.ensure()
-        for name in ("position", "velocity", "best", "fitness", "global_fitness"):
+        for name in ("position", "velocity", "best", "fitness"):
             setattr(self, name, textures.upload(arrays[name]))
-        self.global_best = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]
+        self.best_fitness = textures.upload(arrays["global_fitness"])
+        self.best_places = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]
 
     def read_bindings(self) -> dict[str, Any]:
         """Return by sampler name what pass A reads."""
         return {
-            "u_particle_position": self.position,
-            "u_particle_velocity": self.velocity,
-            "u_particle_best": self.best,
-            "u_particle_fitness": self.fitness,
-            "u_best_fitness": self.global_fitness,
-            **self.best_bindings(),
+            **{f"u_particle_{name}": getattr(self, name) for name in ("position", "velocity", "best", "fitness")},
+            **{f"u_best_{i}": texture for i, texture in enumerate(self.best_places)},
+            "u_best_fitness": self.best_fitness,
         }
-
-    def best_bindings(self) -> dict[str, Any]:
-        """Return the global bests by sampler name."""
-        return {f"u_best_{i}": texture for i, texture in enumerate(self.global_best)}
 
     def candidate_bindings(self) -> dict[str, Any]:
         """Return the candidates by sampler name: what the commit passes read."""

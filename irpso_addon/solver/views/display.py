@@ -13,6 +13,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.library import defined
 from ...gpu.passes import Kernel, Output, Packed, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
@@ -26,7 +27,7 @@ from ..state.textures import kernel_defines
 KEPT = 4  # pictures: two areas, each with two beside one another
 _SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
 _UNMEASURED = -1.0
-_FRACTION, _COLOR, _NORMAL = range(3)  # u_encoding of shaders/view/show_parameter.glsl
+_ENCODINGS = defined("view/show_parameter.glsl", "ENCODING_")
 _PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT",
               "u_unknown": "FLOAT"}  # fmt: skip
 _OBSERVATION = {"u_observation": "INT", "u_exposure": "FLOAT"}
@@ -260,11 +261,11 @@ class _Measure:
 
 def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[str, int | float]:
     low, high = parameter.range
-    encoding = _NORMAL if parameter.is_normal else _COLOR if parameter.color_space == "sRGB" else _FRACTION
+    encoding = "NORMAL" if parameter.is_normal else "COLOR" if parameter.color_space == "sRGB" else "FRACTION"
     return {
         "u_at": model.offset(parameter.name),
         "u_components": parameter.components,
-        "u_encoding": encoding,
+        "u_encoding": _ENCODINGS[encoding],
         "u_low": low,
         "u_width": high - low,
     }

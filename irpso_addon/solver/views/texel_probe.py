@@ -16,8 +16,7 @@ from ..engine.coarse_to_fine import Pyramid
 from ..engine.recovery import Recovery
 from ..kernels import kernels
 from ..phases.prefit import PrefitPhase
-from ..phases.sequential_swarm import SequentialSwarmPhase
-from ..phases.synchronous_swarm import SynchronousSwarmPhase
+from ..phases.swarm import SwarmPhase
 from ..settings.resolve import prefit_model
 from ..state.packing import level_size
 from ..state.textures import UNFIT, kernel_defines
@@ -142,15 +141,15 @@ def read_texel(recovery: Recovery | Pyramid, row: int, column: int) -> TexelStat
 
 def running_swarm(
     recovery: Recovery | Pyramid,
-) -> tuple[SequentialSwarmPhase | SynchronousSwarmPhase, ReflectanceModel] | None:
+) -> tuple[SwarmPhase, ReflectanceModel] | None:
     """Return the phase whose swarms are searching and the model that they search, None where none are."""
     live = recovery._live if isinstance(recovery, Pyramid) else recovery
     phase, model = live._phase, live.model
     if isinstance(phase, PrefitPhase):
         phase, model = phase._inner, prefit_model()
-    searches = isinstance(phase, SequentialSwarmPhase | SynchronousSwarmPhase) and phase.encoding.dimensions > 0
+    searches = isinstance(phase, SwarmPhase) and phase.encoding.dimensions > 0
     # Between two stages the first one's textures are gone already.
-    return (phase, model) if searches and _remembered(phase) is not None else None
+    return (phase, model) if searches and phase.textures is not None else None
 
 
 class _SwarmProbe:
@@ -158,12 +157,12 @@ class _SwarmProbe:
 
     def __init__(
         self,
-        phase: SequentialSwarmPhase | SynchronousSwarmPhase,
+        phase: SwarmPhase,
         model: ReflectanceModel,
         domain_defines: dict[str, int],
     ):
         self.phase, self._model = phase, model
-        self._held = _remembered(phase)
+        self._held = phase.textures
         encoding = phase.encoding
         defines = {
             **domain_defines,
@@ -215,14 +214,7 @@ def component_names(parameter: Parameter) -> list[str]:
     return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
 
 
-def _remembered(phase: SequentialSwarmPhase | SynchronousSwarmPhase) -> Any:
-    """Return the textures of a phase's swarms, None once it is closed."""
-    return phase.swarm if isinstance(phase, SequentialSwarmPhase) else phase.textures
-
-
-def _searched(
-    phase: SequentialSwarmPhase | SynchronousSwarmPhase, model: ReflectanceModel
-) -> tuple[list[int], tuple[str, ...]]:
+def _searched(phase: SwarmPhase, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:
     """Return the places and names of the components that a phase searches."""
     chosen: list[int] = []
     names: list[str] = []

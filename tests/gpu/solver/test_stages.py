@@ -77,11 +77,11 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
     recovery.step(iterations=8)
     stage = recovery._phase
-    fitness = stage.global_fitness()
+    fitness = stage.fitness()
     bad = np.zeros(domain.shape, bool)
     bad[4, 5] = bad[6, 7] = True
     assert (fitness[bad] >= 1e29).all() and (fitness[~bad] < 1e29).all()
-    assert all(np.isfinite(stage.reader.read(texture)).all() for texture in stage.swarm.remembered.values())
+    assert all(np.isfinite(stage.reader.read(texture)).all() for texture in stage.textures.remembered.values())
     recovery.step()
     assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
 
@@ -156,11 +156,11 @@ def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
     schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
     recovery = recover(domain, schedule=schedule, fixed={"normal": np.array([0, 0, 1.0])})
     recovery.step(iterations=60)
-    before = recovery._phase.global_fitness(), recovery.halo()
+    before = recovery._phase.fitness(), recovery.halo()
     reached = before[0] <= 0.08
     assert 0 < reached.sum() < reached.size
     recovery.step(iterations=20)
-    np.testing.assert_array_equal(recovery._phase.global_fitness()[reached], before[0][reached])
+    np.testing.assert_array_equal(recovery._phase.fitness()[reached], before[0][reached])
     np.testing.assert_array_equal(recovery.halo()[reached], before[1][reached])
     easy = recover(domain, schedule=schedule.replaced(threshold=0.5))
     progress = easy.step()
@@ -225,7 +225,7 @@ def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search
     for steps in (0, 1, 1, 5, 40):
         recovery.step(iterations=steps)
         stage = recovery._phase
-        tiles = {name: stage.reader.read(texture) for name, texture in stage.swarm.remembered.items()}
+        tiles = {name: stage.reader.read(texture) for name, texture in stage.textures.remembered.items()}
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):
             x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.encoding.blocks)

@@ -10,7 +10,8 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase, particle_count
+from irpso_addon.solver.phases.sequential_swarm import SequentialSwarmPhase
+from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
@@ -129,7 +130,7 @@ class Bench:
 
     def give(self, state: oracle.State) -> None:
         """Make ``state`` the state on the GPU."""
-        atlas, blocks = self.stage.swarm.atlas, self.stage.encoding.blocks
+        atlas, blocks = self.stage.textures.atlas, self.stage.encoding.blocks
         particles = {
             "position": state.x,
             "velocity": state.v,
@@ -142,7 +143,7 @@ class Bench:
             arrays[name] = numbers.to_atlas(packed, atlas.across, atlas.down)
         g = self.packing.pack(state.g)
         arrays |= {f"global_best_{b}": g[..., 4 * b : 4 * b + 4] for b in range(blocks)}
-        self.stage.swarm.restore(arrays | {"global_fitness": self.packing.pack(state.g_fitness)[..., None]})
+        self.stage.textures.restore(arrays | {"global_fitness": self.packing.pack(state.g_fitness)[..., None]})
 
     def read(self) -> oracle.State:
         """Return the state on the GPU; 0 where no texel is solved, and there a fitness of UNFIT."""
@@ -214,7 +215,7 @@ def test_a_step_of_the_swarm_is_that_of_the_oracle(case, bench):
         step = oracle.move(b.problem, before, iteration)
         turned = not b.domain.card and "normal" in b.stage.stage.title
         assert_equal_states(b.read(), step, rounding_of(step), TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
-        verdict = b.packing.unpack(b.stage.reader.read(b.stage.swarm.verdict), -1)
+        verdict = b.packing.unpack(b.stage.reader.read(b.stage.textures.verdict), -1)
         np.testing.assert_array_equal(verdict[..., 3], step.particle)
 
 
@@ -243,9 +244,9 @@ def test_fragment_and_compute_agree_within_four_ulp(case, bench):
         compute.give(fragment.read())
         fragment.advance()
         compute.advance()
-        for name, texture in fragment.stage.swarm.remembered.items():
+        for name, texture in fragment.stage.textures.remembered.items():
             one = fragment.stage.reader.read(texture)
-            other = compute.stage.reader.read(compute.stage.swarm.remembered[name])
+            other = compute.stage.reader.read(compute.stage.textures.remembered[name])
             np.testing.assert_array_max_ulp(one, other, maxulp=4)
 
 
@@ -269,10 +270,10 @@ def test_fragment_and_compute_end_with_equal_error_quantiles():
 
 def test_an_atlas_is_cut_into_tiles_that_hold_every_particle_once(bench):
     b = bench(dataclasses.replace(CASES[10], shape=(5, 3), domain={"holes": False}))
-    atlas = b.stage.swarm.atlas
+    atlas = b.stage.textures.atlas
     assert atlas.across * atlas.down >= 2 * b.problem.particles
     marks = np.arange(b.problem.particles * 15 * 8, dtype=np.float64).reshape(-1, 5, 3, 8)
     packed = numbers.to_atlas(marks, atlas.across, atlas.down)
     np.testing.assert_array_equal(numbers.from_atlas(packed, b.problem.particles, 5, 3, 8), marks)
-    b.stage.swarm.ensure()
-    assert textures.download(b.stage.swarm.position).shape == packed.shape
+    b.stage.textures.ensure()
+    assert textures.download(b.stage.textures.position).shape == packed.shape

@@ -19,7 +19,7 @@ from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_ke
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
 from irpso_addon.solver.phases import prefit as prefit
-from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedPrior, ResolvedRefinement, prefit_model, resolve
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 from irpso_addon.solver.views import display

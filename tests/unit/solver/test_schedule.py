@@ -8,7 +8,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
 from irpso_addon.solver.phases.refinement import tracks_of
-from irpso_addon.solver.phases.sequential_swarm import neighbour_constant, particle_count
+from irpso_addon.solver.phases.swarm import neighbour_constant, particle_count
 from irpso_addon.solver.settings.groups import Stage
 from irpso_addon.solver.settings.resolve import ResolvedRefinement, resolve
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets

@@ -10,7 +10,7 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import PRESETS
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
-from irpso_addon.solver.phases.sequential_swarm import particle_count
+from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedMaterials,
     ResolvedPrefit,
