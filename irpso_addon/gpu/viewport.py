@@ -141,11 +141,6 @@ class Drawing:
             batch = _batch({"position": points, "color": _colors(colors, len(points))})
             _draw(self._plain, batch, _pixels(), {}, {}, False)
 
-    def draw_rectangle(self, lower_left_px: Size, size_px: Size, color: Color) -> None:
-        """Draw a filled rectangle, in pixels of the region."""
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]])
-        self.draw_triangles2d(np.asarray(lower_left_px) + corners * np.asarray(size_px), color)
-
     def close(self) -> None:
         """Free the shaders."""
         for square in self._squares.values():

@@ -10,10 +10,16 @@ from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, tile, w
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.phases.mixture import merged
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
 
 # Few iterations, and a neighbour term strong enough to show.
 SHORT = load_schedule("swarm").replaced(iterations=12, seed="random", c3=0.3, particles=6, particles_per_dimension=0.0)
+
+
+def pack_layers(packing: Packing, layers: np.ndarray) -> np.ndarray:
+    """Return (K, h, w, C) of (K, H, W, C)."""
+    return np.stack([packing.pack(layer) for layer in layers])
 
 
 def make_domain(

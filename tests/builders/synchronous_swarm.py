@@ -15,7 +15,7 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, unit
+from tests.builders.domains import make_domain, pack_layers, unit
 from tests.oracles import random_numbers as numbers
 from tests.oracles import swarm
 from tests.oracles import synchronous_swarm as oracle
@@ -53,7 +53,7 @@ class Bench:
         self.values = {**made, **(estimates or {})}
         stage = resolve(self.schedule, self.model, set(case.fixed))[0]
         self.packing = pack = Packing(self.domain.solvable)
-        self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack.values), pack.pack(scale))
+        self.textures = DomainTextures(self.domain, pack, pack_layers(pack, self.domain.stack.values), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in self.values.items()})
         self.stage = SynchronousSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))

@@ -174,11 +174,6 @@ class RefinementPhase(Phase):
         fitness = self._domain.packing.unpack(textures.download(self.textures.kept)[..., 0])
         return bool((fitness[moved] <= threshold).all())
 
-    def fitness(self) -> np.ndarray:
-        """Return (h, w) float32, packed as the domain's textures: the fitness of what has been found."""
-        self._keep()
-        return textures.download(self.textures.kept)[..., 0]
-
     def spent(self) -> int:
         """Return how many renders of all observations were made, over all texels: one that is done costs nothing."""
         self._keep()

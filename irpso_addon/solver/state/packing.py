@@ -44,13 +44,6 @@ class Packing:
         """
         return array if self._whole else self._grid(array[self._rows, self._columns], ghosts)
 
-    def pack_layers(self, array: np.ndarray) -> np.ndarray:
-        """Return (K, h, w, C) of (K, H, W, C), a copy."""
-        packed = np.zeros((len(array), self.height * self.width, array.shape[-1]), np.float32)
-        for layer, out in zip(array, packed, strict=True):
-            out[: len(self._rows)] = layer[self._rows, self._columns]
-        return packed.reshape(len(array), self.height, self.width, -1)
-
     def unpack(self, array: np.ndarray, fill: Any = 0.0) -> np.ndarray:
         """Return (H, W, …) of (h, w, …), with ``fill`` where no texel is solved."""
         if self._whole:

@@ -130,15 +130,6 @@ class TexelProbe:
         return self._swarm.read(lent, at)
 
 
-def read_texel(recovery: Recovery | Pyramid, row: int, column: int) -> TexelState | None:
-    """Return the state of one texel once; ``TexelProbe`` keeps its shaders for those who read again."""
-    probe = TexelProbe(recovery)
-    try:
-        return probe.read(row, column)
-    finally:
-        probe.close()
-
-
 def running_swarm(
     recovery: Recovery | Pyramid,
 ) -> tuple[SwarmPhase, ReflectanceModel] | None:

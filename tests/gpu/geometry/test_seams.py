@@ -24,7 +24,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from irpso_addon.solver.views.forward import Renderer
-from tests.builders.domains import SHORT, make_domain, random_truth, unit, with_radiance
+from tests.builders.domains import SHORT, make_domain, pack_layers, random_truth, unit, with_radiance
 from tests.builders.seams import part, sheet
 from tests.oracles import swarm as oracle
 from tests.oracles.geometry import joined
@@ -61,7 +61,7 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     stage = resolve(schedule, LAMBERT, set())[0]
     packing = Packing(domain.solvable, domain.seams)
     held = DomainTextures(
-        domain, packing, packing.pack_layers(domain.stack.values), packing.pack(np.ones(domain.shape))
+        domain, packing, pack_layers(packing, domain.stack.values), packing.pack(np.ones(domain.shape))
     )
     values = {p.name: np.zeros((*domain.shape, p.components)) for p in LAMBERT.parameters}
     estimates = Estimates(LAMBERT, {name: packing.pack(value) for name, value in values.items()})

@@ -7,6 +7,7 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.viewport import Drawing, Surface, toward_viewer, viewport_size
 
 SIZE = 48, 36
+UNIT_SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]]  # of two triangles
 QUAD = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]], float).reshape(2, 3, 2)
 PICTURE = np.array([[[0.5, 0.5, 0.5, 1], [1, 0, 0, 1]], [[0.2, 0.4, 0.8, 1], [0, 1, 0, 0]]], np.float32)
 NEAR, FAR = 0.1, 100.0
@@ -159,7 +160,7 @@ def test_stripes_lie_over_texels_of_alpha_below_one_alone_and_can_be_left_out(dr
 
 def test_opacity_lets_through_what_was_there(drawing):
     with Window() as window:
-        drawing.draw_rectangle((0, 0), SIZE, (0.1, 0.2, 0.3, 1))
+        drawing.draw_triangles2d(np.array(UNIT_SQUARE) * SIZE, (0.1, 0.2, 0.3, 1))
         drawing.draw_flat(textures.upload(PICTURE), (4, 6), (20, 10), opacity=0.25)
     faint = nearest(PICTURE, (4, 6), (20, 10)) * (1, 1, 1, 0.25)
     np.testing.assert_allclose(window.pixels(), over(faint, (0.1, 0.2, 0.3, 1)), atol=1e-6)
@@ -340,7 +341,7 @@ def test_the_drawing_state_is_left_as_it_was_found(drawing, surface):
             drawing.draw_flat(picture, (0, 0), (5, 5))
             drawing.draw_lines([[0, 0], [9, 9]], (1, 1, 1, 1), 2)
             drawing.draw_points([[0, 0]], (1, 1, 1, 1), 2)
-            drawing.draw_rectangle((0, 0), (5, 5), (1, 1, 1, 1))
+            drawing.draw_triangles2d(5 * np.array(UNIT_SQUARE), (1, 1, 1, 1))
             found = gpu.state.depth_test_get(), gpu.state.depth_mask_get(), gpu.state.blend_get()
             assert found == (depth, mask, blend)
             assert viewport_size() == SIZE
@@ -353,7 +354,7 @@ def test_a_drawing_that_was_closed_draws_again(drawing):
     for _ in range(2):
         with Window() as window:
             drawing.draw_points([[20, 20]], (1, 1, 1, 1), 8)
-            drawing.draw_rectangle((0, 0), (5, 5), (1, 1, 1, 1))
+            drawing.draw_triangles2d(5 * np.array(UNIT_SQUARE), (1, 1, 1, 1))
             drawing.draw_flat(textures.upload(PICTURE), (30, 3), (5, 5))
         assert window.pixels()[20, 20, 3] == window.pixels()[2, 2, 3] == window.pixels()[4, 31, 3] == 1
         drawing.close()

@@ -15,7 +15,7 @@ from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, unit
+from tests.builders.domains import make_domain, pack_layers, unit
 from tests.oracles import alternatives as alternatives_oracle
 from tests.oracles import confidence as confidence_oracle
 
@@ -54,7 +54,7 @@ def rendered(domain, name, values, noise):
 def alternatives(domain, model, values, scale, fixed=(), fitness=STANDARD.fitness):
     """What the pass says, name → (H, W, 1), NaN where nothing is solved."""
     pack = Packing(domain.solvable)
-    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), pack.pack(scale.astype(np.float32)))
+    uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale.astype(np.float32)))
     estimates = Estimates(model, {name: pack.pack(value) for name, value in values.items()})
     work = Alternatives(model, fixed, fitness, uploaded.defines)
     for _ in work.measuring(uploaded, estimates, False, Bands(), 0.25):

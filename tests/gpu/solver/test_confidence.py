@@ -16,7 +16,7 @@ from irpso_addon.solver.kernels.free_parameters import NORMAL_RANGE
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, unit
+from tests.builders.domains import make_domain, pack_layers, unit
 from tests.oracles import confidence as oracle
 from tests.oracles import reflectance as oracles
 
@@ -71,7 +71,7 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
-    uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), scale)
+    uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scale)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
     found = work.deviations(uploaded, estimates, False, Bands(), seconds)

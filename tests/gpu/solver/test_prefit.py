@@ -24,7 +24,7 @@ from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import texel_scale
 from irpso_addon.solver.state.textures import DomainTextures
 from tests.builders.command_line import dome_lights
-from tests.builders.domains import bits_of, make_domain, masked, recoveries, unit
+from tests.builders.domains import bits_of, make_domain, masked, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles.refinement import Texel
 
@@ -89,7 +89,7 @@ def test_grey_samples_are_those_of_numpy(root, options):
     pack = Packing(domain.solvable)
     scale = np.random.default_rng(2).uniform(0.5, 2, domain.shape).astype(np.float32)
     told = grey(
-        DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), pack.pack(scale)),
+        DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale)),
         STANDARD.replaced(prefit_shadow=0.4),
     )
     assert told.brightness == 1

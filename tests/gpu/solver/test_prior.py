@@ -18,7 +18,16 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, subject, unit, with_radiance
+from tests.builders.domains import (
+    bits_of,
+    make_domain,
+    pack_layers,
+    recoveries,
+    run_tiled,
+    subject,
+    unit,
+    with_radiance,
+)
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import spatial_prior as prior_oracle
 
@@ -49,7 +58,7 @@ class Bench:
         context.ensure()
         self.model, self.domain, self.pack = model, domain, Packing(domain.solvable)
         scale = self.pack.pack(np.ones(domain.shape, np.float32))
-        self.uploaded = DomainTextures(domain, self.pack, self.pack.pack_layers(domain.stack.values), scale)
+        self.uploaded = DomainTextures(domain, self.pack, pack_layers(self.pack, domain.stack.values), scale)
         self.estimates = Estimates(model, {name: self.pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = resolve(schedule, model, set())[-1]
         self.prior = SpatialPriorPhase(resolved, model, schedule, self.uploaded, self.estimates, entry)

@@ -19,7 +19,7 @@ from irpso_addon.solver.settings.resolve import ResolvedRefinement
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, make_domain, recoveries, run_tiled, unit
+from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, run_tiled, unit
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles.refinement import Texel
 from tests.oracles.swarm import direction_to, frames, turned
@@ -45,7 +45,7 @@ class Bench:
         self.model, self.domain = model, domain
         self.pack = pack = Packing(domain.solvable)
         scales = pack.pack(np.full(domain.shape, scale, np.float32))
-        uploaded = DomainTextures(domain, pack, pack.pack_layers(domain.stack.values), scales)
+        uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scales)
         self.estimates = Estimates(model, {name: pack.pack(np.float32(v)) for name, v in values.items()})
         resolved = ResolvedRefinement(model.parameters, schedule.refinement, starts)
         self.refinement = RefinementPhase(resolved, model, schedule, uploaded, self.estimates, entry)

@@ -16,7 +16,7 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import make_domain, unit, with_radiance
+from tests.builders.domains import make_domain, pack_layers, unit, with_radiance
 from tests.oracles import random_numbers as numbers
 from tests.oracles import swarm as oracle
 
@@ -104,7 +104,7 @@ class Bench:
             estimates[p.name] = value.astype(np.float32)
         stage = resolve(self.schedule, self.model, set())[0]
         self.packing = pack = Packing(self.domain.solvable)
-        self.textures = DomainTextures(self.domain, pack, pack.pack_layers(self.domain.stack.values), pack.pack(scale))
+        self.textures = DomainTextures(self.domain, pack, pack_layers(pack, self.domain.stack.values), pack.pack(scale))
         self.estimates = Estimates(self.model, {name: pack.pack(value) for name, value in estimates.items()})
         self.stage = SequentialSwarmPhase(stage, self.model, self.schedule, seed, self.textures, self.estimates, entry)
         count = particle_count(self.schedule, stage.dimensions(self.schedule.swarm.normal))

@@ -11,7 +11,7 @@ from irpso_addon.solver.settings.resolve import prefit_model, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
 from irpso_addon.solver.views import texel_probe
-from irpso_addon.solver.views.texel_probe import TexelProbe, read_texel
+from irpso_addon.solver.views.texel_probe import TexelProbe
 from tests.builders.domains import SHORT, recoveries, subject
 from tests.oracles import random_numbers as numbers
 from tests.oracles.synchronous_swarm import SynchronousSwarm
@@ -184,15 +184,6 @@ def test_a_coarse_level_is_read_at_the_texel_that_lies_there(probe):
         residual = pyramid.maps(confidence=False).residual
         assert reader.read(13, 7).error == pytest.approx(float(residual[13, 7]), rel=1e-6)
         reader.close()
-
-
-def test_one_read_is_that_of_a_probe(recover, probe):
-    recovery = recover(subject()[0])
-    recovery.step(iterations=2)
-    row, column = some_texels(recovery.domain)[1]
-    one, other = read_texel(recovery, row, column), probe(recovery).read(row, column)
-    assert one.error == other.error
-    np.testing.assert_array_equal(one.particles.positions, other.particles.positions)
 
 
 def test_little_is_read_back(recover, probe, monkeypatch):

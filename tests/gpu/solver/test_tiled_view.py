@@ -11,7 +11,7 @@ from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.engine.tiled import TiledRecovery
 from irpso_addon.solver.views import tiled_view
 from irpso_addon.solver.views.display import Display, Shown
-from irpso_addon.solver.views.texel_probe import read_texel
+from irpso_addon.solver.views.texel_probe import TexelProbe
 from irpso_addon.solver.views.tiled_view import display_of, texel_probe_of
 from tests.builders.domains import SHORT, subject
 
@@ -89,9 +89,9 @@ def test_tiles_that_take_turns_show_what_they_had_found_when_they_were_there_las
 def test_a_texel_is_read_from_its_tile_while_that_is_on_the_device(domain, whole):
     with tiled(domain) as recovery:
         recovery.step()
-        with closing(texel_probe_of(recovery)) as probe:
+        with closing(texel_probe_of(recovery)) as probe, closing(TexelProbe(whole)) as other:
             for row, column in np.argwhere(domain.solvable)[::17].tolist():
-                found, state = probe.read(row, column), read_texel(whole, row, column)
+                found, state = probe.read(row, column), other.read(row, column)
                 assert found.error == state.error
                 np.testing.assert_array_equal(found.values["base_color"], state.values["base_color"])
     with tiled(domain, on_device=1) as recovery, closing(texel_probe_of(recovery)) as probe:

@@ -27,13 +27,6 @@ def test_what_is_packed_unpacks_to_itself_and_to_the_fill_elsewhere(name):
 
 
 @pytest.mark.parametrize("name", MASKS)
-def test_layers_are_packed_as_single_arrays_are(name):
-    packing = Packing(MASKS[name])
-    layers = RNG.normal(size=(3, *MASKS[name].shape, 4)).astype(np.float32)
-    np.testing.assert_array_equal(packing.pack_layers(layers), np.stack([packing.pack(layer) for layer in layers]))
-
-
-@pytest.mark.parametrize("name", MASKS)
 def test_empty_texels_take_no_room_but_the_rest_of_a_row(name):
     mask = MASKS[name]
     packing = Packing(mask)
