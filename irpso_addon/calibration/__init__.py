@@ -1,1 +1,1 @@
-"""What must be known of a capture before it is solved: lights from balls, linear and even images; numpy only."""
+"""Calibration of a capture before it is solved: lights from balls, linear and even images. numpy only."""

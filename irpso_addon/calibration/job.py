@@ -1,4 +1,4 @@
-"""A calibration from its options to what is written, for the command line and the window alike."""
+"""One calibration job, from options to output. The command line and the window share it."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
 from .balls.lights import Calibration, Request, calibration_steps
 from .photographs import calibrated_table
 
-_FEWEST = 0.5  # of the photographs that must tell a light
+_FEWEST = 0.5  # fraction of the photographs that must show a light
 
 
 @dataclass(frozen=True)
 class BallRequest:
-    """Where a ball is. mask: a file that is white on it; or numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
+    """Where a ball is. mask: an image, white on the ball. numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
 
     Pixels count from the upper left corner, as in image programs.
     """
@@ -35,7 +35,7 @@ class BallRequest:
 
 
 def ball_of_text(text: str) -> BallRequest:
-    """Return what "mask.png", "X,Y,R" or "X1,Y1,X2,Y2,X3,Y3,…" says. Raises InputError."""
+    """Parse "mask.png", "X,Y,R" or "X1,Y1,X2,Y2,X3,Y3,…". Raises InputError."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -52,7 +52,7 @@ def ball_of_text(text: str) -> BallRequest:
 
 
 def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: int, radius: float | None) -> Ball:
-    """Return the ball that is asked for. Raises InputError where a mask is of another size or shows no ball."""
+    """Return the requested ball. Raises InputError where the mask has another size or shows no ball."""
     name = f"ball {number}"
     if request.mask is not None:
         size = store.size(ImageRef(request.mask))
@@ -75,7 +75,7 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What was found. shots: the numbers, in the spec, of the photographs. names: of them. camera: its number."""
+    """Calibrated lights. shots: indices of the photographs in the spec. names: theirs. camera: index."""
 
     spec: CaptureSpec
     camera: int
@@ -86,7 +86,7 @@ class Calibrated:
 
     @property
     def card_distance(self) -> float:
-        """From the camera to a card that the balls lie on, in the unit of the places of near lights."""
+        """Distance from the camera to the card below the balls, in the unit of near lights' positions."""
         return float(np.mean([view.ball.radius - view.ball.centre[2] for view in self.result.views]))
 
 
@@ -98,10 +98,10 @@ def calibrate_steps(
     radius: float | None = None,
     view: str | None = None,
 ) -> Generator[int, None, Calibrated]:
-    """Yield the number of each photograph before it is read, and return what the balls tell of a spec's lights.
+    """Yield the number of each photograph before it is read; return the lights that the balls show.
 
-    radius: of the balls, in world units. view: the camera whose photographs are used, needed where there are several.
-    Raises InputError, also where half of the photographs or more tell no light.
+    radius: of the balls, in world units. view: name of the camera, needed where the spec has several.
+    Raises InputError, also where more than half of the photographs show no light.
     """
     number = _camera_number(spec, view)
     capture = build_capture(spec, decoder)
@@ -114,12 +114,12 @@ def calibrate_steps(
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     names = tuple(spec.observations[n].name for n in shots)
-    found = sum(light.light is not None for light in result.lights)
-    if found < max(1, _FEWEST * len(shots)):
+    shown = sum(light.light is not None for light in result.lights)
+    if shown < max(1, _FEWEST * len(shots)):
         lost = next(i for i, light in enumerate(result.lights) if light.light is None)
         raise InputError(
-            f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - found} of {len(shots)}"
-            " photographs tell no light; check --ball and --kind)"
+            f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
+            " photographs show no light; check --ball and --kind)"
         )
     warnings = [w for ball in balls for w in ball.warnings]
     for name, light in zip(names, result.lights, strict=True):
@@ -129,24 +129,22 @@ def calibrate_steps(
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
-    """Raise InputError where a distance is given and nothing says in which unit."""
+    """Raise InputError where a distance has no unit."""
     if request.distance is None:
         return
     if camera.perspective and radius is None:
-        raise InputError("--distance: is in the unit of --radius; give that too (1 where the distance is in radii)")
+        raise InputError("--distance: needs --radius, which sets its unit (--radius 1: the distance is in radii)")
     if not camera.perspective and not view.lens:
-        raise InputError(
-            "--distance: nothing says its unit; give --fov and --radius, or --camera with world_width in that unit"
-        )
+        raise InputError("--distance: has no unit; give --fov and --radius, or --camera with world_width in that unit")
 
 
 def _refuse_radii(spec: CaptureSpec, number: int) -> None:
-    """Raise InputError where a capture has lengths of its own, and places of lights would come in radii of the ball."""
+    """Raise InputError where the capture has a unit of length and the light positions would be in ball radii."""
     placed = spec.views[number].placed
     if placed or spec.card_distance is not None:
         raise InputError(
-            f"{spec.source}: has {'a camera with a place' if placed else 'card_distance'}, in a unit in which near"
-            " lights are wanted too; give --radius in it, or --lights distant"
+            f"{spec.source}: has {'a camera with a position' if placed else 'card_distance'}; near lights need the same"
+            " unit: give --radius in it, or --lights distant"
         )
 
 
@@ -157,23 +155,23 @@ def _camera_number(spec: CaptureSpec, view: str | None) -> int:
             raise InputError(f"--view {view}: there is no such camera; choose one of {', '.join(names)}")
         return names.index(view)
     if len(names) > 1:
-        raise InputError(f"{spec.source}: has {len(names)} cameras; say with --view which one saw the ball")
+        raise InputError(f"{spec.source}: has {len(names)} cameras; name the one that saw the ball with --view")
     return 0
 
 
-def written_table(found: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
-    """Return the text of a capture.toml in ``folder`` with the lights that were found."""
-    lights = {n: light.light for n, light in zip(found.shots, found.result.lights, strict=True)}
-    view, camera = found.spec.views[found.camera], found.result.views[0].ball.camera
-    if found.result.near and not (camera_keys or view.lens):  # places are counted in what was taken for its width
+def written_table(calibrated: Calibrated, folder: Path, camera_keys: Mapping[str, Any]) -> str:
+    """Return the text of a capture.toml in ``folder`` with the calibrated lights."""
+    lights = {n: light.light for n, light in zip(calibrated.shots, calibrated.result.lights, strict=True)}
+    view, camera = calibrated.spec.views[calibrated.camera], calibrated.result.views[0].ball.camera
+    if calibrated.result.near and not (camera_keys or view.lens):  # the unit of the positions is the assumed width
         camera_keys = {"world_width": camera.width / camera.scale[0]}
-    cameras = {found.camera: camera_keys} if camera_keys else {}
-    return calibrated_table(found.spec, cameras, lights, folder)
+    cameras = {calibrated.camera: camera_keys} if camera_keys else {}
+    return calibrated_table(calibrated.spec, cameras, lights, folder)
 
 
-def report_of(found: Calibrated) -> dict[str, Any]:
-    """Return what report.json holds."""
-    result = found.result
+def report_of(calibrated: Calibrated) -> dict[str, Any]:
+    """Return the table of report.json."""
+    result = calibrated.result
     balls = [
         {
             "name": view.ball.name,
@@ -185,7 +183,7 @@ def report_of(found: Calibrated) -> dict[str, Any]:
         for view in result.views
     ]
     lights = []
-    for name, light in zip(found.names, result.lights, strict=True):
+    for name, light in zip(calibrated.names, result.lights, strict=True):
         row: dict[str, Any] = {"name": name, "warnings": list(light.warnings)}
         if light.light is not None:
             row["direction" if light.light.distant else "position"] = list(light.light.vector)
@@ -200,14 +198,14 @@ def report_of(found: Calibrated) -> dict[str, Any]:
         "near": result.near,
         "how": result.how,
         "camera": "perspective" if result.views[0].ball.camera.perspective else "orthographic",
-        **({"card_distance": round(found.card_distance, 6)} if result.near else {}),
+        **({"card_distance": round(calibrated.card_distance, 6)} if result.near else {}),
         "bounce": [round(float(v), 4) for v in result.bounce],
         "balls": balls,
         "lights": lights,
-        "warnings": list(found.warnings),
+        "warnings": list(calibrated.warnings),
     }
 
 
-def report_text(found: Calibrated) -> str:
-    """Return report.json."""
-    return json.dumps(report_of(found), indent=1) + "\n"
+def report_text(calibrated: Calibrated) -> str:
+    """Return the text of report.json."""
+    return json.dumps(report_of(calibrated), indent=1) + "\n"

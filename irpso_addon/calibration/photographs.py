@@ -1,4 +1,4 @@
-"""Where photographs of balls come from: a capture, or a folder of images whose lights nobody knows yet."""
+"""Photographs of balls: a capture, or a folder of images without lights."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..core.toml_text import toml_value
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
 CAMERA = "camera.toml"
-_UNKNOWN = (0.0, 0.0, 1.0)  # stands for a light until the balls have told it
+_UNKNOWN = (0.0, 0.0, 1.0)  # placeholder until the balls give the light
 _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
@@ -28,10 +28,10 @@ _PATH_KEYS = ("image", "mask", "cameras")
 
 
 def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence[Path] = ()) -> CaptureSpec:
-    """Return the spec of a capture, or of a folder of images; the lights of the latter are not to be used.
+    """Return the spec of a capture, or of a folder of images with placeholder lights.
 
-    Of a folder without a capture the images are those of its filenames.txt, or all, sorted by name, but for masks and
-    those in ``leave_out``; camera.toml is its camera. Raises InputError where there are none.
+    Images of a folder: those in filenames.txt, else all except masks and ``leave_out``, sorted by name. Its camera:
+    camera.toml. Raises InputError where there are no images.
     """
     path = Path(path)
     names = path / diligent.FILENAMES
@@ -41,7 +41,7 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
         return read.read_spec(path, colour_space)
     hidden = {p.resolve() for p in leave_out}
     if names.exists():
-        images = [find_image(path, name) for _, name in read_lines(names, "write the images' names into it")]
+        images = [find_image(path, name) for _, name in read_lines(names, "write the image names into it")]
     else:
         images = sorted(
             p for p in path.iterdir()
@@ -58,14 +58,14 @@ def read_photographs(path: Path, colour_space: str = "auto", leave_out: Sequence
 
 
 def camera_keys(path: Path) -> dict[str, Any]:
-    """Return the keys of a camera.toml. Raises InputError where it has others."""
+    """Return the keys of a camera.toml. Raises InputError at an unknown key."""
     keys = load_toml(path)
     known_keys(keys, CAMERA_KEYS, str(path))
     return keys
 
 
 def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
-    """Return a spec whose cameras have the intrinsics of ``keys``, in their own places."""
+    """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses."""
     views = []
     for view in spec.views:
         matrix = view.make(*(view.size or (1, 1))).matrix
@@ -76,10 +76,10 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
 def calibrated_table(
     spec: CaptureSpec, cameras: Mapping[int, Mapping[str, Any]], lights: Mapping[int, Light | None], folder: Path
 ) -> str:
-    """Return the text of a capture.toml in ``folder``: the spec's, with the lights of its shots replaced.
+    """Return the text of a capture.toml in ``folder``: the spec's, with its lights replaced.
 
-    cameras: keys to be put into the table of each camera. lights: by the number of the shot; None leaves it out. Of a
-    capture.toml everything else stays as it is, but for comments; images are named relative to ``folder``.
+    cameras: camera index → keys. lights: shot index → light; None removes the shot. Everything else of a capture.toml
+    stays, except comments. Image paths become relative to ``folder``.
     """
     if spec.kind == "capture table":
         source = load_toml(spec.source)
@@ -110,7 +110,7 @@ def _light_keys(light: Light, former: Any) -> dict[str, Any]:
 
 
 def _as_table(spec: CaptureSpec) -> dict[str, Any]:
-    """Return what a capture.toml of a spec of another kind holds, its paths as they are."""
+    """Return the capture.toml table of a spec of another kind, with its paths unchanged."""
     camera: dict[str, Any] = {"name": spec.views[0].name}
     file = (spec.source if spec.source.is_dir() else spec.source.parent) / CAMERA
     if file.exists() and spec.source.suffix.lower() != ".lp":
@@ -129,7 +129,7 @@ def _as_table(spec: CaptureSpec) -> dict[str, Any]:
 
 
 def _moved(value: Any, home: Path, folder: Path) -> Any:
-    """Return a table whose image paths, relative to ``home``, are relative to ``folder``."""
+    """Return a table with its image paths rebased from ``home`` to ``folder``."""
     if isinstance(value, list):
         return [_moved(item, home, folder) for item in value]
     if not isinstance(value, dict):
@@ -144,7 +144,7 @@ def _moved(value: Any, home: Path, folder: Path) -> Any:
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """Return a path as a file in ``folder`` names it: relative, or whole where it is on another drive."""
+    """Return a path relative to ``folder``, or absolute where it is on another drive."""
     try:
         return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
     except ValueError:

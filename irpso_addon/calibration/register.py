@@ -1,10 +1,10 @@
-"""Frames of one camera that stand a little aside of each other, though lit from elsewhere each: by how much, and back.
+"""Registration of one camera's frames under different lights: small shifts, and their removal.
 
-First phase correlation of edges (Kuglin and Hines 1975), to parts of a pixel by an upsampled transform about the peak
-(Guizar-Sicairos, Thurman and Fienup 2008). Then each frame is fitted by three images made of the others, which is all
-that a matt surface can show under any distant light (Shashua 1997), and by its own derivatives, whose factors are
-what is left of the shift (Hager and Belhumeur 1998). Measured on cards with texture, relief and 2 % noise: the first
-step is off by 0.02 px where texture prevails and by 1.4 px where relief does, the second by 0.03 px and less in both.
+1. Phase correlation of edges (Kuglin and Hines 1975), refined below a pixel by an upsampled transform about the peak
+(Guizar-Sicairos, Thurman and Fienup 2008). 2. A fit of each frame by three images made of the others, which span a
+matt surface under every distant light (Shashua 1997), and by its own derivatives, whose factors are the remaining
+shift (Hager and Belhumeur 1998). Measured on cards with texture, relief and 2 % noise: step 1 errs by 0.02 px where
+texture prevails and by 1.4 px where relief does, step 2 by at most 0.03 px in both.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from ..capture.inspect import three_images
 from ..capture.inspect.checks import edge_sizes, whitened
 from ..core.steps import run_steps
 
-_REACH, _SMALLEST = 32, 32  # pixels searched on each side; pixels that a side must have
-_ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the others, moved; pixels: the change that ends them
-_UPSAMPLED = (0.1, 0.01)  # pixels: the steps of the two transforms about the peak
-_STEPS = 15  # of those on each side
-_PEAK = 6.0  # deviations by which the peak of a true shift stands out
-_ENOUGH = 10  # frames for fits: with 8 they made the shifts worse (0.02 px to 0.06), with 10 better (0.01)
-_FITS, _SETTLED = 16, 0.005  # fits at most; pixels: the largest change after which there are no more
-_LONGEST_STEP = 1.0  # pixels in one fit: derivatives say nothing beyond
-# Correlation with the fit below which a frame is told of and not moved, and the part of the frames that may be so
-# before the fits mean nothing for the rest. Measured at the right place: a matt subject 0.97 and more, with cast
-# shadows too; a shiny one about 0.7, and fits of it lead 2 px astray.
+_REACH, _SMALLEST = 32, 32  # pixels searched on each side; least side of a frame, pixels
+_ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: the change that ends them
+_UPSAMPLED = (0.1, 0.01)  # pixels: steps of the two transforms about the peak
+_STEPS = 15  # on each side of the peak
+_PEAK = 6.0  # deviations above the noise: least peak of a true shift
+_ENOUGH = 10  # least frames for fits: 8 frames made the shifts worse (0.02 px to 0.06), 10 better (0.01)
+_FITS, _SETTLED = 16, 0.005  # most fits; pixels: the largest change that ends them
+_LONGEST_STEP = 1.0  # pixels in one fit: derivatives are not valid beyond
+# Correlation with the fit below which a frame is reported and not moved; fraction of such frames above which no fit is
+# used. Measured at the right place: a matt subject 0.97 and more, with cast shadows too; a shiny one about 0.7, and its
+# fits err by 2 px.
 _AGREE, _MOST_ASTRAY = 0.8, 0.34
-SMALLEST_MOVE = 0.01  # pixels: a shift below it is not worth a resampling
-_LOBES, _LOST = 3, 0.03  # Lanczos; the part of a pixel's kernel that may fall on pixels without weight
+SMALLEST_MOVE = 0.01  # pixels: smaller shifts are not resampled
+_LOBES, _LOST = 3, 0.03  # Lanczos; most of a pixel's kernel that may fall on pixels without weight
 
 
 @dataclass(frozen=True)
 class Shifts:
-    """By how many pixels (right, up) each of K frames is off the reference: (K, 2), 0 where it is not trusted.
+    """pixels: (K, 2) shift (right, up) of each frame from the reference, 0 where not trusted.
 
-    agreement: (K,) correlation, −1…1, of each frame with what the others make of it; NaN where they are fewer than 10
-    and it was not asked. trusted: (K,) bool.
+    agreement: (K,) correlation, −1…1, of each frame with its fit by the others; NaN with fewer than 10 frames.
+    trusted: (K,) bool.
     """
 
     pixels: np.ndarray
@@ -48,16 +48,16 @@ class Shifts:
 
 
 def find_shifts(frames: np.ndarray, reference: int = 0) -> Shifts:
-    """Return the shifts of frames (K, H, W) of linear grey radiance against one of them, or the first that is trusted.
+    """Return the shifts of frames (K, H, W), linear grey radiance, from the reference, or from the first trusted frame.
 
-    Frames of at least 32 pixels a side (smaller ones stay where they are); up to 32 pixels are searched. With fewer
-    than ten frames only correlation serves.
+    The search covers 32 pixels each way. Frames with a side below 32 pixels stay unmoved. Fewer than ten frames use
+    correlation alone.
     """
     return run_steps(shift_steps(frames, reference))
 
 
 def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None, Shifts]:
-    """Yield the part of the work that is done, 0…1, and return what ``find_shifts`` does."""
+    """Yield the fraction done, 0…1, and return the result of ``find_shifts``."""
     frames = np.asarray(frames, np.float32)
     count = len(frames)
     agreement = np.full(count, np.nan)
@@ -75,7 +75,7 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return (K, 2) shifts by correlation of edges with the mean of the others, and (K,) bool: peaks that stand out."""
+    """Return (K, 2) shifts by correlation of edges with the mean of the others, and (K,) bool: peak above noise."""
     count, shape = len(frames), frames.shape[1:]
     spectra = []
     for k, frame in enumerate(frames):
@@ -85,20 +85,19 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
     for turn in range(_ROUNDS):
         moved = [s * _phases(shape, *at) for s, at in zip(spectra, pixels, strict=True)]
         total = sum(m for m, good in zip(moved, trusted, strict=True) if good)
-        found = pixels.copy()
+        shifts = pixels.copy()
         for k in range(count):
             yield 0.1 + 0.3 * (turn + k / count) / _ROUNDS
             others = total - moved[k] if trusted[k] else total
-            *found[k], peak = _peak(spectra[k] * np.conj(others), shape)
+            *shifts[k], peak = _peak(spectra[k] * np.conj(others), shape)
             trusted[k] = peak >= _PEAK
-        # A frame's own shift is in the mean that the others are held against; without this, two frames would swap
-        # places for ever.
+        # The mean contains the frame's own shift; without this factor two frames would swap places for ever.
         good = max(int(trusted.sum()), 2)
-        change = (found - pixels) * (good - 1) / good
+        change = (shifts - pixels) * (good - 1) / good
         pixels = pixels + change
         if np.abs(change).max() < _ALIGNED:
             break
-    for k in np.flatnonzero(~trusted).tolist():  # a light far from the mean's may agree with one of its neighbours
+    for k in np.flatnonzero(~trusted).tolist():  # a light far from the mean's may suit a neighbour
         tries = [(*_peak(spectra[k] * np.conj(moved[i]), shape),) for i in np.flatnonzero(trusted)]
         if tries and (best := max(tries, key=lambda t: t[2]))[2] >= _PEAK:
             pixels[k], trusted[k] = best[:2], True
@@ -106,13 +105,13 @@ def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, 
 
 
 def _phases(shape: tuple[int, ...], right: float, up: float) -> np.ndarray:
-    """Return what turns the ``rfft2`` of a frame into that of the frame moved back by (right, up)."""
+    """Return the ``rfft2`` factors that move a frame back by (right, up)."""
     rows, columns = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
     return (np.exp(2j * np.pi * rows * up)[:, None] * np.exp(2j * np.pi * columns * right)).astype(np.complex64)
 
 
 def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, float]:
-    """Return where the correlation of a cross spectrum is largest (right, up), and by how many deviations it is so."""
+    """Return the place (right, up) of a cross spectrum's largest correlation, and its height in deviations."""
     cross = whitened(cross, shape)
     field = np.fft.fftshift(np.fft.irfft2(cross, shape))
     row, column = (side // 2 for side in shape)
@@ -121,7 +120,7 @@ def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, floa
     up, right = (float(v) - reach for v in np.unravel_index(window.argmax(), window.shape))
     height = (window.max() - np.median(window)) / (window.std() + 1e-30)
     rows, columns = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
-    twice = np.where((columns > 0) & (columns < 0.5), 2.0, 1.0)  # the half of the spectrum that rfft2 leaves out
+    twice = np.where((columns > 0) & (columns < 0.5), 2.0, 1.0)  # rfft2 leaves out half of the spectrum
     for step in _UPSAMPLED:
         offsets = np.arange(-_STEPS, _STEPS + 1) * step
         left = np.exp(2j * np.pi * np.outer(up + offsets, rows))
@@ -134,7 +133,7 @@ def _peak(cross: np.ndarray, shape: tuple[int, ...]) -> tuple[float, float, floa
 def _fitted(
     frames: np.ndarray, pixels: np.ndarray, trusted: np.ndarray
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
-    """Return (K, 2) shifts by fits of each trusted frame with images made of the others, and (K,) correlations."""
+    """Return (K, 2) shifts from fits of each trusted frame by images made of the others, and (K,) correlations."""
     shape, chosen = frames.shape[1:], np.flatnonzero(trusted)
     low_pass, fade = three_images.low_pass(shape), three_images.fading(shape)
     spectra = [(np.fft.rfft2(frames[k] / three_images.scale_of(frames[k])) * low_pass).astype(np.complex64)
@@ -145,19 +144,19 @@ def _fitted(
         back = [np.fft.irfft2(s * _phases(shape, *p), shape).astype(np.float32)
                 for s, p in zip(spectra, at, strict=True)]  # fmt: skip
         steps, agreement = _fit(np.stack(back), fade, weights)
-        steps -= steps.mean(axis=0)  # all frames together may stand anywhere
+        steps -= steps.mean(axis=0)  # a common shift is free
         at = at + np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP)
         if np.abs(steps).max() < _SETTLED:
             break
-    result, found = pixels.copy(), np.zeros(len(frames))
-    result[chosen], found[chosen] = at, agreement
-    return result, found
+    result, correlations = pixels.copy(), np.zeros(len(frames))
+    result[chosen], correlations[chosen] = at, agreement
+    return result, correlations
 
 
 def _fit(images: np.ndarray, fade: np.ndarray, weights: list) -> tuple[np.ndarray, np.ndarray]:
-    """Return (K, 2) what is left of the shifts of images (K, H, W), and their (K,) correlations with what fits them.
+    """Return the remaining shifts (K, 2) of images (K, H, W), and their correlations (K,) with their fits.
 
-    weights: of each image's pixels, as the fit before has left them; they are replaced by those that this one leaves.
+    weights: of each image's pixels, from the previous fit; this fit replaces them.
     """
     count = len(images)
     flat = (images * fade).reshape(count, -1)
@@ -178,9 +177,9 @@ def _fit(images: np.ndarray, fade: np.ndarray, weights: list) -> tuple[np.ndarra
 
 
 def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:
-    """Return (H, W, 4) radiance and weight whose content, off by (right, up) pixels, is put where it belongs.
+    """Return (H, W, 4) radiance and weight, moved back by (right, up) pixels.
 
-    Lanczos with three lobes (Duchon 1979). What comes from beyond the frame or from pixels of weight 0 has weight 0.
+    Lanczos with three lobes (Duchon 1979). Pixels from outside the frame or of weight 0 give weight 0.
     """
     colour, weight = image[..., :3], image[..., 3]
     bad = (weight <= 0).astype(np.float32)
@@ -188,16 +187,16 @@ def moved_back(image: np.ndarray, right: float, up: float) -> np.ndarray:
     for axis, distance in ((0, up), (1, right)):
         colour, weight = _slid(colour, distance, axis), _slid(weight, distance, axis)
         bad = _slid(bad, distance, axis, outside=True)
-    weight = np.where(weight > 1 - 1e-5, 1, np.maximum(weight, 0))  # a whole weight stays whole, rounding apart
+    weight = np.where(weight > 1 - 1e-5, 1, np.maximum(weight, 0))  # a weight of 1 stays 1 despite rounding
     result = np.concatenate([colour, weight[..., None]], axis=-1).astype(np.float32)
     result[..., 3][bad > _LOST] = 0
     return result
 
 
 def _slid(array: np.ndarray, distance: float, axis: int, outside: bool = False) -> np.ndarray:
-    """Return array(x + distance) along an axis, whose border goes on beyond its ends.
+    """Return array(x + distance) along an axis, with its border repeated beyond the ends.
 
-    outside: 1 is beyond the ends, and the kernel's sizes are used: how much of it falls where the array is 1.
+    outside: pad with 1 and use the kernel's magnitudes: how much of the kernel falls where the array is 1.
     """
     whole = int(np.floor(distance))
     taps = np.arange(1 - _LOBES, _LOBES + 1)

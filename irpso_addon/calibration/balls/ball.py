@@ -1,4 +1,4 @@
-"""A ball before a camera: from its outline to its place, and from a pixel to the normal that is seen there."""
+"""A ball seen by a camera: its position from its outline, and the normal that a pixel shows."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ...core.errors import InputError
 
 SMALL = 15.0  # pixels of radius: below, half a pixel in the highlight is 4° in the light
 _SMALLEST = 5.0
-_UNEVEN, _NO_BALL = 0.02, 0.08  # RMS distance of the outline from the fit, of the radius
-_STEP = 0.7  # pixels that a digital outline strays by anyhow
-_ARC, _SHORT_ARC = 0.6, 0.25  # of the outline that is seen
-_GIVEN_ERROR = 0.5  # pixels, of a circle that is given as numbers
+_UNEVEN, _NO_BALL = 0.02, 0.08  # RMS distance of the outline from the fit, in radii: warning, error
+_STEP = 0.7  # pixels: noise of a digital outline
+_ARC, _SHORT_ARC = 0.6, 0.25  # visible fraction of the outline: warning, error
+_GIVEN_ERROR = 0.5  # pixels: error of a circle given as numbers
 _ITERATIONS = 30
 _CIRCLE_POINTS = 180
 
 
 @dataclass(frozen=True)
 class Ball:
-    """A sphere in the camera's axes (x right, y up, z toward the viewer; a perspective camera is the origin).
+    """A sphere in camera axes (x right, y up, z toward the viewer; a perspective camera is the origin).
 
-    name: for messages. centre: (3,) and radius: in world units where the radius is known, else in radii of the ball;
-    before an orthographic camera in world units, at z = 0. radius_px: of the outline. error_px: (2,) standard errors
-    of the outline's middle (each axis) and radius, in pixels. warnings: what is doubtful about the outline.
+    name: for messages. centre: (3,) and radius: in world units where the radius is known, else in ball radii;
+    for an orthographic camera in world units, at z = 0. radius_px: of the outline. error_px: (2,) standard errors
+    of the outline's centre (per axis) and radius, in pixels. warnings: doubts about the outline.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Ball:
 
     @property
     def outline(self) -> np.ndarray:
-        """(N, 2) pixel coordinates of the outline: an ellipse before a perspective camera."""
+        """(N, 2) pixel coordinates of the outline: an ellipse in a perspective camera."""
         phi = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS)
         if not self.camera.perspective:
             rim = self.centre + self.radius * np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=-1)
@@ -51,9 +51,9 @@ class Ball:
         return to_pixels(self.camera, rim)
 
     def surface(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return points (…, 3), unit normals (…, 3), unit vectors to the viewer (…, 3) and whether the ball is hit (…).
+        """Return points (…, 3), unit normals (…, 3), unit vectors to the viewer (…, 3) and bool (…): the ray hits.
 
-        pixels: (…, 2) pixel coordinates. Where the ball is missed, what is returned is its nearest point's.
+        pixels: (…, 2) pixel coordinates. A ray that misses gets the values of the nearest point.
         """
         origin, ray = pixel_rays(self.camera, np.asarray(pixels, np.float64))
         toward = self.centre - origin
@@ -65,14 +65,14 @@ class Ball:
 
 
 def tangents(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors that make a right-handed frame with a unit ``axis`` (3,)."""
+    """Return two unit vectors that form a right-handed frame with a unit ``axis`` (3,)."""
     across = np.cross((0.0, 1.0, 0.0) if abs(axis[1]) < 0.9 else (1.0, 0.0, 0.0), axis)
     across /= np.linalg.norm(across)
     return across, np.cross(axis, across)
 
 
 def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return origins and unit directions (…, 3), in the camera's axes, of the rays through pixels (…, 2)."""
+    """Return origins and unit directions (…, 3), in camera axes, of the rays through pixels (…, 2)."""
     plane = (pixels - np.asarray(camera.centre)) / np.asarray(camera.scale)
     if any(camera.distortion):
         plane = lens.undistorted(plane, camera.distortion)
@@ -84,14 +84,14 @@ def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def to_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return pixel coordinates (…, 2) of points (…, 3) in the camera's axes."""
+    """Return pixel coordinates (…, 2) of points (…, 3) in camera axes."""
     return replace(camera, matrix=np.eye(4)).project(points)[0]
 
 
 def outline_of_mask(mask: np.ndarray) -> np.ndarray:
     """Return (N, 2) pixel coordinates of the outer border of a mask (H, W) bool, row 0 at the bottom.
 
-    Where the mask meets the frame there is no border: the ball may go on outside.
+    Where the mask touches the frame there is no border: the ball may continue outside.
     """
     rows = _crossings(mask)
     columns = _crossings(mask.T)[:, ::-1]
@@ -99,7 +99,7 @@ def outline_of_mask(mask: np.ndarray) -> np.ndarray:
 
 
 def _crossings(mask: np.ndarray) -> np.ndarray:
-    """Return (N, 2) x, y of the first and the last step of each row into and out of the mask."""
+    """Return (N, 2) x, y of the first step into the mask and the last step out of it, for each row."""
     rows = np.flatnonzero(mask.any(axis=1))
     first = mask[rows].argmax(axis=1)
     last = mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
@@ -119,16 +119,16 @@ def outline_of_circle(x: float, y: float, radius: float) -> np.ndarray:
 def fit_ball(
     points: np.ndarray, camera: Camera, name: str = "ball", radius: float | None = None, measured: bool = True
 ) -> Ball:
-    """Return the sphere whose outline goes through points (N, 2) in pixel coordinates.
+    """Return the sphere whose outline passes through points (N, 2) in pixel coordinates.
 
-    Before a perspective camera the rays that touch a sphere make a right circular cone about the way to its centre:
-    its axis and its opening are fitted, not an ellipse; before an orthographic one a circle. Robust (Tukey 1960), so
-    that dents of a mask hardly count. radius: of the ball, in world units. measured: whether the scatter of the points
-    tells the error of the fit; a circle that was given has none. Raises InputError where they are no outline of a ball.
+    The rays of a perspective camera that touch a sphere form a right circular cone about the ray to its centre; the
+    fit is of this cone's axis and opening, not of an ellipse. For an orthographic camera it is a circle. It is robust
+    (Tukey 1960): dents of a mask hardly count. radius: of the ball, in world units. measured: the error of the fit
+    follows from the scatter of the points; else it is 0.5 pixels. Raises InputError where the points outline no ball.
     """
     points = np.asarray(points, np.float64)
     if len(points) < 3:
-        raise InputError(f"{name}: three points of its outline are needed; click more")
+        raise InputError(f"{name}: its outline needs three points; click more")
     if radius is not None and not camera.perspective:
         raise InputError(
             f"{name}: an orthographic camera has its scale in world_width; leave the ball's radius out, or give --fov"
@@ -154,16 +154,16 @@ def fit_ball(
 
 
 class _Cone:
-    """A cone through rays (or, before an orthographic camera, a cylinder): its axis and its opening.
+    """The axis and opening of a cone through rays (for an orthographic camera: a cylinder).
 
-    In polar coordinates about the axis it is a circle about the origin, whose distance from each point is its error.
+    In polar coordinates about the axis the cone is a circle about the origin; residuals are distances from it.
     """
 
     def __init__(self, points: np.ndarray, camera: Camera):
         self._camera = camera
         origins, rays = pixel_rays(camera, points)
         self._rays = rays if camera.perspective else origins
-        # Algebraic start: all rays have the same product with the axis; all points are as far from the centre.
+        # Algebraic start: the product of ray and axis is constant; so is the distance from the centre to a point.
         if camera.perspective:
             middle = self._rays.mean(axis=0)
             solution = np.linalg.lstsq(self._rays, np.ones(len(points)), rcond=None)[0]
@@ -178,7 +178,7 @@ class _Cone:
         self.pixels_a_unit = spread / max(np.linalg.norm(polar - polar.mean(axis=0), axis=-1).mean(), 1e-300)
 
     def _polar(self) -> np.ndarray:
-        """(N, 2) the points about the axis: distance from the origin is the angle to it, or the distance."""
+        """(N, 2) the points about the axis: the length is the angle to the axis, or the distance."""
         if not self._camera.perspective:
             return (self._rays - self.axis)[:, :2]
         across, upward = tangents(self.axis)
@@ -191,13 +191,13 @@ class _Cone:
         return np.linalg.norm(self._polar(), axis=-1) - self.opening
 
     def weights(self) -> np.ndarray:
-        """Tukey's weights; nothing counts that is 4.685 deviations off, and what is within half a pixel always does."""
+        """Tukey's weights: 0 beyond 4.685 deviations; points within half a pixel always count."""
         residuals = self.residuals()
         scale = max(1.4826 * np.median(np.abs(residuals)), 0.3 / self.pixels_a_unit)
         return np.maximum(1 - (residuals / (4.685 * scale)) ** 2, 0) ** 2
 
     def refine(self, weights: np.ndarray) -> float:
-        """One step of Gauss–Newton; return its length against the opening."""
+        """Make one Gauss–Newton step; return its length relative to the opening."""
         polar = self._polar()
         away = np.linalg.norm(polar, axis=-1)
         jacobian = self._jacobian(polar, away)
@@ -217,7 +217,7 @@ class _Cone:
         return np.concatenate([-polar / np.maximum(away, 1e-300)[:, None], -np.ones((len(polar), 1))], axis=1)
 
     def errors(self, weights: np.ndarray) -> np.ndarray:
-        """(2,) standard errors of the middle and of the opening. Neighbours on a digital outline err alike."""
+        """(2,) standard errors of centre and opening. Errors of neighbours on a digital outline are correlated."""
         polar = self._polar()
         jacobian = self._jacobian(polar, np.linalg.norm(polar, axis=-1))
         variance = (weights * self.residuals() ** 2).sum() / max(weights.sum() / 2 - 3, 1)
@@ -225,7 +225,7 @@ class _Cone:
         return np.sqrt([np.trace(covariance[:2, :2]) / 2, covariance[2, 2]])
 
     def seen_arc(self) -> float:
-        """The part of the outline, 0…1, that points are near to."""
+        """The fraction of the outline, 0…1, that has points nearby."""
         polar = self._polar()
         bins = np.floor((np.arctan2(polar[:, 1], polar[:, 0]) / (2 * np.pi) + 0.5) * 24).astype(int) % 24
         return len(np.unique(bins)) / 24
@@ -234,18 +234,18 @@ class _Cone:
 def _size(name: str, radius_px: float) -> tuple[str, ...]:
     if radius_px < _SMALLEST:
         raise InputError(
-            f"{name}: its radius is {radius_px:.1f} pixels; come closer or take a larger one, {SMALL:g} at the least"
+            f"{name}: its radius is {radius_px:.1f} pixels; come closer or use a larger ball, at least {SMALL:g} pixels"
         )
     if radius_px < SMALL:
-        return (f"{name}: its radius is {radius_px:.1f} pixels, where {SMALL:g} or more are wanted",)
+        return (f"{name}: its radius is {radius_px:.1f} pixels; {SMALL:g} or more are better",)
     return ()
 
 
 def _judge(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarray, arc: float) -> tuple[str, ...]:
-    """Return what is doubtful about an outline. Raises InputError where it is none of a ball."""
+    """Return warnings about an outline. Raises InputError where it is not a ball's."""
     warnings = list(_size(name, radius_px))
     uneven = np.sqrt(np.mean(distance**2))
-    if len(distance) > 12:  # of a few clicked points the scatter says nothing of the shape
+    if len(distance) > 12:  # the scatter of a few clicked points does not show the shape
         if uneven > max(_NO_BALL * radius_px, 2 * _STEP):
             raise InputError(
                 f"{name}: the outline is not round: {uneven:.1f} pixels off a ball's of radius {radius_px:.0f}; paint"
@@ -256,7 +256,7 @@ def _judge(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarra
         if arc < _SHORT_ARC:
             raise InputError(f"{name}: only {arc:.0%} of its outline is in the picture; more than half is needed")
         if arc < _ARC:
-            warnings.append(f"{name}: only {arc:.0%} of its outline is in the picture, which makes its place uncertain")
+            warnings.append(f"{name}: only {arc:.0%} of its outline is in the picture; its position is uncertain")
         if (weights > 0).mean() < 0.8:
-            warnings.append(f"{name}: {(weights == 0).mean():.0%} of the outline was left out as not round")
+            warnings.append(f"{name}: {(weights == 0).mean():.0%} of the outline is not round and was left out")
     return tuple(warnings)

@@ -1,4 +1,4 @@
-"""What balls have told, as a picture: each with its highlight or its terminator, and all lights on a dome."""
+"""Contact sheet of a calibration: each ball with its highlight or terminator, and all lights on a dome."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from .lights import FoundLight
 from .picture import BallTile, ball_sheet
 
 
-def calibration_picture(found: Calibrated) -> np.ndarray:
-    """Return (H, W, 3) display values: each ball in each photograph with what was found, and the lights on a dome."""
+def calibration_picture(calibrated: Calibrated) -> np.ndarray:
+    """Return (H, W, 3) display values: each ball in each photograph with its light, and the lights on a dome."""
     tiles = []
-    lights = found.result.lights
-    for number, (name, light) in enumerate(zip(found.names, lights, strict=True)):
-        tiles += [_tile(f"{number + 1} {name}", view, number, light, b) for b, view in enumerate(found.result.views)]
-    told = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
-    balls = len(found.result.views)
-    title = (
-        f"{len(told)} lights from {balls} {found.result.kind} {'ball' if balls == 1 else 'balls'}\n{found.result.how}"
-    )
-    doubtful = [bool(light.warnings) for light, _ in told]
-    return ball_sheet(tiles, np.array([sight.direction for _, sight in told]), doubtful, title)
+    result = calibrated.result
+    lights = result.lights
+    for number, (name, light) in enumerate(zip(calibrated.names, lights, strict=True)):
+        tiles += [_tile(f"{number + 1} {name}", view, number, light, b) for b, view in enumerate(result.views)]
+    shown = [(light, next(s for s in light.sights if s is not None)) for light in lights if light.light is not None]
+    balls = len(result.views)
+    title = f"{len(shown)} lights from {balls} {result.kind} {'ball' if balls == 1 else 'balls'}\n{result.how}"
+    doubtful = [bool(light.warnings) for light, _ in shown]
+    return ball_sheet(tiles, np.array([sight.direction for _, sight in shown]), doubtful, title)
 
 
 def _tile(label: str, view: BallView, number: int, light: FoundLight, which: int) -> BallTile:
@@ -43,7 +42,7 @@ def _in_tile(view: BallView, pixels: np.ndarray) -> np.ndarray:
 
 
 def _terminator(ball: Ball, direction: np.ndarray) -> np.ndarray:
-    """Return (N, 2) pixels of the circle where light ends, as far as it is seen."""
+    """Return (N, 2) pixels of the visible part of the terminator."""
     across, upward = tangents(direction)
     phi = np.linspace(0, 2 * np.pi, 120)[:, None]
     normals = np.cos(phi) * across + np.sin(phi) * upward

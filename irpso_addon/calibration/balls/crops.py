@@ -1,4 +1,4 @@
-"""The pixels of balls in all photographs, cut out and where they are many averaged."""
+"""Crops of the balls from all photographs, averaged down where they are large."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _MARGIN = 3  # pixels around the outline
 
 @dataclass(frozen=True)
 class BallView:
-    """One ball in K photographs. pixels: (H, W, 2) the places of the values, in pixel coordinates of the whole image.
+    """One ball in K photographs. pixels: (H, W, 2) pixel coordinates of the values in the full image.
 
     values: (K, H, W, 3) float32 linear radiance, row 0 at the bottom. usable: (K, H, W) bool, False where clipped or
-    without weight. block: how many pixels of the image, each way, a value is the mean of.
+    without weight. block: a value is the mean of block × block pixels.
     """
 
     ball: Ball
@@ -29,17 +29,17 @@ class BallView:
 
     @property
     def inside(self) -> np.ndarray:
-        """(H, W) bool: whether the ball is seen there."""
+        """(H, W) bool: pixels that show the ball."""
         return self.ball.surface(self.pixels)[3]
 
 
 def reading_steps(
     readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], radius: float
 ) -> Generator[int, None, list[BallView]]:
-    """Yield each image's number before it is read, and return a BallView for each ball.
+    """Yield each image's number before it is read; return a BallView for each ball.
 
-    readers: each returns (H, W, 4) as ``Observation.read`` does. radius: a larger one is halved, thirded … to this.
-    Raises InputError where a ball is not in the picture.
+    readers: each returns (H, W, 4) like ``Observation.read``. radius: largest radius in values; larger balls are
+    averaged down to it. Raises InputError where a ball is outside the picture.
     """
     windows = [_window(ball) for ball in balls]
     blocks = [max(1, int(np.ceil(ball.radius_px / radius))) for ball in balls]
@@ -50,17 +50,17 @@ def reading_steps(
         for into, (x0, y0, x1, y1), block in zip(cut, windows, blocks, strict=True):
             into.append(_averaged(image[y0:y1, x0:x1], block))
     views = []
-    for ball, found, (x0, y0, _, _), block in zip(balls, cut, windows, blocks, strict=True):
-        height, width = found[0][1].shape
+    for ball, crops, (x0, y0, _, _), block in zip(balls, cut, windows, blocks, strict=True):
+        height, width = crops[0][1].shape
         grid = np.meshgrid(x0 + block * (np.arange(width) + 0.5), y0 + block * (np.arange(height) + 0.5))
         views.append(
-            BallView(ball, np.stack(grid, -1), np.stack([v for v, _ in found]), np.stack([u for _, u in found]), block)
+            BallView(ball, np.stack(grid, -1), np.stack([v for v, _ in crops]), np.stack([u for _, u in crops]), block)
         )
     return views
 
 
 def _window(ball: Ball) -> tuple[int, int, int, int]:
-    """Return x0, y0, x1, y1 of the part of the image that holds the ball."""
+    """Return x0, y0, x1, y1 of the ball's crop."""
     size = (ball.camera.width, ball.camera.height)
     outline = ball.outline[np.isfinite(ball.outline).all(axis=-1)]
     low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN, 0)
@@ -71,7 +71,7 @@ def _window(ball: Ball) -> tuple[int, int, int, int]:
 
 
 def _averaged(part: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (h, w, 3) means over blocks of an image (H, W, 4), and (h, w) whether all in a block can be used."""
+    """Return block means (h, w, 3) of an image (H, W, 4), and (h, w) bool: every pixel of the block is usable."""
     height, width = (side // block for side in part.shape[:2])
     part = part[: height * block, : width * block].reshape(height, block, width, block, 4)
     return part[..., :3].mean(axis=(1, 3), dtype=np.float32), (part[..., 3] > 0).all(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""From photographs of balls to the lights of a capture."""
+"""Lights of a capture from photographs of balls."""
 
 from __future__ import annotations
 
@@ -14,25 +14,24 @@ from .ball import Ball
 from .crops import BallView, reading_steps
 from .matte import Fit, fit_lights
 from .mirror import Sight, find_highlights
-from .near import SIGNIFICANT, HaloOverlap, converge, meet
+from .near import SIGNIFICANT, Intersection, converge, meet
 from .shading import shading_of
 
 KINDS = ("mirror", "matte")
 DISTANCES = ("auto", "distant", "near")
 _UNCERTAIN = 2.0  # degrees
-_MATTE_ERROR = 0.01  # radians, of what no ball is as matte as: measured in Cycles, 0.66° in the mean on a grey table
-_LEAST_LIT = 0.15  # of a matte ball: less is a light behind it
+_MATTE_ERROR = 0.01  # radians: no ball is perfectly matte; measured in Cycles, 0.66° in the mean on a grey table
+_LEAST_LIT = 0.15  # fraction of a matte ball; below, the light is behind it
 _MISFIT, _LEFT_OUT = 0.1, 0.4
-_APART = 3.0  # standard errors, and
-_APART_DEGREES = 2.0  # degrees that two balls may contradict each other by
+_APART, _APART_DEGREES = 3.0, 2.0  # two balls disagree beyond both: standard errors, degrees
 
 
 @dataclass(frozen=True)
 class FoundLight:
-    """One photograph's light. light: in world axes, None where there is none. error: of its direction, degrees.
+    """One photograph's light. light: in world axes, or None. error: of its direction, degrees.
 
-    distance_error: of a near light, relative. sights: where each ball tells it, in the camera's axes; None for a ball
-    that does not. warnings: what is doubtful.
+    distance_error: of a near light, relative. sights: each ball's view of it, in camera axes, or None.
+    warnings: doubts.
     """
 
     light: Light | None
@@ -44,9 +43,9 @@ class FoundLight:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What balls tell. kind: of KINDS. near: whether lights have places. how: why so, in words.
+    """Lights from balls. kind: one of KINDS. near: lights have positions. how: the reason, in words.
 
-    bounce: (3,) normal of the table below the balls times its albedo, in the camera's axes (of matte balls).
+    bounce: (3,) normal of the table below matte balls times its albedo, in camera axes.
     """
 
     kind: str
@@ -59,9 +58,9 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked. kind: of KINDS. lights: of DISTANCES. distance: from the balls' middle to all lights, or None.
+    """Options. kind: one of KINDS. lights: one of DISTANCES. distance: from the balls' centre to all lights, or None.
 
-    albedo: (3,) or None: of matte balls; without it intensities are relative to the first light's.
+    albedo: (3,) of matte balls, or None: intensities are relative to the first light's.
     """
 
     kind: str
@@ -73,15 +72,15 @@ class Request:
 def calibration_steps(
     readers: Sequence[Callable[[], np.ndarray]], balls: Sequence[Ball], request: Request
 ) -> Generator[int, None, Calibration]:
-    """Yield the number of each photograph before it is read, and return the Calibration.
+    """Yield the number of each photograph before it is read; return the Calibration.
 
-    readers: return (H, W, 4) as ``Observation.read`` does, all of the balls' camera. Raises InputError where balls
-    cannot tell what is asked.
+    readers: return (H, W, 4) like ``Observation.read``, all from the balls' camera. Raises InputError where the balls
+    do not determine the requested lights.
     """
     if request.lights == "near" and len(balls) < 2 and request.distance is None:
-        raise InputError("near lights: one ball tells a direction only; give a second --ball, or --distance")
+        raise InputError("near lights: one ball gives a direction only; add a second --ball, or --distance")
     if request.distance is not None and request.lights == "distant":
-        raise InputError("--distance: distant lights have none; leave it out, or --lights distant")
+        raise InputError("--distance: distant lights have none; omit it, or --lights distant")
     part = mirror if request.kind == "mirror" else matte
     views = yield from reading_steps(readers, balls, part.LARGEST_RADIUS)
     centre = np.mean([ball.centre for ball in balls], axis=0)
@@ -90,54 +89,58 @@ def calibration_steps(
 
 
 def _by_mirror(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
-    shown = list(zip(*(find_highlights(view) for view in views), strict=True))
-    sights = [tuple(s if isinstance(s, Sight) else None for s in row) for row in shown]
-    several = [_meeting(row, centre, True) for row in sights if sum(s is not None for s in row) > 1]
+    highlights = list(zip(*(find_highlights(view) for view in views), strict=True))
+    sights = [tuple(s if isinstance(s, Sight) else None for s in row) for row in highlights]
+    several = [_intersected(row, centre, True) for row in sights if sum(s is not None for s in row) > 1]
     near, how = _decision(several, request, len(views))
-    known = sorted(m.inverse for m in several if m.significance > SIGNIFICANT)
-    usual = known[len(known) // 2] if known else None
-    found = []
-    for row, told in zip(sights, shown, strict=True):
-        warnings = [t if isinstance(t, str) else w for t in told for w in ([t] if isinstance(t, str) else t.warnings)]
+    median = _median_inverse(several)
+    lights = []
+    for row, shown in zip(sights, highlights, strict=True):
+        warnings = [s if isinstance(s, str) else w for s in shown for w in ([s] if isinstance(s, str) else s.warnings)]
         if not any(row):
-            found.append(FoundLight(None, np.inf, None, row, tuple(warnings)))
+            lights.append(FoundLight(None, np.inf, None, row, tuple(warnings)))
             continue
-        meeting = _met(row, centre, near, request, usual)
-        warnings += _contradiction(row, meeting)
-        found.append(_placed(meeting, row, views[0].ball, centre, request, near, usual, (1.0,) * 3, warnings))
-    return Calibration("mirror", near, how, tuple(found), tuple(views), np.zeros(3))
+        intersection = _located(row, centre, near, request, median)
+        warnings += _contradiction(row, intersection)
+        lights.append(_placed(intersection, row, views[0].ball, centre, request, near, median, (1.0,) * 3, warnings))
+    return Calibration("mirror", near, how, tuple(lights), tuple(views), np.zeros(3))
 
 
 def _by_shading(views: list[BallView], centre: np.ndarray, request: Request) -> Calibration:
     shadings = [shading_of(views, photograph) for photograph in range(len(views[0].values))]
-    asked = len(views) > 1 and request.lights != "distant" and request.distance is None
-    fits, bounce = fit_lights(shadings, centre, asked, 1 / request.distance if request.distance else 0.0)
-    meetings = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if asked else []
-    near, how = _decision(meetings, request, len(views))
-    if asked and not near:
+    free = len(views) > 1 and request.lights != "distant" and request.distance is None
+    fits, bounce = fit_lights(shadings, centre, free, 1 / request.distance if request.distance else 0.0)
+    intersections = [_of_fit(fit, views) for fit in fits if isinstance(fit, Fit)] if free else []
+    near, how = _decision(intersections, request, len(views))
+    if free and not near:
         fits, bounce = fit_lights(shadings, centre, False)
-    known = sorted(m.inverse for m in meetings if m.significance > SIGNIFICANT)
-    usual = known[len(known) // 2] if known else None
+    median = _median_inverse(intersections)
     first = next((fit.radiance for fit in fits if isinstance(fit, Fit)), np.ones(3))
-    found = []
+    lights = []
     for fit in fits:
         if isinstance(fit, str):
-            found.append(FoundLight(None, np.inf, None, (None,) * len(views), (fit,)))
+            lights.append(FoundLight(None, np.inf, None, (None,) * len(views), (fit,)))
             continue
-        meeting = _of_fit(fit, views)
-        sights = tuple(_brightest(view.ball, fit, meeting) for view in views)
+        intersection = _of_fit(fit, views)
+        sights = tuple(_brightest(view.ball, fit, intersection) for view in views)
         white = np.asarray(request.albedo) if request.albedo else first
         intensity = triple(np.maximum(fit.radiance / np.maximum(white, 1e-12), 0))
         warnings = _doubts(fit)
-        found.append(_placed(meeting, sights, views[0].ball, centre, request, near, usual, intensity, warnings))
-    return Calibration("matte", near, how, _scaled(found, centre, request), tuple(views), bounce)
+        lights.append(_placed(intersection, sights, views[0].ball, centre, request, near, median, intensity, warnings))
+    return Calibration("matte", near, how, _scaled(lights, request), tuple(views), bounce)
 
 
-def _scaled(found: list[FoundLight], centre: np.ndarray, request: Request) -> tuple[FoundLight, ...]:
-    """Return lights whose intensities, where no albedo was given, are relative to the first: of near ones at 1."""
-    lit = [f.light for f in found if f.light is not None]
+def _median_inverse(intersections: Sequence[Intersection]) -> float | None:
+    """Return the median 1 / distance of the lights whose distance is significant, or None."""
+    inverses = sorted(i.inverse for i in intersections if i.significance > SIGNIFICANT)
+    return inverses[len(inverses) // 2] if inverses else None
+
+
+def _scaled(lights: list[FoundLight], request: Request) -> tuple[FoundLight, ...]:
+    """Return lights whose intensities, without an albedo, are relative to the first light's (near: at distance 1)."""
+    lit = [f.light for f in lights if f.light is not None]
     if request.albedo or not lit or not np.min(lit[0].intensity) > 0:
-        return tuple(found)
+        return tuple(lights)
     first = np.asarray(lit[0].intensity)
 
     def relative(light: Light) -> Light:
@@ -145,14 +148,14 @@ def _scaled(found: list[FoundLight], centre: np.ndarray, request: Request) -> tu
 
     return tuple(
         f if f.light is None else FoundLight(relative(f.light), f.error, f.distance_error, f.sights, f.warnings)
-        for f in found
+        for f in lights
     )
 
 
 def _doubts(fit: Fit) -> list[str]:
     warnings = []
     if fit.lit < _LEAST_LIT:
-        warnings.append(f"the light is behind the ball: it reaches {fit.lit:.0%} of what is seen")
+        warnings.append(f"the light is behind the ball: it reaches {fit.lit:.0%} of the visible side")
     if fit.misfit > _MISFIT:
         warnings.append(f"the shading is {fit.misfit:.0%} off a matte ball's")
     if fit.left_out > _LEFT_OUT:
@@ -160,25 +163,25 @@ def _doubts(fit: Fit) -> list[str]:
     return warnings
 
 
-def _met(
-    row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, usual: float | None
-) -> HaloOverlap:
-    """Return where a light is. usual: 1 / the distance that is taken for one whose own cannot be told.
+def _located(
+    row: Sequence[Sight | None], centre: np.ndarray, near: bool, request: Request, median: float | None
+) -> Intersection:
+    """Return the position of a light. median: 1 / distance for a light whose own distance is uncertain.
 
-    A direction is from where it was seen, on a ball: from the balls' middle a light 6 radii away lies up to 6° off it.
+    A sight's direction starts on its ball: as seen from the balls' centre, a light 6 radii away lies up to 6° off it.
     """
     if not near:
-        return _meeting(row, centre, False)
+        return _intersected(row, centre, False)
     if request.distance is not None:
-        return _meeting(row, centre, False, 1 / request.distance)
+        return _intersected(row, centre, False, 1 / request.distance)
     if sum(sight is not None for sight in row) > 1:
-        found = _meeting(row, centre, True)
-        if usual is None or found.significance > SIGNIFICANT:
-            return found
-    return _meeting(row, centre, False, usual or 0.0)
+        intersection = _intersected(row, centre, True)
+        if median is None or intersection.significance > SIGNIFICANT:
+            return intersection
+    return _intersected(row, centre, False, median or 0.0)
 
 
-def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, inverse: float = 0.0) -> HaloOverlap:
+def _intersected(row: Sequence[Sight | None], centre: np.ndarray, near: bool, inverse: float = 0.0) -> Intersection:
     sights = [sight for sight in row if sight is not None]
     return meet(
         np.array([s.point for s in sights]), np.array([s.direction for s in sights]), [s.error for s in sights],
@@ -186,83 +189,83 @@ def _meeting(row: Sequence[Sight | None], centre: np.ndarray, near: bool, invers
     )  # fmt: skip
 
 
-def _of_fit(fit: Fit, views: Sequence[BallView]) -> HaloOverlap:
-    """Return a fit as a meeting; that a ball's outline is uncertain turns its normals."""
+def _of_fit(fit: Fit, views: Sequence[BallView]) -> Intersection:
+    """Return a fit as an intersection, with the error of the outlines, which turns the balls' normals."""
     outline = np.mean([2 * (v.ball.error_px[0] ** 2) / v.ball.radius_px**2 for v in views]) ** 0.5
-    return HaloOverlap(
+    return Intersection(
         fit.direction, float(np.sqrt(fit.error**2 + outline**2 + _MATTE_ERROR**2)), fit.inverse,
         float(np.hypot(fit.inverse_error, outline * _baseline(views))), fit.misfit,
     )  # fmt: skip
 
 
 def _baseline(views: Sequence[BallView]) -> float:
-    """Return 1 / the largest distance between balls, or 0 where there is one."""
+    """Return 1 / the largest distance between balls, or 0 for one ball."""
     centres = np.array([view.ball.centre for view in views])
     far = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()
     return float(1 / far) if far > 0 else 0.0
 
 
-def _brightest(ball: Ball, fit: Fit, meeting: HaloOverlap) -> Sight:
-    """Return where a matte ball's normal points to the light."""
+def _brightest(ball: Ball, fit: Fit, intersection: Intersection) -> Sight:
+    """Return the point of a matte ball whose normal points to the light."""
     point = ball.centre + ball.radius * fit.direction
-    return Sight(np.full(2, np.nan), point, fit.direction, meeting.error)
+    return Sight(np.full(2, np.nan), point, fit.direction, intersection.error)
 
 
-def _decision(meetings: Sequence[HaloOverlap], request: Request, balls: int) -> tuple[bool, str]:
+def _decision(intersections: Sequence[Intersection], request: Request, balls: int) -> tuple[bool, str]:
     """Return whether lights are near, and why."""
     if request.lights == "distant":
-        return False, "distant, as asked"
+        return False, "distant, by --lights"
     if request.distance is not None:
-        return True, f"near, {request.distance:g} from the balls as given"
+        return True, f"near, {request.distance:g} from the balls, by --distance"
     if balls < 2:
-        return False, "distant: one ball tells directions only; a second one, or --distance, tells places"
+        return False, "distant: one ball gives directions only; a second ball or --distance gives positions"
     if request.lights == "near":
-        return True, "near, as asked"
-    if not meetings:
+        return True, "near, by --lights"
+    if not intersections:
         return False, "distant: no light is seen by two balls"
-    median = np.median([meeting.significance for meeting in meetings])
-    if converge(meetings):
+    median = np.median([i.significance for i in intersections])
+    if converge(intersections):
         return True, f"near: the balls' rays converge ({median:.0f} standard errors in the median)"
     return False, f"distant: the balls' rays do not converge ({median:.1f} standard errors in the median)"
 
 
-def _contradiction(row: Sequence[Sight | None], meeting: HaloOverlap) -> list[str]:
+def _contradiction(row: Sequence[Sight | None], intersection: Intersection) -> list[str]:
     expected = np.sqrt(np.mean([s.error**2 for s in row if s is not None]))
-    if meeting.misfit > max(_APART * expected, np.radians(_APART_DEGREES)):
-        return [f"the balls contradict each other by {np.degrees(meeting.misfit):.1f}°: one may be in shadow"]
+    if intersection.misfit > max(_APART * expected, np.radians(_APART_DEGREES)):
+        return [f"the balls disagree by {np.degrees(intersection.misfit):.1f}°: one may be in shadow"]
     return []
 
 
 def _placed(
-    meeting: HaloOverlap,
+    intersection: Intersection,
     sights: tuple[Sight | None, ...],
     ball: Ball,
     centre: np.ndarray,
     request: Request,
     near: bool,
-    usual: float | None,
+    median: float | None,
     radiance: tuple[float, float, float],
     warnings: list[str],
 ) -> FoundLight:
-    """Return a light in world axes. usual: the 1 / distance for one whose own cannot be told."""
+    """Return a light in world axes. median: 1 / distance for a light whose own distance is uncertain."""
     matrix = np.asarray(ball.camera.matrix, np.float64)
-    degrees = float(np.degrees(meeting.error))
+    degrees = float(np.degrees(intersection.error))
     if degrees > _UNCERTAIN:
         warnings = [*warnings, f"its direction is uncertain by {degrees:.1f}°"]
-    inverse, relative = meeting.inverse, meeting.inverse_error / max(abs(meeting.inverse), 1e-300)
+    inverse, relative = intersection.inverse, intersection.inverse_error / max(abs(intersection.inverse), 1e-300)
     if request.distance is not None:
         inverse, relative = 1 / request.distance, 0.0
-    elif near and meeting.significance < SIGNIFICANT:
-        if usual is None:
+    elif near and intersection.significance < SIGNIFICANT:
+        if median is None:
             raise InputError(
-                "near lights: the balls' rays do not converge; put the balls farther apart, or take --lights distant"
+                "near lights: the balls' rays do not converge; put the balls farther apart, or use --lights distant"
             )
-        warnings = [*warnings, "its distance cannot be told: that of the others is taken"]
-        inverse, relative = usual, 1.0
+        warnings = [*warnings, "its distance is uncertain: the median of the others is used"]
+        inverse, relative = median, 1.0
     if not near:
-        vector = matrix[:3, :3] @ meeting.direction
+        vector = matrix[:3, :3] @ intersection.direction
         light = Light(triple(vector), radiance)
         return FoundLight(light, degrees, None, sights, tuple(warnings))
-    place = matrix[:3, :3] @ (centre + meeting.direction / inverse) + matrix[:3, 3]
+    position = matrix[:3, :3] @ (centre + intersection.direction / inverse) + matrix[:3, 3]
     at_one = triple(v / inverse**2 for v in radiance)
-    return FoundLight(Light(triple(place), at_one, False), degrees, relative, sights, tuple(warnings))
+    return FoundLight(Light(triple(position), at_one, False), degrees, relative, sights, tuple(warnings))

@@ -1,4 +1,4 @@
-"""Lights from a mirror ball: the highlight in each photograph, and the direction that it is the reflection of."""
+"""Lights from a mirror ball: the highlight in each photograph and the direction that it reflects."""
 
 from __future__ import annotations
 
@@ -9,36 +9,35 @@ import numpy as np
 from .ball import Ball
 from .crops import BallView
 
-LARGEST_RADIUS = 256.0  # pixels; a ball that is larger in the picture is averaged down to it
-AMBIENT_PERCENTILE = 25.0  # of a pixel's values over all photographs: what is there whatever the light does
+LARGEST_RADIUS = 256.0  # pixels; larger balls are averaged down to it
+AMBIENT_PERCENTILE = 25.0  # of a pixel's values over all photographs: light that does not change
 _FEWEST_FOR_AMBIENT = 4
-_RIM = 0.985  # of the ball's radius: beyond, the outline's own error decides what is reflected
+_RIM = 0.985  # of the ball's radius: beyond, the error of the outline dominates
 _LEAST_SIGNAL = 8.0  # deviations of the noise
-_SKIRT = 0.2  # of the peak: where a highlight's own region ends
-_HALF = 0.5  # of the peak: what else may be a highlight
+_SKIRT = 0.2  # of the peak: border of a highlight's region
+_HALF = 0.5  # of the highest peak: least peak of another candidate
 _CANDIDATES = 4
 _USUAL_AREA, _LARGE_AREA, _HUGE_AREA = 0.02, 0.12, 0.35  # of the ball's disc
 _COMPACT = 0.5
 _RIVAL = 0.5  # of the best candidate's score
-_SECOND = 0.1  # of it: a clipped spot may be the lamp and the larger one a thing that is exposed to white
-_DIMMER = 0.5  # of the highest peak: what a lamp lights is far darker than the lamp
-_WHITE = 0.9  # of the brightest clipped value: less is clipped in one channel only, as a red thing in full light
-_HOT = 0.2  # of a clipped value: what the mean around it is at least; of a hot pixel it is a ninth
+_SECOND = 0.1  # of the best score: a clipped spot may be the lamp, and the larger spot an overexposed object
+_DIMMER = 0.5  # of the highest peak: an object is far darker than the lamp that lights it
+_WHITE = 0.9  # of the brightest clipped value: less is clipped in one channel only, like a red object in full light
+_HOT = 0.2  # of a clipped value: least mean around it; around a hot pixel the mean is a ninth
 _SAME = np.radians(5.0)  # between highlights: one lamp in two parts
-_CONTRAST = 3.0  # between the highlight and what else the ball shows
+_CONTRAST = 3.0  # between the highlight and the rest of the ball
 _GRAZING = 0.26  # n·v: lights from more than 150° off the viewer
-_SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # of a blob's radius, and pixels: what its middle is uncertain by at the least
-_ONE_PIXEL = 12**-0.5  # deviation of a place of which only the pixel is known
-_SPREAD = 0.15  # square pixels: a spot of this variance tells its middle within the pixel
+_SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # least error of a blob's centre: of its radius, and in pixels
+_ONE_PIXEL = 12**-0.5  # deviation of a uniform distribution over one pixel
+_SPREAD = 0.15  # square pixels: a spot of this variance has a centre known within the pixel
 
 
 @dataclass(frozen=True)
 class Sight:
-    """Where one ball says that one light is. All in the camera's axes.
+    """One ball's view of one light, in camera axes.
 
-    pixel: (2,) the highlight, or where the brightest normal of a matte ball is seen. point: (3,) on the ball.
-    direction: (3,) unit, from there to the light. error: its standard error in radians (root of the mean square of
-    the angle). warnings: what is doubtful.
+    pixel: (2,) the highlight, or NaN for a matte ball. point: (3,) on the ball. direction: (3,) unit, from the point to
+    the light. error: its standard error, radians (RMS angle). warnings: doubts.
     """
 
     pixel: np.ndarray
@@ -62,7 +61,7 @@ class _Blob:
 
 
 def find_highlights(view: BallView) -> list[Sight | str]:
-    """Return for each photograph the light that the ball shows, or in words why there is none."""
+    """Return the light that the ball shows in each photograph, or in words why there is none."""
     grey = view.values.mean(axis=-1)
     inside, shrunk = view.inside, _within(view)
     ambient = np.zeros_like(grey[0])
@@ -78,7 +77,7 @@ def find_highlights(view: BallView) -> list[Sight | str]:
 
 
 def _saturated(image: np.ndarray, signal: np.ndarray, clipped: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: which of the clipped values are as bright as can be, and that by the lamp."""
+    """Return (H, W) bool: clipped values at full brightness, by the lamp."""
     lit = clipped & (signal > _SKIRT * signal.max())
     return lit & (image >= _WHITE * np.max(image, where=lit, initial=0)) & (_boxed(signal) > _HOT * signal)
 
@@ -113,7 +112,7 @@ def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.n
     point, direction, facing = reflected(ball, pixel)
     warnings = []
     if facing < _GRAZING or _touches_rim(blob.region, inside):
-        warnings.append(f"{name}: the highlight is at the ball's edge, where it tells little")
+        warnings.append(f"{name}: the highlight is at the ball's edge, where its direction is uncertain")
     if blob.area > _LARGE_AREA * disc:
         how = ", most of it clipped: expose less" if blob.saturated > 0.5 else ""
         warnings.append(f"{name}: the highlight covers {blob.area / disc:.0%} of the ball{how}")
@@ -127,21 +126,21 @@ def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.n
             warnings.append(f"{name}: a smaller highlight is clipped, too; expose less if that is the lamp")
     if apart > _SAME:
         return (
-            f"{name}: which highlight is the lamp cannot be told: two are about as bright, of lights "
-            f"{np.degrees(apart):.0f}° apart; cover other lamps and what is bright beside the ball, or expose less"
+            f"{name}: the highlight of the lamp is ambiguous: two highlights, {np.degrees(apart):.0f}° apart, are"
+            " about as bright; cover other lamps and bright objects beside the ball, or expose less"
         )
     rest = signal[inside & ~blob.region]
     if rest.size and np.percentile(rest, 99) * _CONTRAST > blob.peak:
-        warnings.append(f"{name}: the highlight is hardly brighter than what else the ball reflects")
+        warnings.append(f"{name}: the highlight is hardly brighter than other reflections in the ball")
     error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart))
     return Sight(pixel, point, direction, error, tuple(warnings))
 
 
 def _lamps(blobs: list[_Blob]) -> list[_Blob]:
-    """Return the spots that may be the lamp: the saturated ones, or where none is, those that peak high.
+    """Return the spots that may be the lamp: the saturated ones, else those with a high peak.
 
-    How much a clipped spot sends is not known, so that a larger one that is not clipped says nothing against it: a
-    matte ball beside a mirror ball sends, in 8 bits, up to 1.5 times what 4 clipped pixels with their halo do.
+    The radiance of a clipped spot is unknown, so a larger unclipped spot does not outweigh it: in 8 bits a matte ball
+    beside a mirror ball sends up to 1.5 times the light of 4 clipped pixels with their halo.
     """
     saturated = [blob for blob in blobs if blob.saturated > 0]
     highest = max(blob.peak for blob in blobs)
@@ -149,7 +148,7 @@ def _lamps(blobs: list[_Blob]) -> list[_Blob]:
 
 
 def _direction_error(ball: Ball, pixel: np.ndarray, blob_error: float) -> float:
-    """Return the standard error in radians of what is reflected at a pixel, from those of highlight and outline."""
+    """Return the standard error (radians) of the direction reflected at a pixel, from highlight and outline."""
     step = 0.01 * ball.radius_px
     toward = reflected(ball, pixel)[1]
     moved = reflected(ball, pixel + step * np.eye(2))[1]
@@ -161,10 +160,10 @@ def _direction_error(ball: Ball, pixel: np.ndarray, blob_error: float) -> float:
 
 
 def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[_Blob]:
-    """Return the brightest spots of (H, W) radiance above the ambient one, at most four; none where all is noise."""
+    """Return the brightest spots of (H, W) radiance above ambient, at most four; none where all is noise."""
     values = signal[inside]
     noise = 1.4826 * np.median(np.abs(values - np.median(values)))
-    # A lamp of a few clipped pixels is dim in the mean over nine, and still goes before what is not clipped.
+    # A lamp of a few clipped pixels is dim in the mean of nine, but ranks before unclipped spots.
     smooth = np.where(clipped, np.maximum(_boxed(signal), signal), _boxed(signal))
     left, blobs = inside.copy(), []
     highest = float(np.max(smooth, where=left, initial=0))
@@ -182,12 +181,12 @@ def _blobs(signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> list[
 
 
 def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, inside: np.ndarray, noise: float) -> _Blob:
-    """Return the middle of a spot, weighted by what is above its surroundings, and how much it looks like a lamp."""
-    # One value more all around: where a lamp is smaller than a pixel, the tenth that falls on the next one counts.
-    whole = _widened(region, 1) & inside
-    around = signal[_widened(whole, 2) & ~whole & inside]
-    rows, columns = np.nonzero(whole)
-    value = signal[whole]
+    """Return a spot with its centre, weighted by radiance above its surroundings, and its score as a lamp."""
+    # One pixel wider: a lamp smaller than a pixel puts a tenth of its light on the next pixel.
+    wide = _widened(region, 1) & inside
+    around = signal[_widened(wide, 2) & ~wide & inside]
+    rows, columns = np.nonzero(wide)
+    value = signal[wide]
     weight = np.maximum(value - (np.median(around) if around.size else 0), 0)
     if not weight.sum() > 0:
         weight = np.ones_like(value)
@@ -203,13 +202,13 @@ def _measured(signal: np.ndarray, clipped: np.ndarray, region: np.ndarray, insid
     unsampled = _ONE_PIXEL * max(0.0, 1 - np.linalg.eigvalsh(covariance)[0] / _SPREAD)
     shape = _SHAPE_ERROR * np.sqrt(np.trace(covariance))
     error = float(np.sqrt(random**2 + shape**2 + unsampled**2 + _LEAST_ERROR**2))
-    # By what it sends, so that the lamp goes before its image in another ball; but a window is no lamp.
+    # The score grows with the light sent: the lamp ranks before its image in another ball. A window is too large.
     score = signal[region].sum() * max(compact - _COMPACT, 0.05) / (1 + area / (_USUAL_AREA * inside.sum())) ** 2
     return _Blob(centre, error, area, float(score), float(value.max()), float(clipped[region].mean()), region)
 
 
 def _boxed(values: np.ndarray) -> np.ndarray:
-    """Return the mean over 3×3 values, so that a hot pixel is no highlight."""
+    """Return the mean of 3×3 values: a hot pixel is no highlight."""
     padded = np.pad(values, 1)
     height, width = values.shape
     total = np.zeros_like(values)
@@ -219,7 +218,7 @@ def _boxed(values: np.ndarray) -> np.ndarray:
 
 
 def _grown(mask: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
-    """Return the connected part (8 neighbours) of a mask (H, W) that holds ``seed``."""
+    """Return the 8-connected part of a mask (H, W) that contains ``seed``."""
     region = np.zeros(np.add(mask.shape, 2), bool)
     wall = np.pad(mask, 1)
     y0, x0 = seed[0] + 1, seed[1] + 1
@@ -236,7 +235,7 @@ def _grown(mask: np.ndarray, seed: tuple[int, int]) -> np.ndarray:
 
 
 def _widened(region: np.ndarray, by: int) -> np.ndarray:
-    """Return a region (H, W) with ``by`` more pixels all around."""
+    """Return a region (H, W) dilated by ``by`` pixels."""
     height, width = region.shape
     padded = np.pad(region, by)
     steps = range(2 * by + 1)

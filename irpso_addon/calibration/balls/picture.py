@@ -1,4 +1,4 @@
-"""The picture of a calibration: every photograph's ball with what was found on it, and all lights on a dome."""
+"""Drawing of the contact sheet: tiles of balls and the dome of lights."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _FOUND, _OUTLINE, _BAD = (1.0, 0.35, 0.30), (0.45, 0.70, 1.0), (0.98, 0.80, 0.30
 
 @dataclass(frozen=True)
 class BallTile:
-    """One ball in one photograph. image: (h, w, 3) linear, row 0 at the bottom. outline, curve: (N, 2) places in it.
+    """One ball in one photograph. image: (h, w, 3) linear, row 0 at the bottom. outline: (N, 2) places in it.
 
-    Places count from the lower left corner, 0…w and 0…h. curve: the terminator, or None. mark: (2,) the highlight, or
-    where a matte ball faces the light; None where nothing was found. doubtful: whether there is a warning.
+    Places count from the lower left corner, 0…w and 0…h. curve: (N, 2) the terminator, or None. mark: (2,) the
+    highlight, or the point of a matte ball that faces the light, or None. doubtful: there is a warning.
     """
 
     label: str
@@ -37,9 +37,8 @@ class BallTile:
 def ball_sheet(tiles: Sequence[BallTile], directions: np.ndarray, doubtful: Sequence[bool], title: str) -> np.ndarray:
     """Return (H, W, 3) display values, row 0 at the bottom.
 
-    directions: (K, 3) unit, to the lights from the ball, in the camera's axes: drawn as seen from above the dome whose
-    top is the camera; rings are 30°, 60° and 90° off it, and lights behind are drawn outside. Of more than 64 tiles
-    some are shown. title: one line or two.
+    directions: (K, 3) unit, from ball to light, in camera axes, drawn on a dome seen from the camera; rings are 30°,
+    60° and 90° off it, lights behind the ball lie outside. At most 64 tiles are shown. title: one line or two.
     """
     shown = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _MOST)).astype(int))]
     columns = min(_COLUMNS, max(4, math.ceil(math.sqrt(len(shown)))))
@@ -87,7 +86,7 @@ def _draw_tile(canvas: Canvas, x: int, y: int, tile: BallTile) -> None:
 
 
 def _draw_dome(canvas: Canvas, x: float, y: float, directions: np.ndarray, doubtful: Sequence[bool]) -> None:
-    """Draw directions by their angle to the viewer: equal steps outward are equal angles."""
+    """Draw directions by their angle to the viewer: equal radial steps are equal angles."""
     for degrees in (30, 60, 90):
         canvas.ring(x, y, _DOME * degrees / 120, 1.0, GRID)
         canvas.text(x + 3, y - _DOME * degrees / 120 - 3, f"{degrees}°", _LABEL, FAINT)

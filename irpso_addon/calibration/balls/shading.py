@@ -1,4 +1,4 @@
-"""How a light shades matte balls: Lambert's law under a point light, and what the table below sends back."""
+"""Shading of matte balls: Lambert's law under a point light, and the bounce of the table below."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from .crops import BallView
 
 SECTORS = 8
 _RIM = 0.3  # n·v: beyond, Lambert's law holds less well
-_RIM_PIXELS = 3.0  # from the outline: nearer, blur and what is behind the ball decide
-_STEP = 1e-5  # of the numbers that derivatives are taken by
+_RIM_PIXELS = 3.0  # from the outline: nearer, blur and background dominate
+_STEP = 1e-5  # of numeric derivatives, relative
 
 
 @dataclass(frozen=True)
 class Shading:
     """The values of matte balls in one photograph. points, normals: (N, 3). values: (N, 3) linear radiance.
 
-    own: (N, balls) 1 for the ball that a value is of. sector: (N,) which of SECTORS parts of its ball.
+    own: (N, balls) 1 in the column of the value's ball. sector: (N,) 0…SECTORS − 1, part of the ball.
     """
 
     points: np.ndarray
@@ -30,12 +30,12 @@ class Shading:
 
     @property
     def balls(self) -> int:
-        """How many there are."""
+        """Number of balls."""
         return self.own.shape[1]
 
 
 def shading_of(views: Sequence[BallView], photograph: int) -> Shading:
-    """Return the values of balls in one photograph that are away from the rim and neither clipped nor masked out."""
+    """Return the balls' usable values in one photograph: away from the rim, not clipped, not masked out."""
     parts = []
     for number, view in enumerate(views):
         points, normals, toward, hit = view.ball.surface(view.pixels)
@@ -48,54 +48,54 @@ def shading_of(views: Sequence[BallView], photograph: int) -> Shading:
     return Shading(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def direct(shading: Shading, centre: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+def direct(shading: Shading, centre: np.ndarray, parameters: np.ndarray) -> np.ndarray:
     """Return (N,) k max(n·L, 0) / |L|³ with L = direction − inverse (point − centre).
 
-    That is Lambert's law under a point light, written so that a distant one is inverse = 0. unknowns: k times the unit
-    direction from ``centre`` to the light (3), inverse distance (1), and what ``radiance`` adds.
+    Lambert's law under a point light; inverse = 0 is a distant one. parameters: k times the unit direction from
+    ``centre`` to the light (3), inverse distance (1), ambient radiance of each ball (see ``radiance``).
     """
-    if unknowns[3] == 0:
-        return np.maximum(shading.normals @ unknowns[:3], 0)
-    strength = np.linalg.norm(unknowns[:3])
-    toward = unknowns[:3] / max(strength, 1e-300) - unknowns[3] * (shading.points - centre)
+    if parameters[3] == 0:
+        return np.maximum(shading.normals @ parameters[:3], 0)
+    strength = np.linalg.norm(parameters[:3])
+    toward = parameters[:3] / max(strength, 1e-300) - parameters[3] * (shading.points - centre)
     length = np.maximum(np.linalg.norm(toward, axis=-1), 1e-6)
     return strength * np.maximum((shading.normals * toward).sum(axis=-1), 0) / length**3
 
 
-def bounced(shading: Shading, unknowns: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N,) k max(l·g, 0) (1 − n·g/|g|) / 2: what an endless lit plane under a ball sends to it.
+def bounced(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Return (N,) k max(l·g, 0) (1 − n·g/|g|) / 2: radiance from an infinite lit plane under the ball.
 
-    ground: (3,) g, the plane's normal times its albedo. The balls' albedo is in k.
+    ground: (3,) g, the plane's normal times its albedo. k includes the balls' albedo.
     """
     albedo = np.linalg.norm(ground)
     if albedo == 0:
         return np.zeros(len(shading.normals))
-    return max(unknowns[:3] @ ground, 0.0) * (1 - shading.normals @ ground / albedo) / 2
+    return max(parameters[:3] @ ground, 0.0) * (1 - shading.normals @ ground / albedo) / 2
 
 
-def radiance(shading: Shading, centre: np.ndarray, unknowns: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N,) the radiance of balls; ``unknowns`` ends with the ambient radiance of each."""
-    return shading.own @ unknowns[4:] + direct(shading, centre, unknowns) + bounced(shading, unknowns, ground)
+def radiance(shading: Shading, centre: np.ndarray, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Return (N,) the radiance of balls. ``parameters`` ends with the ambient radiance of each ball."""
+    return shading.own @ parameters[4:] + direct(shading, centre, parameters) + bounced(shading, parameters, ground)
 
 
-def jacobian(shading: Shading, centre: np.ndarray, unknowns: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Return (N, 4 + balls) the derivatives of ``radiance`` by the unknowns."""
-    size, here = np.linalg.norm(unknowns[:3]), direct(shading, centre, unknowns)
-    result = np.zeros((len(here), len(unknowns)))
+def jacobian(shading: Shading, centre: np.ndarray, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """Return (N, 4 + balls) the derivatives of ``radiance`` by the free parameters."""
+    size, value = np.linalg.norm(parameters[:3]), direct(shading, centre, parameters)
+    result = np.zeros((len(value), len(parameters)))
     result[:, 4:] = shading.own
-    if unknowns[3] == 0:
-        result[:, :3] = shading.normals * (here > 0)[:, None]
-    for index in range(4) if unknowns[3] else (3,):
-        moved = unknowns.copy()
+    if parameters[3] == 0:
+        result[:, :3] = shading.normals * (value > 0)[:, None]
+    for index in range(4) if parameters[3] else (3,):
+        moved = parameters.copy()
         moved[index] += (step := _STEP * (size if index < 3 else 1.0))
-        result[:, index] = (direct(shading, centre, moved) - here) / step
-    strength = unknowns[:3] @ ground
+        result[:, index] = (direct(shading, centre, moved) - value) / step
+    strength = parameters[:3] @ ground
     if strength > 0:
-        result[:, :3] += ground * (bounced(shading, unknowns, ground) / strength)[:, None]
+        result[:, :3] += ground * (bounced(shading, parameters, ground) / strength)[:, None]
     return result
 
 
-def ground_jacobian(shading: Shading, unknowns: np.ndarray, ground: np.ndarray) -> np.ndarray:
+def ground_jacobian(shading: Shading, parameters: np.ndarray, ground: np.ndarray) -> np.ndarray:
     """Return (N, 3) the derivatives of ``radiance`` by the bounce."""
-    here = bounced(shading, unknowns, ground)
-    return np.stack([(bounced(shading, unknowns, ground + d) - here) / _STEP for d in _STEP * np.eye(3)], axis=-1)
+    value = bounced(shading, parameters, ground)
+    return np.stack([(bounced(shading, parameters, ground + d) - value) / _STEP for d in _STEP * np.eye(3)], axis=-1)

@@ -1,4 +1,4 @@
-"""Which photographs are brackets of one light, and how each was exposed: from EXIF or from the files' names."""
+"""Exposure brackets: photographs grouped by light, with exposures from EXIF or file names."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _INDEX = re.compile(r"^(?P<stem>.*?)[ _-]+e?(?P<index>\d+)$", re.I)
 
 @dataclass(frozen=True)
 class Bracket:
-    """The photographs of one light. name: what their names have in common. amounts: (F,) exposures, above 0.
+    """The photographs of one light. name: common part of their names. amounts: (F,) exposures, above 0.
 
-    paths: F files, from the shortest exposure to the longest.
+    paths: F files, shortest exposure first.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Bracket:
 
 
 def exif_amount(path: Path) -> float:
-    """Return seconds · ISO / 100 / N² of a photograph. Raises InputError where its EXIF has no exposure time."""
+    """Return a photograph's seconds · ISO / 100 / N². Raises InputError where its EXIF has no exposure time."""
     exposure = exposure_of(read_bytes(path))
     if exposure is None:
         raise InputError(
@@ -48,62 +48,61 @@ def exif_amount(path: Path) -> float:
 
 
 def name_amount(stem: str, exposures: Sequence[float] = ()) -> tuple[str, float, str] | None:
-    """Return (what is left of a name, exposure, kind) of a file name without its suffix; None where it tells none.
+    """Return (rest of the name, exposure, kind) of a file name without suffix, or None where it has no exposure.
 
-    kind: "seconds", "stops" (2 to their power), or "index" (of exposures, counted from 0 or, without a 0, from 1).
+    kind: "seconds", "stops" (exposure is 2 to their power), or "index" into ``exposures``, from 0 or from 1.
     """
     if exposures:
-        found = _INDEX.match(stem)
-        return (found["stem"], float(found["index"]), "index") if found else None
-    if found := _EV_FIRST.match(stem) or _EV_LAST.match(stem):
-        return found["stem"] or "", 2.0 ** float(found["stops"]), "stops"
-    if (found := _FRACTION.match(stem)) and float(found["below"]):
-        return found["stem"] or "", 1 / float(found["below"]), "seconds"
-    if (found := _SECONDS.match(stem)) and float(found["value"]):
-        scale = 1e-3 if found["unit"].lower() == "ms" else 1.0
-        return found["stem"] or "", float(found["value"]) * scale, "seconds"
+        match = _INDEX.match(stem)
+        return (match["stem"], float(match["index"]), "index") if match else None
+    if match := _EV_FIRST.match(stem) or _EV_LAST.match(stem):
+        return match["stem"] or "", 2.0 ** float(match["stops"]), "stops"
+    if (match := _FRACTION.match(stem)) and float(match["below"]):
+        return match["stem"] or "", 1 / float(match["below"]), "seconds"
+    if (match := _SECONDS.match(stem)) and float(match["value"]):
+        scale = 1e-3 if match["unit"].lower() == "ms" else 1.0
+        return match["stem"] or "", float(match["value"]) * scale, "seconds"
     return None
 
 
 def amounts_of(paths: Sequence[Path], by: str, exposures: Sequence[float] = ()) -> list[tuple[str, float]]:
-    """Return (name without exposure, exposure) of each file; by: "exif" or "names".
+    """Return (name without exposure, exposure) of each file. by: "exif" or "names".
 
-    Raises InputError where a file tells none, or some tell seconds and some stops.
+    Raises InputError where a file has no exposure, or names mix seconds and stops.
     """
     if by == "exif":
         return [(path.stem, exif_amount(path)) for path in paths]
-    found = []
+    parsed = []
     for path in paths:
-        if (one := name_amount(path.stem, exposures)) is None:
+        if (parts := name_amount(path.stem, exposures)) is None:
             kind = "_0, _1, … for --exposures" if exposures else "as in name_1-60s.jpg, name_16ms.jpg or name_ev-2.jpg"
-            raise InputError(f"{path}: its name tells no exposure; end it {kind}")
-        found.append(one)
-    kinds = {kind for _, _, kind in found}
+            raise InputError(f"{path}: its name has no exposure; end it {kind}")
+        parsed.append(parts)
+    kinds = {kind for _, _, kind in parsed}
     if len(kinds) > 1:
-        raise InputError(f"{paths[0].parent}: some names tell seconds and some EV; write them all in one way")
+        raise InputError(f"{paths[0].parent}: some names have seconds and some EV; use one for all")
     if kinds == {"index"}:
-        return _indexed(paths, [(stem, int(index)) for stem, index, _ in found], exposures)
-    return [(stem, amount) for stem, amount, _ in found]
+        return _indexed(paths, [(stem, int(index)) for stem, index, _ in parsed], exposures)
+    return [(stem, amount) for stem, amount, _ in parsed]
 
 
 def _indexed(
-    paths: Sequence[Path], found: list[tuple[str, int]], exposures: Sequence[float]
+    paths: Sequence[Path], indices: list[tuple[str, int]], exposures: Sequence[float]
 ) -> list[tuple[str, float]]:
-    first = 0 if any(index == 0 for _, index in found) else 1
-    for path, (_, index) in zip(paths, found, strict=True):
+    first = 0 if any(index == 0 for _, index in indices) else 1
+    for path, (_, index) in zip(paths, indices, strict=True):
         if index - first >= len(exposures):
             raise InputError(f"{path}: is exposure {index} from {first}, and --exposures has only {len(exposures)}")
-    return [(stem, float(exposures[index - first])) for stem, index in found]
+    return [(stem, float(exposures[index - first])) for stem, index in indices]
 
 
 def brackets_of(
     paths: Sequence[Path], by: str, exposures: Sequence[float] = (), amount: Callable[[Path], float] = exif_amount
 ) -> tuple[list[Bracket], list[str]]:
-    """Return photographs, in the order of their names, as brackets, and warnings.
+    """Return photographs, sorted by name, as brackets, and warnings.
 
-    by "names": those whose names differ in the exposure alone; their common part is the bracket's name. by "exif": in
-    order of names; a bracket ends where an exposure comes again, as cameras bracket. Raises InputError where an
-    exposure is unknown, or all stand alone.
+    by "names": names of one bracket differ in the exposure alone; their common part is its name. by "exif": a bracket
+    ends where an exposure repeats. Raises InputError where an exposure is unknown or no bracket has two photographs.
     """
     paths = sorted(paths, key=natural)
     if by == "exif":
@@ -117,16 +116,16 @@ def brackets_of(
     if max((len(bracket.paths) for bracket in brackets), default=0) < 2:
         where = f"{paths[0].parent}: " if paths else ""
         raise InputError(
-            f"{where}no two photographs make a bracket, all exposures stand alone; leave --brackets out, or use"
-            " --exposure where frames are exposed differently"
+            f"{where}no two photographs make a bracket; omit --brackets, or use --exposure where frames have different"
+            " exposures"
         )
     sets = [tuple(round(np.log2(a / b.amounts[0]) / SAME_STOPS) for a in b.amounts) for b in brackets]
     usual = max(set(sets), key=sets.count)
     warnings = [
-        f"{b.paths[0]}: its bracket has {len(b.paths)} exposures, or others than the {len(usual)} of most; check that"
+        f"{b.paths[0]}: its bracket has {len(b.paths)} exposures that differ from the usual {len(usual)}; check that"
         " no photograph is missing"
-        for b, one in zip(brackets, sets, strict=True)
-        if one != usual
+        for b, stops in zip(brackets, sets, strict=True)
+        if stops != usual
     ]
     return brackets, warnings
 
@@ -145,6 +144,6 @@ def _bracket(name: str, group: list[tuple[Path, float]]) -> Bracket:
     group = sorted(group, key=lambda shot: shot[1])
     for (a, shorter), (b, longer) in zip(group, group[1:], strict=False):
         if abs(np.log2(longer / shorter)) < 1e-3:
-            raise InputError(f"{b}: has the exposure of {a} of the same bracket; take one of them out")
+            raise InputError(f"{b}: has the exposure of {a} in the same bracket; remove one of them")
     paths = tuple(path for path, _ in group)
     return Bracket(name or paths[0].stem, paths, tuple(amount for _, amount in group))

@@ -20,7 +20,7 @@ _REMEDY = "write one line for each code: code red green blue, or code linear, al
 
 
 def write_response(path: Path | str, response: Response) -> None:
-    """Write a curve as TOML, whole or not at all. Raises InputError where it cannot be written."""
+    """Write a curve as TOML, complete or not at all. Raises InputError where writing fails."""
     lines = [
         "# Linear light of code values, both 0 to 1: the response curve of a camera, channel by channel.",
         f"format = {_FORMAT}",
@@ -34,16 +34,16 @@ def write_response(path: Path | str, response: Response) -> None:
 
 
 def read_response(path: Path | str) -> Response:
-    """Read a curve: a .toml that ``write_response`` wrote, or lines "code red green blue" or "code linear".
+    """Read a curve: a .toml from ``write_response``, or lines "code red green blue" or "code linear".
 
-    Raises InputError where it is missing, damaged, or does not rise from 0 to 1.
+    Raises InputError where the file is missing or damaged, or the curve does not rise from 0 to 1.
     """
     path = Path(path)
     if path.suffix.lower() == ".toml":
         table = load_toml(path)
         known_keys(table, _KEYS, str(path))
         if table.get("format") != _FORMAT:
-            raise InputError(f"{path}: is no response curve; make one with irpso response")
+            raise InputError(f"{path}: is not a response curve; make one with irpso response")
         codes, used = _array(table, "codes", path), []
         channels = [_array(table, name, path) for name in _CHANNELS]
         for name in _CHANNELS:
@@ -57,7 +57,7 @@ def read_response(path: Path | str) -> Response:
     rows = read_numbers(path, _REMEDY)
     widths = {len(row) for _, row in rows}
     if widths not in ({2}, {4}):
-        raise CaptureError(f"{path}: is no response curve; {_REMEDY}", "value")
+        raise CaptureError(f"{path}: is not a response curve; {_REMEDY}", "value")
     values = np.array([row for _, row in rows], np.float64)
     linear = np.repeat(values[:, 1:], 3, axis=1) if widths == {2} else values[:, 1:]
     return _checked(path, values[:, 0], linear, np.tile(values[[0, -1], 0], (3, 1)), float("nan"))
@@ -66,9 +66,9 @@ def read_response(path: Path | str) -> Response:
 def _checked(path: Path, codes: np.ndarray, linear: np.ndarray, used: np.ndarray, residual: float) -> Response:
     finite = np.isfinite(codes).all() and np.isfinite(linear).all()
     if not finite or len(codes) < 2 or (np.diff(codes) <= 0).any() or codes[0] < 0 or not 0.5 < codes[-1] <= 1:
-        raise InputError(f"{path}: codes must rise from 0 to 1 (code value / largest code); correct them there")
+        raise InputError(f"{path}: codes must rise from 0 to 1 (code value / largest code); correct them")
     if (np.diff(linear, axis=0) < 0).any() or linear.min() < 0 or (linear[-1] <= linear[0]).any():
-        raise InputError(f"{path}: linear values must rise with the codes, from 0 up; correct them there")
+        raise InputError(f"{path}: linear values must rise with the codes, from 0; correct them")
     return Response(codes, linear / linear[-1], used, residual)
 
 

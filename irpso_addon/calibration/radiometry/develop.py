@@ -1,6 +1,6 @@
-"""From photographs as cameras write them to linear images, one for each light: all corrections, in their order.
+"""Camera photographs to linear images, one per light.
 
-Response curve, dark frame, flat field, exposure or merging of brackets, white balance, registration.
+Order: response curve, dark frame, flat field, exposure or merged brackets, white balance, registration.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
 from .response import Response
 
-_CROP = 384  # pixels: the longest side of what shifts are found in
+_CROP = 384  # pixels: longest side of the crop for registration
 
 
 @dataclass(frozen=True)
 class Shot:
-    """The photographs of one light. name: for reports. images: one, or those of a bracket. camera: its index.
+    """The photographs of one light. name: for reports. images: one, or a bracket. camera: index.
 
-    amounts: exposures of the images, or None where none is asked for. size: (width, height) that they must have.
+    amounts: exposures of the images, or None without exposure correction. size: their required (width, height).
     """
 
     name: str
@@ -39,9 +39,9 @@ class Shot:
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is done to photographs. reference: the exposure that results are scaled to. gains: (3,) white balance.
+    """Corrections of photographs. reference: exposure that results are scaled to. gains: (3,) white balance.
 
-    darks, flats: one a camera, None without.
+    darks, flats: one per camera, or None.
     """
 
     response: Response | None = None
@@ -62,7 +62,7 @@ class Developed:
 
 
 def corrected(store: ImageStore, shot: Shot, index: int, corrections: Corrections) -> Frame:
-    """Return one image of a shot, linear, less its dark frame, divided by its flat field. Raises InputError."""
+    """Return one image of a shot: linear, minus its dark frame, divided by its flat field. Raises InputError."""
     image = shot.images[index]
     frame = read_frame(store, image, corrections.response, shot.size)
     dark, flat = corrections.darks[shot.camera], corrections.flats[shot.camera]
@@ -73,7 +73,7 @@ def corrected(store: ImageStore, shot: Shot, index: int, corrections: Correction
 
 
 def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Developed:
-    """Return one light's image of its photographs. Raises InputError where one of them cannot be used."""
+    """Return one light's image from its photographs. Raises InputError where one of them is unusable."""
     frames = [corrected(store, shot, i, corrections) for i in range(len(shot.images))]
     figures: dict = {"files": [image.path.name for image in shot.images]}
     if shot.amounts is None:
@@ -89,16 +89,16 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
     rgba[not_finite] = 0
     seen = rgba[..., 3] > 0
     figures["without_weight"] = round(float(1 - seen.mean()), 6)
-    # Noise about black; a light of its own would say that the dark frame is too bright.
+    # Noise about black; more would mean that the dark frame is too bright.
     figures["negative"] = round(float((seen & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
     if not seen.any():
-        raise InputError(f"{shot.images[0]}: all its pixels are clipped, in all exposures; photograph it darker")
+        raise InputError(f"{shot.images[0]}: all pixels are clipped in all exposures; expose less")
     rgba[..., :3] = np.maximum(rgba[..., :3], 0)
     return Developed(rgba.astype(np.float32), figures)
 
 
 def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame], list[list[float]]]:
-    """Return the frames of a bracket, moved onto the middle one, and by how much each was off."""
+    """Return the frames of a bracket, moved onto the middle one, and their shifts."""
     window = middle_window(np.ones(frames[0].weight.shape, bool), _CROP)
     greys = [np.minimum(f.rgb.mean(axis=-1)[window], 1.0) / a for f, a in zip(frames, amounts, strict=True)]
     shifts = find_shifts(np.stack(greys), len(frames) // 2)
@@ -121,10 +121,10 @@ def _part_of(done: float, share: float, part: float) -> float:
 def registration_steps(
     store: ImageStore, shots: Sequence[Shot], masks: Sequence[np.ndarray], corrections: Corrections, reference: int = 0
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the part of the work that is done, 0…1, and return shifts (K, 2), agreement and trust (K,) of all shots.
+    """Yield the fraction done, 0…1; return shifts (K, 2), agreement (K,) and trusted (K,) of all shots.
 
-    Each camera's shots are compared among themselves: against shot ``reference`` where it is one of them, else against
-    their first. masks: (H, W) bool, one a camera.
+    A camera's shots are registered to shot ``reference`` where it is one of them, else to their first. masks: (H, W)
+    bool, one per camera.
     """
     count = len(shots)
     pixels, agreement, trusted = np.zeros((count, 2)), np.full(count, np.nan), np.ones(count, bool)
@@ -137,6 +137,6 @@ def registration_steps(
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
         done, share = 0.5 + 0.5 * own[0] / count, 0.5 * len(own) / count
-        found = yield from told_as(steps, partial(_part_of, done, share))
-        pixels[own], agreement[own], trusted[own] = found.pixels, found.agreement, found.trusted
+        shifts = yield from told_as(steps, partial(_part_of, done, share))
+        pixels[own], agreement[own], trusted[own] = shifts.pixels, shifts.agreement, shifts.trusted
     return pixels, agreement, trusted

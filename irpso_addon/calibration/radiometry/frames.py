@@ -1,4 +1,4 @@
-"""Photographs made linear, and what is taken off and divided out: dark frames, flat fields, white balance."""
+"""Linear photographs, and their corrections: dark frames, flat fields, white balance."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ...capture.images.linearise import samples_of_picture
 from ...core.errors import InputError
 from .response import Response
 
-SAME_STOPS = 1 / 6  # stops: exposures nearer than half of a camera's third are the same setting
-FLAT_FLOOR = 0.1  # of the flat's mean: below it noise would be multiplied tenfold
+SAME_STOPS = 1 / 6  # stops: exposures that differ by less than half of a third-stop are the same setting
+FLAT_FLOOR = 0.1  # of the flat's mean: below, the division would multiply noise tenfold
 _LIT = 99.0  # percentile of a frame that must be above its dark frame
 _CLIPPED_PATCH = 0.02  # of a patch's pixels
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph. rgb: (H, W, 3) float32, linear, row 0 at the bottom. weight: (H, W), 0 where it is clipped.
+    """One photograph. rgb: (H, W, 3) float32, linear, row 0 at the bottom. weight: (H, W), 0 where clipped.
 
-    high, low: (H, W), the largest and the smallest of a pixel's codes / largest code. bits: 8, 16, or 32 for floats.
+    high, low: (H, W), largest and smallest of a pixel's codes / largest code. bits: 8, 16, or 32 for floats.
     """
 
     rgb: np.ndarray
@@ -37,64 +37,62 @@ class Frame:
 def read_frame(
     store: ImageStore, image: ImageRef, response: Response | None = None, size: tuple[int, int] | None = None
 ) -> Frame:
-    """Return a photograph, made linear by a response curve or, without one, as its colour space says.
+    """Return a photograph, linear by a response curve, or without one by its colour space.
 
-    size: (width, height) that it must have. Raises InputError where it cannot be read, is of another size, or is one
-    of floats and a response is given.
+    size: required (width, height). Raises InputError where the file is unreadable, has another size, or holds floats
+    while a response is given.
     """
     if is_exr(image.path):
-        found, bits = store.samples(image), 32
-        codes = found.rgba[..., :3]
+        samples, bits = store.samples(image), 32
+        codes = samples.rgba[..., :3]
     else:
         picture = store.picture(image)
-        found, bits = samples_of_picture(picture, image.colour_space), picture.bits
+        samples, bits = samples_of_picture(picture, image.colour_space), picture.bits
         codes = picture.values[..., :3] if picture.values.shape[-1] >= 3 else picture.values[..., :1]
     if response is not None and bits == 32:
-        raise InputError(f"{image}: holds linear floats, which have no response curve; take --response out")
-    height, width = found.rgba.shape[:2]
+        raise InputError(f"{image}: holds linear floats, which have no response curve; omit --response")
+    height, width = samples.rgba.shape[:2]
     if size is not None and (width, height) != size:
         raise InputError(
-            f"{image}: is {width}×{height} pixels where {size[0]}×{size[1]} are wanted; all photographs, dark frames"
-            " and flat fields of a camera must be of one size, unscaled and uncropped"
+            f"{image}: is {width}×{height} pixels instead of {size[0]}×{size[1]}; all photographs, dark frames and"
+            " flat fields of a camera must have one size, unscaled and uncropped"
         )
-    rgb = found.rgba[..., :3] if response is None else response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
-    return Frame(rgb, found.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
+    rgb = samples.rgba[..., :3] if response is None else response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
+    return Frame(rgb, samples.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
 
 
 @dataclass(frozen=True)
 class Dark:
-    """Mean dark frames. levels: (exposure or None, (H, W, 3)) of each exposure.
+    """Mean dark frames. levels: (exposure or None, (H, W, 3)) per exposure.
 
-    scaled: whether those of other exposures are made of them.
+    scaled: other exposures are interpolated.
     """
 
     levels: tuple[tuple[float | None, np.ndarray], ...]
     scaled: bool = False
 
     def of(self, amount: float | None, where: str) -> np.ndarray:
-        """Return (H, W, 3), what to take off a frame of this exposure (None: unknown).
+        """Return (H, W, 3), the dark frame of this exposure (None: unknown).
 
-        Scaled, it lies on the straight line through the dark frames of the two nearest exposures, or grows with the
-        exposure where there is but one. Raises InputError, naming ``where``, where no dark frame is of this exposure.
+        Scaled, it lies on the straight line through the dark frames of the two nearest exposures, or is proportional
+        to the exposure where there is one. ``where`` names the photograph. Raises InputError where no dark frame fits.
         """
-        known = sorted(((a, level) for a, level in self.levels if a is not None), key=lambda pair: pair[0])
-        if amount is None or not known:
+        levels = sorted(((a, level) for a, level in self.levels if a is not None), key=lambda pair: pair[0])
+        if amount is None or not levels:
             return np.mean([level for _, level in self.levels], axis=0, dtype=np.float32)
-        nearest = min(known, key=lambda pair: abs(np.log2(pair[0] / amount)))
+        nearest = min(levels, key=lambda pair: abs(np.log2(pair[0] / amount)))
         if abs(np.log2(nearest[0] / amount)) < SAME_STOPS:
             return nearest[1]
         if not self.scaled:
-            raise InputError(
-                f"{where}: no dark frame has its exposure; take one, or let --scale-dark make it of the others"
-            )
-        if len(known) == 1:
-            return known[0][1] * np.float32(amount / known[0][0])
-        (a, low), (b, high) = sorted(sorted(known, key=lambda p: abs(np.log2(p[0] / amount)))[:2], key=lambda p: p[0])
+            raise InputError(f"{where}: no dark frame has its exposure; photograph one, or use --scale-dark")
+        if len(levels) == 1:
+            return levels[0][1] * np.float32(amount / levels[0][0])
+        (a, low), (b, high) = sorted(sorted(levels, key=lambda p: abs(np.log2(p[0] / amount)))[:2], key=lambda p: p[0])
         return low + (high - low) * np.float32((amount - a) / (b - a))
 
 
 def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = False) -> Dark:
-    """Return the means of dark frames (exposure or None, (H, W, 3) linear), one for each exposure, read one by one."""
+    """Return the mean of dark frames (exposure or None, (H, W, 3) linear) per exposure; reads them one by one."""
     groups: list[tuple[float | None, list[Any]]] = []  # exposure, [sum, count]
     for amount, rgb in frames:
         for other, total in groups:
@@ -108,7 +106,7 @@ def mean_dark(frames: Iterable[tuple[float | None, np.ndarray]], scaled: bool = 
 
 
 def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
-    """Return a frame less its dark frame. Raises InputError where next to nothing of it is brighter than that."""
+    """Return a frame minus its dark frame. Raises InputError where less than 1 % of it is brighter."""
     rgb = frame.rgb - dark
     if np.percentile(rgb.max(axis=-1), _LIT) <= 0:
         raise InputError(f"{where}: is no brighter than the dark frame; check which files --dark names")
@@ -117,17 +115,17 @@ def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
 
 @dataclass(frozen=True)
 class Flat:
-    """What to divide by. field: (H, W, 3) float32 of mean 1 in each channel. usable: (H, W) bool."""
+    """A flat field. field: (H, W, 3) float32, mean 1 in each channel. usable: (H, W) bool."""
 
     field: np.ndarray
     usable: np.ndarray
 
 
 def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
-    """Return the flat field of photographs of something evenly white, less their dark frames, read one by one.
+    """Return the flat field of photographs of an even white surface, minus their dark frames; reads them one by one.
 
-    Each is divided by its own mean first, so that their exposures may differ. Not usable is what is clipped in one of
-    them, or below ``floor`` times the mean. Raises InputError where that is more than half.
+    Each is divided by its own mean, so exposures may differ. A pixel is unusable where one photograph clips or the
+    mean is below ``floor``. Raises InputError where more than half is unusable.
     """
     field: np.ndarray = np.zeros(3, np.float32)
     usable = np.ones((), bool)
@@ -149,13 +147,13 @@ def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
 
 
 def divided_by(frame: Frame, flat: Flat) -> Frame:
-    """Return a frame divided by a flat field; where that is not usable the weight is 0."""
+    """Return a frame divided by a flat field; weight 0 where the flat field is unusable."""
     return Frame(frame.rgb / flat.field, np.where(flat.usable, frame.weight, 0), frame.high, frame.low, frame.bits)
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of a photograph, in pixels as picture viewers count: x right, y down from the upper left corner."""
+    """A rectangle of a photograph, in pixels: x right, y down from the upper left corner."""
 
     x: int
     y: int
@@ -170,7 +168,7 @@ class Patch:
 def patch_mean(image: np.ndarray, weight: np.ndarray, patch: Patch, where: str) -> np.ndarray:
     """Return the mean (3,) of a patch of (H, W, 3), row 0 at the bottom, over pixels with a weight.
 
-    Raises InputError where it is not inside the image, or 2 % of it are clipped.
+    Raises InputError where the patch leaves the image or more than 2 % of it are clipped.
     """
     height, width = image.shape[:2]
     if patch.width < 1 or patch.height < 1 or not (0 <= patch.x <= width - patch.width):
@@ -185,10 +183,10 @@ def patch_mean(image: np.ndarray, weight: np.ndarray, patch: Patch, where: str) 
 
 
 def white_gains(mean: np.ndarray, reflectance: float | None, where: str) -> np.ndarray:
-    """Return the factors (3,) that make a grey patch's mean (3,) neutral, as bright as its green; or its reflectance.
+    """Return factors (3,) that make a grey patch's mean (3,) neutral: as bright as its green, or as its reflectance.
 
     Raises InputError where a channel is black.
     """
     if not (mean > 0).all():
-        raise InputError(f"{where}: the white patch is black in a channel; choose a lit, grey place")
+        raise InputError(f"{where}: the white patch is black in a channel; choose a lit grey patch")
     return (mean[1] if reflectance is None else reflectance) / mean

@@ -1,9 +1,8 @@
 """Brackets merged to one image of linear radiance.
 
-Each frame's x = t·X + noise gives x / t with a variance of (t·X + k) / t², shot noise and the noise of reading; the
-mean with the inverse variances as weights is the best that can be had (Granados et al. 2010; Hasinoff, Durand and
-Freeman 2010). X in the weights is the first estimate Σx / Σt and not the frame's own x, which would favour the frames
-in which noise made the pixel dark.
+Each frame's x = t·X + noise gives x / t with a variance of (t·X + k) / t², from shot noise and read noise; the optimal
+weights are the inverse variances (Granados et al. 2010; Hasinoff, Durand and Freeman 2010). X in the weights is the
+first estimate Σx / Σt; the frame's own x would favour frames in which noise made the pixel dark.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from .frames import Frame
 
 # Read noise² / gain, with the largest code as 1: 5 electrons of read noise at a full well of 30 000 electrons.
 _READ = 5.0**2 / 30_000
-SATURATED = 0.98  # of the largest code: sensors bend before they clip, and JPEG rings about what is clipped
-# Of the largest code, by bits: a step or two of the file, or cut off. To choose by noisy values would favour bright
-# noise; files of 16 bits and more have the weights alone, which leave next to nothing to such pixels.
+SATURATED = 0.98  # of the largest code: sensors bend before they clip, and JPEG rings around clipped areas
+# Of the largest code, by bits: one or two steps of the file. A choice by noisy values would favour bright noise; files
+# of 16 bits and more use the weights alone, which are near zero for such pixels.
 _BLACK = {8: 2.5 / 255}
 
 
 def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = SATURATED) -> np.ndarray:
-    """Return (H, W, 4) float32: radiance for an exposure of 1, and weight, of a bracket's frames.
+    """Return a bracket merged to (H, W, 4) float32: radiance at an exposure of 1, and weight.
 
-    amounts: exposures, above 0. saturated: code / largest code from which a pixel is left out, but in the shortest
-    frame, which keeps all that is not clipped. Nearly black pixels of 8-bit files are left out where a longer frame
-    shows them. What no frame shows has weight 0 and the shortest frame's value, a lower bound.
+    amounts: exposures, above 0. saturated: code / largest code from which a pixel is left out; the shortest frame
+    keeps all unclipped pixels. Nearly black pixels of 8-bit files are left out where a longer frame shows them. A pixel
+    without a usable frame has weight 0 and the shortest frame's value, a lower bound.
     """
     order = np.argsort(amounts)
     usable = np.stack([_usable(frames[i], saturated if rank else np.inf) for rank, i in enumerate(order)])
@@ -54,6 +53,6 @@ def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = 
 
 
 def _usable(frame: Frame, saturated: float) -> np.ndarray:
-    """Return (H, W) bool: pixels with a weight, below saturation; floats above 1 were not clipped there."""
+    """Return (H, W) bool: pixels with a weight, below saturation. Floats above 1 are not clipped."""
     unlimited = frame.bits == 32 and frame.high.max(initial=0) > 1 + 1e-4
     return (frame.weight > 0) & (unlimited | (frame.high < saturated))

@@ -1,10 +1,10 @@
-"""A camera's response curve: from code values of its files to linear light.
+"""A camera's response curve: from code values to linear light.
 
-Of the two classic methods for brackets, that of Debevec and Malik (1997) is used, one free value at each of many codes
-with a penalty on roughness: it takes any curve, is linear, and so has one solution. The polynomial of Mitsunaga and
-Nayar (1999) can refine exposures besides, which a camera's own tags make needless, and a polynomial of low order does
-not bend as the toe and the shoulder of a picture profile do. Changed here: roughness is measured between logarithms of
-code and of light, where every gamma curve is a straight line and costs nothing; and residuals are reweighted.
+The method is Debevec and Malik's (1997): free values at many codes with a penalty on roughness. It fits any curve and
+is linear, so it has one solution. The polynomial of Mitsunaga and Nayar (1999) also refines exposures, which EXIF
+makes needless, and a low order cannot follow the toe and shoulder of a picture profile. Two changes: roughness is
+measured between the logarithms of code and light, where a gamma curve is straight and costs nothing; residuals are
+reweighted.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from ...core.errors import InputError
 
 TABLE = 256  # rows of a curve
 _KNOTS, _FIRST = 64, 0.015  # free values of a curve, evenly over the logarithm of the code, from this code to 1
-_ENDS = 10  # knots whose slope goes on below the first
-_SMOOTH = 0.1  # weight of roughness at a knot against the data's mean weight, times the cube of the step in stops
+_ENDS = 10  # knots whose slope extends the curve below the first
+_SMOOTH = 0.1  # weight of roughness at a knot over the data's mean weight, times the cube of the step in stops
 _ROUNDS, _OUTLIER = 8, 0.05  # reweightings; logarithm of light: the Cauchy scale, about 5 %
-_LOW, _HIGH = 0.03, 0.98  # codes outside are left out: black that is cut off, and white
+_LOW, _HIGH = 0.03, 0.98  # codes outside are left out: clipped black, and white
 _LEAST_FRAMES, _LEAST_SAMPLES = 2, 64
 _LEAST_RATIO = 1.5  # between the longest and the shortest exposure
-_CURVE_PATCHES = 6  # fewer give a gamma
+_CURVE_PATCHES = 6  # fewer patches give a gamma
 
 
 @dataclass(frozen=True)
 class Response:
     """A response curve. codes: (N,) rising from 0 to 1, code value / largest code. linear: (N, 3) rising from 0 to 1.
 
-    used: (3, 2) lowest and highest code of each channel that the curve was measured at; beyond, it is extended.
-    residual: root mean square of the relative error of the data against the curve; NaN where it is unknown.
+    used: (3, 2) lowest and highest measured code of each channel; beyond, the curve is extended.
+    residual: RMS relative error of the data, or NaN where unknown.
     """
 
     codes: np.ndarray
@@ -49,12 +49,12 @@ class Response:
 def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarray]) -> Response:
     """Return the curve of code values of the same pixels under several exposures (Debevec and Malik 1997).
 
-    samples: one array (N, F, 3) a bracket, codes / largest code, 0…1: N pixels in its F frames. exposures: one (F,)
-    array a bracket, above 0, on any scale. Each channel's curve is 1 at the largest code, so white balance is not
-    found. Raises InputError where exposures do not differ or no code stands twice.
+    samples: (N, F, 3) per bracket, codes / largest code, 0…1: N pixels in its F frames. exposures: (F,) per bracket,
+    above 0, on any scale. Each channel's curve is 1 at the largest code; white balance is not determined. Raises
+    InputError where the exposures hardly differ or too few pixels are usable in two frames.
     """
-    for one in exposures:
-        if len(one) < _LEAST_FRAMES or max(one) < _LEAST_RATIO * min(one):
+    for times in exposures:
+        if len(times) < _LEAST_FRAMES or max(times) < _LEAST_RATIO * min(times):
             raise InputError(
                 "a response curve needs brackets: at least two frames of one light whose exposures differ by half a"
                 " stop or more; give their folder, with EXIF or exposures in the names"
@@ -73,26 +73,26 @@ def response_from_brackets(samples: Sequence[np.ndarray], exposures: Sequence[np
 
 def bracket_step(exposures: Sequence[np.ndarray]) -> float:
     """Return the median step between neighbouring exposures of brackets, in stops."""
-    return float(np.median(np.concatenate([np.diff(np.sort(np.log2(one))) for one in exposures])))
+    return float(np.median(np.concatenate([np.diff(np.sort(np.log2(times))) for times in exposures])))
 
 
 def _rows(values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return codes (N, F), log exposures (N, F) and weights (N, F) of pixels that at least two frames show well."""
+    """Return codes, log exposures and weights, each (N, F), of pixels that are usable in at least two frames."""
     good = (values > _LOW) & (values < _HIGH)
     enough = good.sum(axis=1) >= _LEAST_FRAMES
     values, good = values[enough], good[enough]
-    # The hat of Debevec and Malik: codes near either end say least.
+    # The hat of Debevec and Malik: low weight at both ends.
     weights = np.where(good, values**2 * np.minimum((_HIGH - values) / 0.2 + 0.05, 1), 0.0)
     return values, np.broadcast_to(times, values.shape), weights
 
 
 def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np.ndarray, tuple[float, float], float]:
-    """Return the curve (N,) at codes, the codes between which there were data, and the residual, of one channel."""
+    """Return one channel's curve (N,) at ``codes``, the lowest and highest measured code, and the residual."""
     count = sum(len(values) for values, _, _ in rows)
     if count < _LEAST_SAMPLES:
         raise InputError(
-            f"{count} pixels are neither black nor clipped in two frames of the {name} channel, a response curve needs"
-            f" {_LEAST_SAMPLES}: expose the brackets of a subject with many tones closer to each other"
+            f"only {count} pixels are neither black nor clipped in two frames of the {name} channel; a response curve"
+            f" needs {_LEAST_SAMPLES}: bracket a subject with many tones in smaller steps"
         )
     seen = np.concatenate([values[weights > 0] for values, _, weights in rows])
     low, high = np.quantile(seen, (0.01, 0.99))
@@ -101,15 +101,15 @@ def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np
     robust = [np.ones(values.shape) for values, _, _ in rows]
     for _ in range(_ROUNDS):
         matrix, right, total = np.zeros((_KNOTS, _KNOTS)), np.zeros(_KNOTS), 0.0
-        for (values, times, weights), trust in zip(rows, robust, strict=True):
-            w = weights * trust
+        for (values, times, weights), factor in zip(rows, robust, strict=True):
+            w = weights * factor
             spread, wanted = _without_light(_spread(values, knots), w), _without_light(times[..., None], w)[..., 0]
             flat = spread.reshape(-1, _KNOTS)
             matrix += flat.T @ (flat * w.reshape(-1, 1))
             right += flat.T @ (w * wanted).ravel()
             total += w.sum()
         matrix += smooth * total / _KNOTS * bend.T @ bend
-        matrix += 1e-6 * total  # the mean of the curve, which the data leave free
+        matrix += 1e-6 * total  # fixes the mean of the curve, which the data leave free
         curve = np.linalg.solve(matrix, right)
         errors = [_without_light((_spread(v, knots) @ curve - t)[..., None], w * r)[..., 0]
                   for (v, t, w), r in zip(rows, robust, strict=True)]  # fmt: skip
@@ -123,7 +123,7 @@ def _solved(rows: list, codes: np.ndarray, smooth: float, name: str) -> tuple[np
 
 
 def _spread(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return (N, F, knots): the two factors with which a code's value is interpolated between its knots."""
+    """Return (N, F, knots): the linear interpolation factors of each code between its two knots."""
     place = np.clip((np.log(np.maximum(values, _FIRST)) - knots[0]) / (knots[1] - knots[0]), 0, len(knots) - 1 - 1e-9)
     left = place.astype(int)
     result = np.zeros((*values.shape, len(knots)))
@@ -133,13 +133,13 @@ def _spread(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 
 def _without_light(array: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return (N, F, C) less its weighted mean over a pixel's frames: its own light, the other unknown, drops out."""
+    """Return (N, F, C) minus its weighted mean over a pixel's frames: this eliminates the pixel's radiance."""
     total = np.maximum(weights.sum(axis=1), 1e-12)[:, None, None]
     return array - (array * weights[..., None]).sum(axis=1, keepdims=True) / total
 
 
 def monotone(values: np.ndarray) -> np.ndarray:
-    """Return the nearest values that nowhere fall, in least squares (pooled adjacent violators, Ayer et al. 1955)."""
+    """Return the nearest non-decreasing values in least squares (pool adjacent violators, Ayer et al. 1955)."""
     blocks: list[list[float]] = []
     for value in values:
         blocks.append([float(value), 1.0])
@@ -151,16 +151,16 @@ def monotone(values: np.ndarray) -> np.ndarray:
 
 
 def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> Response:
-    """Return the curve of the grey patches of a chart: values (P, 3), codes / largest code, and reflectances (P,).
+    """Return the curve from grey patches in the same light: values (P, 3), codes / largest code; reflectances (P,).
 
-    All patches in the same light. Up to five give the gamma that fits them best, more a monotone curve through them
-    between logarithms. Raises InputError where they are fewer than two, black, clipped, alike, or fall.
+    Two to five patches give the best gamma, more a monotone curve through them between logarithms. Raises InputError
+    where patches are fewer than two, black, clipped, equal or not rising.
     """
     values, known = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
     if len(values) < 2:
         raise InputError(
-            "one grey patch tells a scale and no curve: give two or more of different reflectance, or, where the files"
-            " are linear or sRGB, --white X,Y,W,H=REFLECTANCE"
+            "one grey patch gives a scale, not a curve: add patches of other reflectance, or, where the files are"
+            " linear or sRGB, use --white X,Y,W,H=REFLECTANCE"
         )
     if not (np.isfinite(known).all() and (known > 0).all()):
         raise InputError("a patch's reflectance must be above 0, as in X,Y,W,H=0.18")
@@ -169,7 +169,7 @@ def response_from_patches(values: np.ndarray, reflectances: Sequence[float]) -> 
     if values.min() <= _LOW / 2 or values.max() >= _HIGH + 0.01:
         raise InputError("a grey patch is black or clipped; choose an exposure in which none is")
     if (np.diff(values, axis=0) <= 0).any() or (np.diff(known) <= 0).any():
-        raise InputError("grey patches of greater reflectance must have greater code values; check their places")
+        raise InputError("grey patches of higher reflectance must have higher code values; check their positions")
     codes = np.linspace(0, 1, TABLE)
     curves, errors = [], []
     for channel in values.T:

@@ -1,4 +1,4 @@
-"""Which photographs are to be developed: those of a capture's lists, or all of a folder; alone or in brackets."""
+"""Photographs to develop: those of a capture's lists or all of a folder, single or bracketed."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _SAME_LIGHT_DEGREES = 0.01
 
 @dataclass(frozen=True)
 class Exposing:
-    """How exposures are told. by: "exif" or "names". merged: those of one light are a bracket.
+    """Source of exposures. by: "exif" or "names". merged: photographs of one light are a bracket.
 
-    given: exposures that the numbers at the end of names stand for.
+    given: exposures that the numbers at the end of names index.
     """
 
     by: str
@@ -41,10 +41,7 @@ class Exposing:
 
 @dataclass(frozen=True)
 class Source:
-    """What is developed. capture: with the lights, cameras and masks of the shots, in their order; None without lists.
-
-    warnings: what is odd, for people.
-    """
+    """Photographs to develop. capture: lights, cameras and masks of the shots, in their order; None without lists."""
 
     shots: tuple[Shot, ...]
     capture: Capture | None
@@ -52,12 +49,12 @@ class Source:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Return the images of a folder, by suffix, in the order in which people count."""
+    """Return the images of a folder, by suffix, in natural order."""
     try:
-        found = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
+        files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{folder}: cannot be opened ({error.strerror}); give a folder of photographs") from error
-    return sorted((p for p in found if p.suffix.lower() in SUFFIXES or is_raw(p)), key=natural)
+    return sorted((p for p in files if p.suffix.lower() in SUFFIXES or is_raw(p)), key=natural)
 
 
 def read_source(
@@ -67,17 +64,17 @@ def read_source(
     colour_space: str = "auto",
     left_out: Sequence[Path] = (),
 ) -> Source:
-    """Return what is to be developed of a capture or a folder of photographs.
+    """Return the photographs to develop of a capture or a folder.
 
-    left_out: files that are no photographs of the subject, as dark frames. Raises InputError where there is nothing, or
-    exposures are not told.
+    left_out: files that do not show the subject, such as dark frames. Raises InputError where no photograph is left or
+    an exposure is unknown.
     """
     path = Path(path)
     others = {p.resolve() for p in left_out}
     if _has_lists(path):
         return _listed(read_spec(path, colour_space), decoder, exposing, others)
     if not path.is_dir():
-        raise InputError(f"{path}: is neither a capture nor a folder of photographs; give one of them")
+        raise InputError(f"{path}: is neither a capture nor a folder of photographs")
     images = [p for p in images_in(path) if p.resolve() not in others and p.stem.lower() != "mask"]
     if not images:
         raise InputError(f"{path}: holds no photographs (PNG, JPEG, TIFF, EXR, HDR or raw); give their folder")
@@ -88,7 +85,7 @@ def read_source(
     names: set[str] = set()
     for shot in shots:
         if shot.name in names:
-            raise InputError(f"{shot.images[0]}: another photograph has this name; keep one of them, or rename it")
+            raise InputError(f"{shot.images[0]}: another photograph has this name; remove or rename it")
         names.add(shot.name)
     size = ImageStore(decoder).size(shots[0].images[0])
     return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
@@ -101,13 +98,13 @@ def _has_lists(path: Path) -> bool:
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:
-    """Return photographs as brackets, each alone where they are not to be merged, and warnings."""
+    """Return photographs as brackets (of one where they are not merged), and warnings."""
     if exposing is None:
         return [Bracket(path.stem, (path,), (1.0,)) for path in paths], []
     if exposing.merged:
         return brackets_of(paths, exposing.by, exposing.given)
-    found = amounts_of(paths, exposing.by, exposing.given)
-    return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, found, strict=True)], []
+    amounts = amounts_of(paths, exposing.by, exposing.given)
+    return [Bracket(p.stem, (p,), (amount,)) for p, (_, amount) in zip(paths, amounts, strict=True)], []
 
 
 def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | None, others: set[Path]) -> Source:
@@ -116,7 +113,7 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
         shots = [Shot(s.name, (s.image,), None, s.camera) for s in spec.observations]
         return Source(tuple(_sized(shots, capture)), capture)
     if odd := [shot for shot in spec.observations if shot.image.part is not None]:
-        raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; leave the option out")
+        raise InputError(f"{odd[0].image}: parts of one EXR have no exposures of their own; omit the option")
     listed = {shot.image.path.resolve(): n for n, shot in reversed(list(enumerate(spec.observations)))}
     paths = [shot.image.path for shot in spec.observations]
     if exposing.merged:
@@ -129,7 +126,7 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
             _same_light(spec, named)
             chosen.append((named[0], bracket))
     if len(chosen) < len(brackets):
-        warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} brackets beside it are not in its list")
+        warnings.append(f"{spec.source}: {len(brackets) - len(chosen)} brackets in its folders are not in its list")
     chosen.sort(key=lambda pair: pair[0])
     firsts = tuple(spec.observations[n] for n, _ in chosen)
     capture = build_capture(replace(spec, observations=firsts), decoder)
@@ -149,13 +146,13 @@ def _resolved(paths: Sequence[Path]) -> set[Path]:
 
 
 def _beside(spec: CaptureSpec, exposing: Exposing, known: set[Path]) -> list[Path]:
-    """Return the images in the folders of a list's that it does not name and that tell an exposure."""
+    """Return the unlisted images with an exposure in the folders of a list."""
     masks = {view.mask.path.resolve() for view in spec.views if view.mask}
     folders = dict.fromkeys(shot.image.path.parent for shot in spec.observations)
-    found = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
+    unlisted = [p for folder in folders for p in images_in(folder) if p.resolve() not in known | masks]
     if exposing.by == "exif":
-        return [path for path in found if exposure_of(read_bytes(path))]
-    return [path for path in found if name_amount(path.stem, exposing.given)]
+        return [path for path in unlisted if exposure_of(read_bytes(path))]
+    return [path for path in unlisted if name_amount(path.stem, exposing.given)]
 
 
 def _same_light(spec: CaptureSpec, named: Sequence[int]) -> None:
@@ -166,6 +163,6 @@ def _same_light(spec: CaptureSpec, named: Sequence[int]) -> None:
         b = np.asarray(other.vector) / max(np.linalg.norm(other.vector), 1e-30)
         if np.linalg.norm(a - b) > np.radians(_SAME_LIGHT_DEGREES) or other.camera != first.camera:
             raise InputError(
-                f"{other.where}: is in one bracket with {first.where}, and their lights differ; check the order of"
-                " exposures, or list one photograph of each bracket"
+                f"{other.where}: is in one bracket with {first.where}, but their lights differ; check the order of"
+                " exposures, or list one photograph per bracket"
             )

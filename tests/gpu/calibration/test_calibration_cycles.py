@@ -245,4 +245,4 @@ def test_nothing_is_overwritten(folder, tmp_path):
     (tmp_path / "capture.toml").write_text("mine")
     code, _, said = run_cli("calibrate", folder / "images", "--ball", folder / "mirror.exr", "--kind", "mirror",
                             "-o", tmp_path / "capture.toml", "--quiet")  # fmt: skip
-    assert code == 2 and "there already" in said and (tmp_path / "capture.toml").read_text() == "mine"
+    assert code == 2 and "exists" in said and (tmp_path / "capture.toml").read_text() == "mine"

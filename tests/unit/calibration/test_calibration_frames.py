@@ -38,7 +38,7 @@ def sensed(light, rng):
     return (rng.poisson(np.maximum(light, 0) * WELL) + READ * rng.standard_normal(light.shape)) / WELL
 
 
-def test_the_mean_of_dark_frames_is_taken_off():
+def test_the_mean_of_dark_frames_is_subtracted():
     rng = np.random.default_rng(0)
     offset = rng.uniform(0.01, 0.05, (*SHAPE, 3))
     darks = [(None, offset + 0.004 * rng.standard_normal(offset.shape)) for _ in range(16)]
@@ -52,7 +52,7 @@ def test_each_exposure_has_its_own_dark_frame():
     dark = mean_dark(levels)
     assert dark.of(1.0, "a")[0, 0, 0] == pytest.approx(0.015) and dark.of(4.1, "a")[0, 0, 0] == pytest.approx(0.03)
     assert dark.of(None, "a")[0, 0, 0] == pytest.approx((0.015 + 0.03) / 2)
-    with pytest.raises(InputError, match="photo 3: no dark frame has its exposure; take one, or let --scale-dark"):
+    with pytest.raises(InputError, match="photo 3: no dark frame has its exposure; photograph one, or use --scale-dark"):
         dark.of(2.0, "photo 3")
 
 

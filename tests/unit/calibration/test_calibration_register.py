@@ -67,7 +67,7 @@ def test_shifts_count_from_the_reference():
     np.testing.assert_allclose(found.pixels, shifts - shifts[4], atol=0.1)
 
 
-def test_a_frame_of_something_else_is_told_of_and_not_moved():
+def test_a_frame_of_another_subject_is_reported_and_not_moved():
     frames, shifts = photographs(14)
     frames[5] = photographs(1, seed=77)[0][0]
     frames[9] = np.random.default_rng(0).random(frames[9].shape)
@@ -122,7 +122,7 @@ def test_an_image_is_moved_back_as_a_wave_of_known_phase():
         assert np.abs(moved[..., 0] - wave(x, y))[inside].max() < 0.01
 
 
-def test_what_comes_from_beyond_the_frame_has_weight_0():
+def test_pixels_from_outside_the_frame_have_weight_0():
     moved = moved_back(rgba(np.ones((20, 30))), 2.0, -1.0)
     expected = np.ones((20, 30))
     expected[:, -2:] = expected[0] = 0

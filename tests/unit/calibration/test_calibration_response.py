@@ -145,8 +145,8 @@ def test_a_step_chart_gives_the_curve_through_its_patches():
         ([0.5], [0.18], "--white"),
         ([0.5, 0.7], [0.18, 0.0], "above 0"),
         ([0.5, 0.7], [0.18, float("nan")], "above 0"),
-        ([0.5, 0.4], [0.18, 0.5], "greater code values"),
-        ([0.5, 0.5], [0.18, 0.18], "greater code values"),
+        ([0.5, 0.4], [0.18, 0.5], "higher code values"),
+        ([0.5, 0.5], [0.18, 0.18], "higher code values"),
         ([0.5, 1.0], [0.18, 0.9], "black or clipped"),
         ([0.0, 0.5], [0.03, 0.9], "black or clipped"),
     ],
@@ -177,7 +177,7 @@ def test_a_curve_may_be_lines_of_numbers(tmp_path):
     ("name", "text", "words"),
     [
         ("a.toml", "format = 1\ncodes = [0, 1]\nred = [0, 1]\ngreen = [0, 1]\n", "'blue'"),
-        ("a.toml", "format = 2\n", "no response curve"),
+        ("a.toml", "format = 2\n", "not a response curve"),
         ("a.toml", "colour = 1\n", "unknown key 'colour'"),
         ("a.toml", "format = ", "not valid TOML"),
         ("a.toml", "format = 1\ncodes = [0, 1]\nred = [0, 1]\ngreen = [0, 1]\nblue = [0, 1, 2]\n", "as many numbers"),
@@ -198,7 +198,7 @@ def test_broken_curve_files_are_refused_by_name(tmp_path, name, text, words):
     assert name in str(error.value)
 
 
-def test_a_missing_curve_file_is_told(tmp_path):
+def test_a_missing_curve_file_is_an_error(tmp_path):
     for name in ("no.toml", "no.csv"):
         with pytest.raises(InputError, match=name):
             read_response(tmp_path / name)

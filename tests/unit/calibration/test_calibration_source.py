@@ -40,17 +40,17 @@ def photograph(path, seconds=None, f_number=None, iso=None, value=100, size=(4, 
         ("lamp_0s", None),
     ],
 )
-def test_the_end_of_a_name_tells_its_exposure(stem, expected):
+def test_the_end_of_a_name_gives_the_exposure(stem, expected):
     found = name_amount(stem)
     assert found == (None if expected is None else (expected[0], pytest.approx(expected[1]), expected[2]))
 
 
-def test_names_are_sorted_as_people_count(tmp_path):
+def test_names_sort_in_natural_order(tmp_path):
     names = ["a10", "a9", "a1", "B2"]
     assert [p.name for p in sorted((tmp_path / n for n in names), key=natural)] == ["a1", "a9", "a10", "B2"]
 
 
-def test_a_bracket_ends_where_an_exposure_comes_again(tmp_path):
+def test_a_bracket_ends_where_an_exposure_repeats(tmp_path):
     times = [(1, 60), (1, 15), (1, 240)] * 3
     paths = [photograph(tmp_path / f"IMG_{k + 8}.png", t, (8, 1), 100) for k, t in enumerate(times)]
     brackets, warnings = brackets_of(paths[::-1], "exif")
@@ -59,7 +59,7 @@ def test_a_bracket_ends_where_an_exposure_comes_again(tmp_path):
     assert brackets[1].amounts == pytest.approx((1 / 240 / 64, 1 / 60 / 64, 1 / 15 / 64))
 
 
-def test_a_missing_photograph_of_a_bracket_is_warned_of(tmp_path):
+def test_a_missing_photograph_of_a_bracket_gives_a_warning(tmp_path):
     times = [(1, 60), (1, 15), (1, 60), (1, 60), (1, 15)]
     paths = [photograph(tmp_path / f"{k}.png", t) for k, t in enumerate(times)]
     brackets, (warning,) = brackets_of(paths, "exif")
@@ -73,7 +73,7 @@ def test_brackets_by_name_share_what_comes_before_the_exposure(tmp_path):
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_numbers_at_the_end_stand_for_the_exposures_that_are_given(tmp_path, first):
+def test_numbers_at_the_end_index_the_given_exposures(tmp_path, first):
     paths = [tmp_path / f"007_{k + first}.png" for k in range(3)]
     (bracket,), _ = brackets_of(paths, "names", (0.5, 0.125, 2.0))
     assert [(p.name, a) for p, a in zip(bracket.paths, bracket.amounts, strict=True)] == [
@@ -81,13 +81,13 @@ def test_numbers_at_the_end_stand_for_the_exposures_that_are_given(tmp_path, fir
     ]  # fmt: skip
 
 
-def test_exposures_that_nobody_tells_are_refused(tmp_path):
+def test_unknown_exposures_are_refused(tmp_path):
     plain = [photograph(tmp_path / f"{k}.png") for k in range(3)]
     with pytest.raises(InputError, match=r"0\.png: has no exposure time in its EXIF; .*choose names"):
         brackets_of(plain, "exif")
-    with pytest.raises(InputError, match=r"0\.png: its name tells no exposure"):
+    with pytest.raises(InputError, match=r"0\.png: its name has no exposure"):
         brackets_of(plain, "names")
-    with pytest.raises(InputError, match="some names tell seconds and some EV"):
+    with pytest.raises(InputError, match="some names have seconds and some EV"):
         brackets_of([tmp_path / "a_ev0.png", tmp_path / "a_2s.png"], "names")
     with pytest.raises(InputError, match="--exposures has only 2"):
         brackets_of([tmp_path / f"a_{k}.png" for k in range(3)], "names", (1.0, 2.0))
@@ -97,7 +97,7 @@ def test_exposures_that_nobody_tells_are_refused(tmp_path):
         brackets_of([tmp_path / "a_1s.png", tmp_path / "a_1000ms.png"], "names")
 
 
-def test_a_folder_is_all_its_photographs_but_what_is_left_out(tmp_path):
+def test_a_folder_gives_all_photographs_except_left_out_ones(tmp_path):
     for name in ("10.png", "9.png", "mask.png", "dark.png"):
         photograph(tmp_path / name)
     (tmp_path / "notes.txt").write_text("no photograph")
@@ -123,7 +123,7 @@ def test_a_list_may_name_one_photograph_of_each_bracket(tmp_path):
     ]
     found = [observation.light.vector for observation in source.capture.observations]
     np.testing.assert_allclose(found, LIGHTS[[3, 1, 0, 4]])
-    assert "1 brackets beside it are not in its list" in source.warnings[0]
+    assert "1 brackets in its folders are not in its list" in source.warnings[0]
 
 
 def test_a_list_may_name_all_photographs_of_a_bracket_with_one_light(tmp_path):
@@ -133,7 +133,7 @@ def test_a_list_may_name_all_photographs_of_a_bracket_with_one_light(tmp_path):
     assert [len(s.images) for s in source.shots] == [2] * 5
     np.testing.assert_allclose([o.light.vector for o in source.capture.observations], LIGHTS)
     lists(tmp_path, names, np.repeat(LIGHTS, 2, axis=0)[1:].tolist() + [LIGHTS[0]])
-    with pytest.raises(InputError, match="line 2: is in one bracket with .*line 1, and their lights differ"):
+    with pytest.raises(InputError, match="line 2: is in one bracket with .*line 1, but their lights differ"):
         read_source(tmp_path, decode_png, EXIF)
 
 

@@ -196,7 +196,7 @@ def test_shifted_frames_are_moved_onto_the_reference(tmp_path):
 BROKEN = [
     (["--dark", "no.png"], "--dark no.png: is not there"),
     (["--dark", "capture/bright.png"], "is no brighter than the dark frame"),
-    (["--dark", "capture/small.png"], "is 5×4 pixels where 48×48 are wanted"),
+    (["--dark", "capture/small.png"], "is 5×4 pixels instead of 48×48"),
     (["--flat", "capture/white.png"], "100% of the flat field is clipped"),
     (["--white", "1,2"], "write X,Y,W,H"),
     (["--white", "-1,0,5,5"], "write X,Y,W,H"),
@@ -205,11 +205,11 @@ BROKEN = [
     (["--white", "3,40,6,6=1.8"], "a reflectance is above 0 and at most 1"),
     (["--white", "1,0,1"], "gains are above 0"),
     (["--white", "40,0,4,4", "--dark", "capture/dark"], "the white patch is black in a channel"),
-    (["--grey-card", "3,40,6,6=0.18"], "one grey patch tells a scale and no curve"),
+    (["--grey-card", "3,40,6,6=0.18"], "one grey patch gives a scale, not a curve"),
     (["--grey-card", "3,40,6,6"], "tell each patch's reflectance"),
     (["--response", "no.toml"], "no.toml: cannot be read"),
     (["--response", "a.toml", "--grey-card", "3,40,6,6=0.18"], "give one of them"),
-    (["--brackets", "names"], "its name tells no exposure"),
+    (["--brackets", "names"], "its name has no exposure"),
     (["--brackets", "exif", "--exposure", "exif"], "give one of them"),
     (["--brackets", "exif", "--exposures", "1,2"], "add --brackets names"),
     (["--brackets", "names", "--exposures", "1,0"], "give exposures above 0"),
@@ -242,7 +242,7 @@ def _joined(options):
     return joined
 
 
-def test_an_output_that_is_there_is_left_alone(photographs, tmp_path):
+def test_an_existing_output_stays_unchanged(photographs, tmp_path):
     before = listing(tmp_path)
     code, _, err = run_cli("develop", photographs, "-o", photographs)
     assert code == 2 and "not empty" in err and listing(tmp_path) == before
@@ -252,7 +252,7 @@ def test_a_bracket_that_clips_everywhere_is_named(photographs, tmp_path):
     for i in range(3):
         write(photographs / f"{6 + i:02d}.png", np.ones((SIZE, SIZE, 3)), TIMES[i])
     code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--brackets", "exif", "--quiet")
-    assert code == 2 and "06.png: all its pixels are clipped" in err and not (tmp_path / "out").exists()
+    assert code == 2 and "06.png: all pixels are clipped" in err and not (tmp_path / "out").exists()
 
 
 def test_two_photographs_of_one_name_are_refused(photographs, tmp_path):
@@ -281,7 +281,7 @@ def test_brackets_without_a_curve_in_them_are_refused(tmp_path, files, words):
     assert code == 2 and words in err and not (tmp_path / "a.toml").exists()
 
 
-def test_wide_steps_are_warned_of(tmp_path):
+def test_wide_steps_give_a_warning(tmp_path):
     (tmp_path / "brackets").mkdir()
     wedge = np.exp(np.linspace(np.log(0.01), np.log(20), 400)).reshape(20, 20, 1) * np.ones(3)
     for i in range(3):
