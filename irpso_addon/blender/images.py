@@ -1,8 +1,8 @@
 """PNG, JPEG, TIFF and HDR images, read by Blender's loader.
 
-Measured on bpy 5.0.1: 8-bit images come out of ``pixels`` as their code values whatever their colour space; 16-bit ones
-are converted from the colour space that is set, sRGB by default; "Non-Color" leaves them alone. "STRAIGHT" alpha
-multiplies 16-bit colours by alpha; "CHANNEL_PACKED" does not. No format is turned by its EXIF orientation.
+Measured on bpy 5.0.1: ``pixels`` of 8-bit images are code values in every colour space; those of 16-bit images are
+converted from the image's colour space, sRGB by default, and unchanged with "Non-Color". "STRAIGHT" alpha multiplies
+16-bit colours by alpha; "CHANNEL_PACKED" does not. Blender does not apply the EXIF orientation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..core.errors import InputError
 def decode(path: Path | str) -> Picture:
     """Return a PNG, JPEG, TIFF or HDR file's own values, (H, W, 4), upright: a ``capture.picture.Decoder``.
 
-    No colour curve is undone. Raw files go to rawpy, which Blender does not bring.
+    No colour curve is inverted. rawpy, which Blender does not include, reads raw files.
     Raises InputError where the file is missing, damaged or of another format.
     """
     path = Path(path)
@@ -40,7 +40,7 @@ def decode(path: Path | str) -> Picture:
         width, height = image.size
         stored = (header.height, header.width) if header.orientation >= 5 else (header.width, header.height)
         if (width, height) != stored:
-            raise InputError(f"{path}: Blender cannot decode it; it is damaged or of a rare kind: save it again as PNG")
+            raise InputError(f"{path}: Blender cannot decode it; it is damaged or of a rare format; save it as PNG")
         values = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(values)
     finally:

@@ -12,18 +12,18 @@ from ..geometry.surface.mesh import MeshData, check_uvs
 from ..geometry.surface.slots import slot_names
 from ..geometry.surface.udim import lay_out
 
-_TOGETHER = 8000  # triangles of which Blender finds the tangents at once, in one thread
-# Modifiers that repeat faces with the texture coordinates that they have; a node group may.
+_TOGETHER = 8000  # most triangles for which Blender computes tangents in one thread
+# Modifiers that repeat faces with their texture coordinates; a node group may.
 _COPYING = {"ARRAY", "MIRROR", "SOLIDIFY", "SCREW", "PARTICLE_INSTANCE", "NODES"}
 
 
 def extract_mesh(obj: Any, slots: Sequence[int] | None = None) -> MeshData:
-    """Return the triangles of a mesh object, modifiers applied as the viewport shows them, in world space.
+    """Return the triangles of a mesh object in world space, with the modifiers of the viewport.
 
-    Texture coordinates come from the active UV map (the one highlighted in Blender's list, not the one with the camera
-    mark). Tangents are MikkTSpace of the triangles rather than of the quads, as Cycles has them. slots: the material
-    slots that are asked for, None for all. Raises InputError, by the object's name, where there is no such surface or
-    its UV map cannot hold one; overlaps are found by ``bake_uv``.
+    Texture coordinates come from the active UV map (highlighted in Blender's list, not the one with the camera mark).
+    Tangents are MikkTSpace of the triangles, as in Cycles, not of the quads. slots: material slots, None for all.
+    Raises InputError, with the object's name, where there is no such surface or its UV map is unusable; ``bake_uv``
+    detects overlaps.
     """
     import bpy
 
@@ -66,7 +66,7 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     positions = coordinates[vertices].reshape(-1, 3, 3)
     if not np.isfinite(positions).all():
         raise InputError(f"mesh object '{name}' has vertices that are not numbers; repair the mesh")
-    # Blender draws what has a slot beyond the last with the last.
+    # Blender draws faces of a missing slot with the last slot.
     materials = np.minimum(_read(mesh.loop_triangles, "material_index", count, np.int32), max(len(names) - 1, 0))
     solved = None if slots is None else np.isin(materials, np.asarray(slots, np.int32))
     if solved is not None and not solved.any():
@@ -98,15 +98,15 @@ def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -
 
 
 def _tangents(coordinates: np.ndarray, vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> np.ndarray:
-    """Return (T, 3, 4) MikkTSpace tangents and signs of triangles, computed by Blender on passing meshes of them.
+    """Return (T, 3, 4) MikkTSpace tangents and signs of triangles, computed by Blender on temporary meshes.
 
-    A large mesh goes in parts, each with all triangles around its corners, which is all that a tangent depends on: on
-    more than about 10 000 triangles Blender works in threads, and the last bits differ from run to run.
+    A large mesh is computed in parts. Each has all triangles around its corners, on which a tangent depends: above
+    about 10 000 triangles Blender uses threads, and the last bits differ from run to run.
     """
     triangles = vertices.reshape(-1, 3)
     if len(triangles) <= _TOGETHER:
         return _tangents_together(coordinates, triangles, normals, uvs)
-    # By place: Mikkelsen welds corners by their coordinates, whatever their vertex.
+    # By place: Mikkelsen welds corners by coordinates, not by vertex.
     _, places = np.unique(coordinates.reshape(-1, 3), axis=0, return_inverse=True)
     corners = places.reshape(-1)[triangles]
     result = np.empty((len(triangles), 3, 4), np.float32)
@@ -120,7 +120,7 @@ def _tangents(coordinates: np.ndarray, vertices: np.ndarray, normals: np.ndarray
 
 
 def _parts(middles: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield compact parts of triangles, cut in two across their longest side again and again; in rising order."""
+    """Yield compact parts of triangles, from repeated halving across the longest side; indices ascend."""
     if len(chosen) <= _TOGETHER // 2:
         yield np.sort(chosen)
         return
@@ -147,7 +147,7 @@ def _tangents_together(
         mesh.polygons.add(count)
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
         mesh.update(calc_edges=True)
-        # Not kept in a variable: the next call adds a layer, and would leave it pointing at freed memory.
+        # Not kept in a variable: the next call adds a layer and frees the memory it would point to.
         mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
         mesh.normals_split_custom_set(normals.reshape(-1, 3))
         mesh.calc_tangents(uvmap="irpso")
@@ -162,7 +162,7 @@ def _to_world(name: str, corners: dict[str, Any], matrix: np.ndarray) -> MeshDat
     linear = matrix[:3, :3]
     normals = corners["normals"] @ np.linalg.inv(linear)
     tangents = corners["tangents"][..., :3] @ linear.T
-    # A mirrored object turns n × t over, so the sign follows.
+    # A mirrored object flips n × t, so the sign flips.
     signs = corners["tangents"][..., 3:] * np.sign(np.linalg.det(linear))
     return MeshData(
         name=name,

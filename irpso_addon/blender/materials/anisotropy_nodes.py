@@ -1,4 +1,4 @@
-"""Nodes that turn a grain's pair of numbers into Anisotropic, Anisotropic Rotation and Tangent of Principled BSDF."""
+"""Nodes from a grain's two numbers to Anisotropic, Anisotropic Rotation and Tangent of Principled BSDF."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _TURNS = 1 / (4 * math.pi)  # from twice the grain's angle in radians to full tu
 
 
 def connect_grain(nodes: OwnNodes, model: ReflectanceModel, surface, uv_map: str) -> dict[str, object]:
-    """Make the nodes that drive a Principled BSDF ``surface``; return parameter name → the socket that it drives.
+    """Make the nodes that drive a Principled BSDF ``surface``; return parameter name → socket.
 
-    [material] of the model names two scalars, ``anisotropy = [x, y]``, a cos 2θ and a sin 2θ of a grain of strength a
-    at the angle θ from the tangent of ``uv_map`` ("": the active one). Nothing is made where it names none. Raises
-    InputError where it names something else.
+    The model's [material] names two scalars, ``anisotropy = [x, y]``: a cos 2θ and a sin 2θ of a grain of strength a
+    at the angle θ from the tangent of ``uv_map`` ("": the active one). Without them no node is made. Raises InputError
+    where it names other parameters.
     """
     names = model.material.get("anisotropy")
     if names is None:

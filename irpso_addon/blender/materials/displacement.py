@@ -1,8 +1,8 @@
 """The recovered relief as displacement of a material.
 
-Measured in Cycles 4.2 to 5.2 on a card of 128 × 128 faces: with the method "Displacement and Bump" the shape is the
-relief's to a few thousandths of its height, and the normal map, which is connected as well, is not counted twice. With
-"Displacement Only" it is, by 20°, up to 4.5.
+Measured in Cycles 4.2 to 5.2 on a card of 128 × 128 faces: the method "Displacement and Bump" gives the relief's shape
+within a few thousandths of its height and does not count the connected normal map twice. "Displacement Only" does, by
+20°, up to 4.5.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .textures import data_image
 
 METHOD = "BOTH"
 DIVISION = "IRPSO Relief"  # the modifier of a card
-_FINEST, _SHOWN = 8, 6  # halvings of a card's side at most, in renders and in the viewport
+_FINEST, _SHOWN = 8, 6  # most halvings of a card's side: in renders, in the viewport
 _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
 
 
 def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
-    """Make image and Displacement node; return its output. A card is one unit wide, whatever its texels are."""
+    """Make image and Displacement node; return its output. A card is one unit wide at any resolution."""
     image = data_image(maps, "height", height.values[..., None], subject, folder)
     # Repeated, the corners of a card would take half of their height from the other side.
     texture = nodes.node(
@@ -41,7 +41,7 @@ def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, fold
 
 
 def divide(card, texels: int) -> None:
-    """Divide a card of one face into about as many as its longer side has texels; 0 takes our division away again."""
+    """Subdivide a one-face card to about ``texels`` faces along its longer side; 0 removes the subdivision."""
     modifier = card.modifiers.get(DIVISION)
     if not texels:
         if modifier is not None:

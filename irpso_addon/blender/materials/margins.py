@@ -1,7 +1,7 @@
-"""Maps as Blender's materials read them: normals in its tangent frame, and past every seam what lies on its other side.
+"""Maps for Blender materials: normals in Blender's tangent frame, and margins filled across seams.
 
-A renderer interpolates between texels, so at an island's edge it reads beyond it. With the other side's values there,
-at the places where they lie on the surface, both sides of a seam are interpolated towards the same.
+A renderer interpolates between texels, so at an island's edge it reads outside the island. The margin holds the values
+of the seam's other side, so both sides interpolate toward the same values.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from ...geometry.surface.mesh import MeshData
 from ...results.maps import Maps
 from .tangent_frames import to_blender, turned_normals, world_to_blender
 
-# Of the four texels around a place on the other side, those that are solved there must weigh so much.
+# Least bilinear weight of the solved texels among the four around a place on the other side.
 _LEAST = 0.05
 
 
 def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap | None) -> Maps:
     """Return maps with normals in the frame of Blender's Normal Map node, and their margin past seams filled.
 
-    maps: in the solver's frames. seams: of the domain, None to leave margins to what is written later.
+    maps: in the solver's frames. seams: of the domain; None leaves the margins unfilled.
     """
     values = turned_normals(maps.model, maps.values, mesh, bake, to_blender)
     maps, solved = replace(maps, values=values, tiles=mesh.tiles, wrapped=True), maps
@@ -53,24 +53,24 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
 def _carried(
     normals: np.ndarray, bake: SurfaceBake, taps: np.ndarray, weights: np.ndarray, beside: np.ndarray
 ) -> np.ndarray:
-    """Return (M, 3) world normals turned as the surface turns from where they are to the texel beside.
+    """Return (M, 3) world normals rotated as the surface turns from their place to the texel beside.
 
-    A normal map tells how far normals lean away from the surface, and past the edge a renderer has the surface's own
-    normal of the edge: on a sphere a normal left as it is would lean too far, past a crease by the crease's angle.
+    A normal map holds the tilt from the surface normal, and outside the edge a renderer uses the edge's normal: an
+    unrotated normal would tilt too far, across a crease by the crease's angle.
     """
     surface = bake.normal.reshape(-1, 3).astype(np.float64)
     a, b = np.einsum("nt,ntc->nc", weights, surface[taps]), surface[beside]
     a /= np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-30)
     cosine, axis = (a * b).sum(axis=-1, keepdims=True), np.cross(a, b)
-    # Rodrigues' formula for the least turn from a to b; of the many that turn a back on itself, any.
+    # Rodrigues' formula for the smallest rotation from a to b; for opposite vectors, any of them.
     along = axis * (axis * normals).sum(axis=-1, keepdims=True) / np.maximum(1 + cosine, 1e-6)
     return cosine * normals + np.cross(axis, normals) + along
 
 
 def _across(seams: SeamMap, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return of M texels past seams: where they are, the covered texel beside each, and what lies there on the surface.
+    """Return M texels past seams, the covered texel beside each, and their interpolation on the other side.
 
-    All are flat indices; the last are (M, 4) texels on the other side and (M, 4) weights, whose sums are 1.
+    All are flat indices. The last two are (M, 4) texels and (M, 4) weights that sum to 1.
     """
     height, width = covered.shape
     row, column, near_row, near_column = nearest_covered(covered)

@@ -25,11 +25,11 @@ from .textures import TAG as IMAGE_TAG
 from .textures import check_images, material_images
 
 TAG = "irpso_subject"
-ORIGIN = "irpso_origin"  # what a material was recovered from
-STAMP = "irpso_kept"  # which state of which recovery in a window it holds
+ORIGIN = "irpso_origin"  # source of a material
+STAMP = "irpso_kept"  # the recovery and state that a material holds
 _TRIAL = "trial, removed at once"
 
-# Principled without a specular layer is Lambert; without a map for it, roughness does not matter then.
+# Principled without a specular layer is Lambert; its roughness has no effect then.
 _MATTE = {"Roughness": 1.0, "Specular IOR Level": 0.0}
 _CHANNELS = ("Red", "Green", "Blue")
 
@@ -41,12 +41,11 @@ def build_material(
     uv_map: str = "",
     height: Height | None = None,
 ):
-    """Return the bpy material of a subject, made or brought up to date, with its maps as images.
+    """Return the bpy material of a subject, created or updated, with its maps as images.
 
-    images_folder: where pictures are kept; None packs them. uv_map: the mesh's UV map; "" takes the active one.
-    The model's table [material] chooses the ``shader``: "principled", "two_lobe", or anything else for image nodes
-    connected to the sockets of a Principled BSDF that the parameters name. Nodes the user added are left as they are.
-    height: displaces the surface, where the mesh is fine enough to show it.
+    images_folder: of the image files; None packs them. uv_map: the mesh's UV map; "" is the active one.
+    The model's [material] chooses the ``shader``: "two_lobe", or "principled": image nodes drive the sockets of a
+    Principled BSDF that the parameters name. Nodes of the user stay unchanged. height: displaces a fine enough mesh.
     Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
     """
     import bpy
@@ -76,9 +75,9 @@ def build_material(
 
 
 def subject_name(name: str, origin: str) -> str:
-    """Return the name for what is recovered from ``origin``: ``name``, unless that is of something else in this file.
+    """Return a subject name for a recovery from ``origin``: ``name``, numbered where another origin uses it.
 
-    Two captures may lie in folders of one name, and a mesh may be called like either: none may take another's maps.
+    Two captures may lie in folders of one name, and a mesh may have that name too: none may take another's maps.
     """
     import bpy
 
@@ -88,9 +87,9 @@ def subject_name(name: str, origin: str) -> str:
 
 
 def slots_subject(obj, slots: Sequence[int]) -> str:
-    """Return the name for what is recovered of some slots of an object: its own, and those of their materials.
+    """Return the subject name for some slots of an object: the object's name and those of their materials.
 
-    A material that was made so before gives the name that it was made of.
+    A material that IRPSO made under such a name gives its original name.
     """
     names = []
     for slot in slots:
@@ -104,7 +103,7 @@ def slots_subject(obj, slots: Sequence[int]) -> str:
 
 
 def check_material(model: ReflectanceModel, subject: str) -> None:
-    """Raise InputError where ``build_material`` would, whatever the maps; the open file is left as it was."""
+    """Raise InputError where ``build_material`` would; the open file stays unchanged."""
     import bpy
 
     _own_material(subject)
@@ -123,7 +122,7 @@ def check_material(model: ReflectanceModel, subject: str) -> None:
 def check_object(obj) -> None:
     """Raise InputError where the object is linked from a library, or cannot have materials.
 
-    The data of a local object may be linked where it has slots: the object then keeps materials of its own in them.
+    A local object with linked data needs slots: it then holds its own materials in them.
     """
     if obj.library is not None:
         raise InputError(
@@ -139,24 +138,24 @@ def check_object(obj) -> None:
 
 
 def other_uv_map(obj, name: str) -> str:
-    """Return the name of the UV map that maps were made in, "" where image nodes take it by themselves.
+    """Return the name of the maps' UV map, "" where image nodes use it by default.
 
-    They take the one with the camera mark; maps are made in the one that is highlighted.
+    Image nodes use the UV map with the camera mark; maps are made in the highlighted one.
     """
     marked = next((layer.name for layer in obj.data.uv_layers if layer.active_render), "")
     return "" if name == marked else name
 
 
 def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
-    """Put the material into these slots of an object; faces keep the slots they have, other slots their materials.
+    """Put the material into slots of an object; faces keep their slots, other slots their materials.
 
-    Without ``slots`` it is put into the active one, unless another has it already; an object without slots gets one.
-    Raises InputError as ``check_object`` does.
+    Without ``slots``: into the active slot, unless a slot has it; an object without slots gets one.
+    Raises InputError like ``check_object``.
     """
     check_object(obj)
     if slots and obj.material_slots:
         if (last := max(slots)) >= len(obj.material_slots):
-            raise InputError(f"object '{obj.name}' has no material slot {last} any more; give it back its slots")
+            raise InputError(f"object '{obj.name}' has no material slot {last} any more; add its slots again")
         for slot in slots:
             _fill_slot(obj, slot, material)
         return
@@ -170,13 +169,13 @@ def apply_material(obj, material, slots: Sequence[int] = ()) -> None:
 
 def _fill_slot(obj, index: int, material) -> None:
     slot = obj.material_slots[index]
-    if obj.data.library is not None:  # what is linked cannot be changed: the object has a material of its own there
+    if obj.data.library is not None:  # linked data cannot be changed: the object holds the material
         slot.link = "OBJECT"
     slot.material = material
 
 
 def find_card(subject: str):
-    """Return the object that ``card_object`` made for this subject before, None where there is none (any more)."""
+    """Return the object that ``card_object`` made for this subject, or None."""
     import bpy
 
     return next((obj for obj in bpy.data.objects if obj.get(TAG) == subject and obj.library is None), None)
@@ -194,8 +193,8 @@ def subject_object(uid: int | None, subject: str):
 def card_object(subject: str, height: int, width: int, displaced: bool = False):
     """Return a flat mesh object for maps of a card, 1 unit wide, facing +Z, its UV square the image.
 
-    It is made once and found again by its tag, and takes the maps' proportions unless the user has edited its mesh; a
-    new one is linked into the scene's collection. displaced: whether it is divided finely enough to show a relief.
+    A tag identifies it later. It takes the maps' proportions unless the user has edited its mesh; a new one is linked
+    into the scene's collection. displaced: subdivide it to show a relief.
     """
     import bpy
 
@@ -216,7 +215,7 @@ def card_object(subject: str, height: int, width: int, displaced: bool = False):
 
 
 def _give_height(mesh, x: float, y: float) -> None:
-    """Put the corners of a card's mesh at ±y where they are still the four that it was made with."""
+    """Put the corners of a card's mesh at ±y, unless the user has edited them."""
     corners = [vertex.co for vertex in mesh.vertices]
     made = len(corners) == 4 and all(abs(c.x) == x and c.z == 0 and abs(c.y) == abs(corners[0].y) for c in corners)
     if made and abs(corners[0].y) != np.float32(y):
@@ -226,9 +225,9 @@ def _give_height(mesh, x: float, y: float) -> None:
 
 
 def save_blend(path: str | Path) -> Path:
-    """Save the open file as a copy to ``path``, whole or not at all; pictures in folders get relative paths there.
+    """Save a copy of the open file to ``path``, complete or not at all; image files get relative paths.
 
-    The session goes on under its own file name. Raises InputError where the place cannot be written.
+    The session keeps its file name. Raises InputError where ``path`` cannot be written.
     """
     import bpy
 
@@ -242,7 +241,7 @@ def save_blend(path: str | Path) -> Path:
         with replacing_file(path, durable=True) as partial:
             for image in images:
                 image.filepath = bpy.path.relpath(bpy.path.abspath(image.filepath), start=str(path.parent))
-            # The paths are right for the new place already, so Blender must not remap them.
+            # The paths fit the new place, so Blender must not remap them.
             with contextlib.redirect_stdout(io.StringIO()):  # Blender reports what it writes
                 bpy.ops.wm.save_as_mainfile(
                     filepath=str(partial), copy=True, check_existing=False, relative_remap=False
@@ -256,7 +255,7 @@ def save_blend(path: str | Path) -> Path:
 
 
 def _own_material(subject: str):
-    """Return the material made for this subject before, or None; InputError where it is linked from a library."""
+    """Return this subject's material, or None. Raises InputError where it is linked from a library."""
     import bpy
 
     found = [material for material in bpy.data.materials if material.get(TAG) == subject]
@@ -276,8 +275,8 @@ def _new_material(subject: str):
     if material.node_tree is None:  # since Blender 5.0 every material has one
         material.use_nodes = True
     material.node_tree.nodes.clear()
-    # Cycles darkens what faces away from the geometry's normal (by 1 % where the light is at 50°, more beyond); the
-    # maps were found without that term and are rendered right without it.
+    # Cycles darkens surfaces by the angle between shading and geometric normal (1 % where the light is at 50°, more
+    # beyond). The recovery has no such term, so the material must not have it.
     if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
         material.cycles.use_bump_map_correction = False
     material[TAG] = subject
@@ -285,9 +284,9 @@ def _new_material(subject: str):
 
 
 def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: str, wrapped: bool) -> dict[str, object]:
-    """Make the image nodes; return parameter name → the socket that carries its value (or the shading normal)."""
+    """Make the image nodes; return parameter name → the socket with its value (or the shading normal)."""
     sources = {}
-    # Repeated, the outer half of a card's border texels would be mixed with those of the opposite border.
+    # With repetition the outer half of a card's border texels would mix with the opposite border.
     extension = "REPEAT" if wrapped else "EXTEND"
     uv = nodes.node("uv", "ShaderNodeUVMap", (-1080, 0), uv_map=uv_map) if uv_map else None
     for row, table in enumerate(tables):
@@ -311,12 +310,12 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
 
 
 def _label(table: MapTable) -> str:
-    """Return the names of the sockets that a map drives, as Blender has them; of a parameter without one, its own."""
+    """Return Blender's names of the sockets that a map drives; a parameter without a socket keeps its own name."""
     return ", ".join(p.socket or p.name.replace("_", " ").title() for p in table.parameters)
 
 
 def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str, object]:
-    """Split a map that parameters share; a parameter of several components gets its channels joined again."""
+    """Split a map that parameters share; join the channels of a parameter of several components."""
     split = nodes.node(f"split {table.name}", "ShaderNodeSeparateColor", (-540, y), mode="RGB")
     nodes.link(texture.outputs["Color"], split.inputs["Color"])
     channels = [*(split.outputs[name] for name in _CHANNELS), texture.outputs["Alpha"]]
@@ -339,7 +338,7 @@ def _two_lobe(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[ob
 
 
 def _principled(nodes: OwnNodes, model: ReflectanceModel, uv_map: str) -> tuple[object, list[tuple[str, object]]]:
-    """Make the Principled BSDF; return its output and pairs of a parameter's name and a socket that it drives."""
+    """Make the Principled BSDF; return its output and pairs of parameter name and driven socket."""
     table = model.material.get("settings", {})
     if not isinstance(table, dict):
         raise InputError(f"model {model.name}: settings is a table, written [material.settings], not {table!r}")

@@ -1,4 +1,4 @@
-"""Shader nodes: our own are tagged, found again and brought up to date; everybody else's are left alone."""
+"""Shader nodes: IRPSO's nodes are tagged and updated; all others stay unchanged."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ TAG = "irpso_role"
 
 
 class OwnNodes:
-    """The nodes of a tree that IRPSO made, each known by its role.
+    """IRPSO's nodes of a tree, each identified by its role.
 
-    Use it as a context: on leaving, own nodes whose role was not asked for are removed. A socket that the user has
-    connected to a node of their own keeps that connection.
+    A context manager: leaving it removes the IRPSO nodes whose role was not requested. A socket that the user has
+    connected to another node keeps that connection.
     """
 
     def __init__(self, tree):
@@ -30,7 +30,7 @@ class OwnNodes:
                 self._tree.nodes.remove(node)
 
     def node(self, role: str, kind: str, place: tuple[float, float], label: str = "", **properties: Any):
-        """Return the node of this role, made at ``place`` if it is not there (a user may have moved it since)."""
+        """Return the node of this role; a new one is placed at ``place``."""
         node = self._found.get(role)
         if node is not None and node.bl_idname != kind:
             self._tree.nodes.remove(node)
@@ -57,7 +57,7 @@ class OwnNodes:
 
 def set_input(node, name: str, value: Any) -> None:
     """Set the value of a socket by name; numbers become opaque grey where it is a colour."""
-    # By name alone Blender finds only sockets that the current settings enable.
+    # Lookup by name finds only sockets that the current settings enable.
     socket = next(socket for socket in node.inputs if socket.name == name)
     if hasattr(socket.default_value, "__len__") and not hasattr(value, "__len__"):
         value = (value, value, value, 1.0)[: len(socket.default_value)]

@@ -1,9 +1,9 @@
-"""Between the solver's tangent frame and the one in which Blender reads a normal map.
+"""Normals between the solver's tangent frame and that of Blender's normal maps.
 
-The solver's frame is orthonormal in the world. That of Cycles is the interpolated tangent as it comes, not at right
-angles to the normal, in the object's own space; what it gives is carried into the world as a normal is. On the coarse
-monkey the two differ by up to 20°, and by more on an object of unequal scale. Written this way, 99 % of the pixels
-agree with Cycles within 0.03° (4.2 to 5.2). EEVEE's frame differs again, by being the world's and of quads.
+The solver's frame is orthonormal in world space. Cycles uses the interpolated tangent in object space, not at right
+angles to the normal, and transforms the resulting normal to world space. On the coarse monkey the two differ by up to
+20°, more on an object of unequal scale. After this conversion 99 % of the pixels agree with Cycles within 0.03° (4.2 to
+5.2). EEVEE's frame is a third one: in world space, of quads.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ Change = Callable[[MeshData, SurfaceBake, np.ndarray], np.ndarray]
 
 
 def to_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
-    """Return a normal map for Blender, (H, W, 3) float32 unit XYZ, of normals (H, W, 3) in the solver's frame.
+    """Return a normal map for Blender, (H, W, 3) float32 unit XYZ, from normals (H, W, 3) in the solver's frame.
 
-    Texels outside the coverage come back as (0, 0, 1).
+    Texels outside the coverage become (0, 0, 1).
     """
     return _convert(mesh, bake, normals, _into_blender)
 
 
 def from_blender(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
-    """Return normals in the solver's frame, (H, W, 3) float32 unit, of a normal map for Blender: XYZ in −1…1."""
+    """Return normals in the solver's frame, (H, W, 3) float32 unit, from a normal map for Blender: XYZ in −1…1."""
     return _convert(mesh, bake, normals, _into_solver)
 
 
@@ -52,7 +52,7 @@ def world_to_blender(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray, worl
 def turned_normals(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], mesh: MeshData, bake: SurfaceBake, change: Change
 ) -> dict[str, np.ndarray]:
-    """Return maps whose normal, where they hold one per texel, has gone through ``to_blender`` or ``from_blender``."""
+    """Return maps with their normals converted by ``change``: ``to_blender`` or ``from_blender``."""
     return {
         name: change(mesh, bake, value) if model.parameter(name).is_normal and np.ndim(value) == 3 else value
         for name, value in values.items()
@@ -61,8 +61,8 @@ def turned_normals(
 
 def _into_blender(solver: np.ndarray, blender: np.ndarray, linear: np.ndarray, normals: np.ndarray) -> np.ndarray:
     world = np.einsum("nij,ni->nj", solver, normals)
-    # The weights of tangent, bitangent and normal that add up to a vector, by Cramer's rule up to a positive factor:
-    # the lengths do not matter, and a collapsed frame does no harm.
+    # Coordinates in tangent, bitangent and normal by Cramer's rule, up to a positive factor: lengths cancel, and a
+    # collapsed frame is harmless.
     tangent, bitangent, normal = blender.transpose(1, 0, 2)
     across = np.stack([np.cross(bitangent, normal), np.cross(normal, tangent), np.cross(tangent, bitangent)], axis=1)
     side = np.sign(np.einsum("ni,ni->n", across[:, 2], normal))[:, None]
@@ -84,7 +84,7 @@ def _convert(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, change) -> 
 
 
 def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3) rows tangent, bitangent, normal in the object's space, of the lengths that Cycles has them."""
+    """Return (N, 3, 3) rows tangent, bitangent, normal in object space, with the lengths that Cycles uses."""
     linear = mesh.matrix[:3, :3]
     number = bake.triangle.ravel()[texels]
     weights = _corner_weights(mesh.uvs[number].astype(np.float64), bake.uv.reshape(-1, 2)[texels])[..., None]
@@ -98,7 +98,7 @@ def _blender_frames(mesh: MeshData, bake: SurfaceBake, texels: np.ndarray) -> np
 
 
 def _normals_are_unit() -> bool:
-    """Return whether Cycles normalises the interpolated normal first, as it does since 5.1; up to 5.0 it does not."""
+    """Return whether Cycles normalises the interpolated normal first: since 5.1."""
     import bpy
 
     return bpy.app.version >= (5, 1, 0)

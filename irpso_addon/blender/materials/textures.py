@@ -1,4 +1,4 @@
-"""Maps as Blender images: one image a map, found again by its tag when the same subject is recovered anew."""
+"""Maps as Blender images: one per map, identified by its tag when the subject is recovered again."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ TAG = "irpso_map"
 
 
 def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, object]:
-    """Return map name → bpy image, made or brought up to date.
+    """Return map name → bpy image, created or updated.
 
-    folder: where the picture files are kept; None packs them into the .blend. A map is a 16-bit PNG, or a 32-bit EXR
-    where its range does not fit 0…1; of UDIM tiles, one for each, in a tiled image. Raises InputError where the folder
-    cannot be written or the image is linked.
+    folder: of the image files; None packs them into the .blend. A map is a 16-bit PNG, or a 32-bit EXR where its range
+    exceeds 0…1; UDIM tiles have one file each in a tiled image. Raises InputError where the folder cannot be written
+    or the image is linked.
     """
     tables = map_tables(maps.model)
     images = {table.name: _own_image(subject, table.name) for table in tables}
@@ -39,8 +39,8 @@ def material_images(maps: Maps, subject: str, folder: Path | None) -> dict[str, 
 
 
 def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None):
-    """Return the bpy image of numbers (H, W, 1) that are no map of the model's, over the same texels, as 32-bit EXR."""
-    table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that does not fit a PNG
+    """Return the bpy image, a 32-bit EXR, of values (H, W, 1) over the maps' texels that are no map of the model."""
+    table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that exceeds PNG's
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
         where, title = Path(temporary) if folder is None else folder, bpy_name(subject, name)
         paths = _write_pictures(replace(maps, values={name: values}), table, where, title)
@@ -50,7 +50,7 @@ def data_image(maps: Maps, name: str, values: np.ndarray, subject: str, folder: 
 
 
 def check_images(model: ReflectanceModel, subject: str) -> None:
-    """Raise InputError where an image made for this subject before is linked from a library, or a map has no place."""
+    """Raise InputError where an image of this subject is linked from a library, or two maps have one name."""
     for table in map_tables(model):
         _own_image(subject, table.name)
 
@@ -61,7 +61,7 @@ def bpy_name(subject: str, map_name: str) -> str:
 
 
 def _own_image(subject: str, map_name: str):
-    """Return the image made for this map before, or None; InputError where it is linked from a library."""
+    """Return this map's image, or None. Raises InputError where it is linked from a library."""
     import bpy
 
     found = [image for image in bpy.data.images if image.get(TAG) == f"{subject}/{map_name}"]
@@ -74,12 +74,12 @@ def _own_image(subject: str, map_name: str):
 
 
 def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str) -> dict[int, Path]:
-    """Write a map, and return its files by the number of their UDIM tile."""
+    """Write a map; return UDIM tile number → file."""
     stem = "".join(c if c.isalnum() or c in "_- " else "_" for c in name).replace(" ", "_")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from error
+        raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from error
     paths = {}
     for number, part in split_maps(maps):
         values = map_values(table, part)
@@ -92,7 +92,7 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, name: str) -> dic
 
 
 def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, packed: bool):
-    """Point an image at picture files, by UDIM tile, or pack the files into it."""
+    """Point an image at files by UDIM tile, or pack the files into it."""
     import bpy
 
     if image is None:
@@ -105,7 +105,7 @@ def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, pac
         image.filepath = str(path)
     else:
         _point_at_tiles(image, paths)
-    # The colour space comes before any pixel is read: the loader takes 16-bit PNG for sRGB.
+    # Set the colour space before pixels are read: the loader reads 16-bit PNG as sRGB.
     image.colorspace_settings.name = table.color_space if table.fits_unit else "Non-Color"
     image.alpha_mode = "CHANNEL_PACKED" if table.components == 4 else "NONE"
     image.use_half_precision = False
@@ -119,7 +119,7 @@ def _update_image(image, name: str, paths: dict[int, Path], table: MapTable, pac
 
 
 def _point_at_tiles(image, paths: dict[int, Path]) -> None:
-    """Make it a tiled image of these files, and of no others that lie beside them."""
+    """Make it a tiled image of exactly these files."""
     number, path = next(iter(paths.items()))
     image.filepath = str(path.with_name(path.name.replace(f".{number}.", f".{PATTERN}.")))
     image.source = "TILED"
@@ -131,9 +131,9 @@ def _point_at_tiles(image, paths: dict[int, Path]) -> None:
 
 
 def _pack_tiles(image) -> None:
-    """Pack a tiled image's files; Blender packs several from files alone, and notes where they lay."""
+    """Pack a tiled image's files. Blender packs several tiles from files only, and records their paths."""
     image.pack()
     for file in image.packed_files:
         file.filepath = f"//textures/{Path(file.filepath).name}"
-    # Raw: else Blender looks for the tiles at the new place, where there are none, and says so.
+    # Raw: else Blender warns that the new place has no tiles.
     image.filepath_raw = f"//textures/{Path(image.filepath).name}"

@@ -16,7 +16,7 @@ _F0 = 0.028  # the paper's: skin, IOR 1.402
 
 @dataclass(frozen=True)
 class _Settings:
-    """What [material] says of the two lobes."""
+    """[material] settings of the two lobes."""
 
     distribution: str
     f0: float
@@ -25,16 +25,16 @@ class _Settings:
 
 
 def has_metallic() -> bool:
-    """Whether Blender has the Metallic BSDF (since 4.3), whose Fresnel is that of the half vector."""
+    """Whether Blender has the Metallic BSDF (since 4.3), with Fresnel at the half vector."""
     import bpy
 
     return hasattr(bpy.types, "ShaderNodeBsdfMetallic")
 
 
 def has_exact_conductor() -> bool:
-    """Whether the Metallic BSDF without extinction is a dielectric (since 5.0, which gave it thin films too).
+    """Whether the Metallic BSDF without extinction is a dielectric (since 5.0).
 
-    Before, its Fresnel is the approximation for metals: at 60° on skin, 77 % too bright.
+    Before, its Fresnel is an approximation for metals: at 60° on skin, 77 % too bright.
     """
     import bpy
 
@@ -42,7 +42,7 @@ def has_exact_conductor() -> bool:
 
 
 def surface(nodes: OwnNodes, model: ReflectanceModel) -> tuple[object, dict[str, object]]:
-    """Make the group node; return its output and parameter name → the socket that it drives.
+    """Make the group node; return its output and parameter name → driven socket.
 
     [material] may hold ``distribution`` ("BECKMANN" or "GGX"), ``f0``, ``fresnel`` ("schlick" or "dielectric"), and
     ``roughness``: "alpha" where r1 and r2 are the distribution's own width (m), "perceptual" where they are its square
@@ -81,7 +81,7 @@ def _settings(model: ReflectanceModel) -> _Settings:
 
 
 def _group(settings: _Settings):
-    """Return the node group of these settings, found by its tag or made."""
+    """Return the node group of these settings, by its tag or new."""
     import bpy
 
     key = f"two_lobe {_kind(settings)} {settings.distribution} {settings.f0:g} {settings.fresnel} {settings.roughness}"
@@ -103,19 +103,19 @@ def _group(settings: _Settings):
 
 
 def _kind(settings: _Settings) -> str:
-    """Return what makes the lobes: a Metallic BSDF (by the name of its Fresnel), Principled BSDFs, or Glossy ones."""
+    """Return the lobes' nodes: a Metallic BSDF (the name of its Fresnel), Principled BSDFs, or Glossy BSDFs."""
     if has_metallic() and settings.fresnel == "schlick":
         return "F82"
     if has_metallic() and has_exact_conductor():
         return "PHYSICAL_CONDUCTOR"
     if settings.distribution == "GGX":
         return "principled"
-    # For a dielectric Schlick's Fresnel, 19 % too dark at 60° on skin, is the nearest that there is.
+    # For a dielectric the nearest is Schlick's Fresnel, 19 % too dark at 60° on skin.
     return "F82" if has_metallic() else "glossy"
 
 
 def _fill(nodes: OwnNodes, settings: _Settings) -> None:
-    """Make the inside: Diffuse + mix(lobe 1, lobe 2, 1 − w)."""
+    """Make the group's nodes: Diffuse + mix(lobe 1, lobe 2, 1 − w)."""
     given = nodes.node("input", "NodeGroupInput", (-720, 0)).outputs
     diffuse = nodes.node("diffuse", "ShaderNodeBsdfDiffuse", (-120, 260))
     nodes.link(given["Base Color"], diffuse.inputs["Color"])
@@ -142,9 +142,9 @@ def _fill(nodes: OwnNodes, settings: _Settings) -> None:
 def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
     """Return one glossy lobe whose colour is the Fresnel reflectance.
 
-    Measured against the terms of Cook and Torrance in Cycles 5.0: the Metallic BSDF has Fresnel to 0.03 % at every
-    angle, while Glossy times the Fresnel node, which sees n·v instead of v·h, is up to 4.2 times too bright at 75°.
-    Without the Metallic BSDF that is all there is for Beckmann.
+    Measured against Cook and Torrance in Cycles 5.0: the Metallic BSDF has the Fresnel term within 0.03 % at every
+    angle. Glossy times the Fresnel node, which uses n·v instead of v·h, is up to 4.2 times too bright at 75°; it is the
+    only choice for Beckmann without the Metallic BSDF.
     """
     place = (-120, 20 - 220 * lobe)
     ior = (1 + settings.f0**0.5) / (1 - settings.f0**0.5)
@@ -170,10 +170,10 @@ def _lobe(nodes: OwnNodes, lobe: int, settings: _Settings, given):
 
 
 def _principled_lobe(nodes: OwnNodes, lobe: int, settings: _Settings, ior: float, place: tuple[float, float]):
-    """Return one GGX lobe made of a Principled BSDF, whose Fresnel is that of the half vector in 4.2 already."""
+    """Return one GGX lobe from a Principled BSDF, which has Fresnel at the half vector since 4.2."""
     node = nodes.node(f"lobe {lobe}", "ShaderNodeBsdfPrincipled", place, distribution="GGX")
     schlick = settings.fresnel == "schlick"
-    # As a metal it has Schlick's Fresnel between its base colour and its tint; as a black dielectric, Fresnel's own.
+    # A metal has Schlick's Fresnel between base colour and tint; a black dielectric has the exact Fresnel term.
     set_input(node, "Metallic", 1.0 if schlick else 0.0)
     set_input(node, "Base Color", settings.f0 if schlick else 0.0)
     set_input(node, "Specular Tint", 1.0)

@@ -8,8 +8,8 @@ import math
 _SUN_STRENGTH_PER_INTENSITY = math.pi
 # A point light spreads its power evenly over the sphere: E = P / (4π d²) at distance d.
 _POINT_POWER_PER_INTENSITY = 4 * math.pi**2
-# An area light is a Lambertian emitter: E = P cos θ / (π d²) at distance d, far against its size (measured in Cycles at
-# a fifteenth of the distance, square, oblong, round and oval: within 0.4 %).
+# An area light is a Lambertian emitter: E = P cos θ / (π d²) at a distance d far above its size (measured in Cycles for
+# square, oblong, round and oval lights of a fifteenth of the distance: within 0.4 %).
 _AREA_POWER_PER_INTENSITY = math.pi**2
 
 
@@ -26,7 +26,7 @@ def sun_intensity(strength: float) -> float:
 def point_power(intensity: float) -> float:
     """Return the Power (W) of a Blender point light whose irradiance one world unit away is π·intensity.
 
-    Cycles counts distance in world units, whatever unit they are shown in.
+    Cycles measures distance in world units, not in display units.
     """
     return intensity * _POINT_POWER_PER_INTENSITY
 
@@ -36,14 +36,14 @@ def point_intensity(power: float) -> float:
     return power / _POINT_POWER_PER_INTENSITY
 
 
-# Within its cone a spot is a point light of the same power, whatever the cone (measured in Cycles: within 0.1 %).
+# Inside its cone a spot is a point light of the same power (measured in Cycles for all cones: within 0.1 %).
 spot_power, spot_intensity = point_power, point_intensity
 
 
 def area_power(intensity: float) -> float:
     """Return the Power (W) of a Blender area light whose irradiance is π·intensity, one unit away along its axis.
 
-    That is what it would be there by the law that holds far away: its light as that of its centre.
+    The far-field law is extrapolated to that distance: the light acts as a point at its centre.
     """
     return intensity * _AREA_POWER_PER_INTENSITY
 
@@ -54,10 +54,10 @@ def area_intensity(power: float) -> float:
 
 
 def spot_cone(size: float, blend: float) -> float:
-    """Return the half-angle in degrees within which a Blender spot has its full strength; 0 where there is no such.
+    """Return the half-angle, degrees, inside which a Blender spot has its full strength; 0 without such a part.
 
-    size: of the whole cone, radians; blend: 0…1. Cycles rises smoothly with the cosine to the axis, from nothing at the
-    cone's border to all of it at this angle (measured: to within a pixel's 0.6°).
+    size: of the full cone, radians; blend: 0…1. Cycles rises smoothly with the cosine to the axis, from 0 at the
+    cone's border to full strength at this angle (measured: within a pixel's 0.6°).
     """
     border = math.cos(size / 2)
     return math.degrees(math.acos(min(border + blend * (1 - border), 1.0)))

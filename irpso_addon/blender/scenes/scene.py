@@ -1,4 +1,4 @@
-"""Taking meshes and cameras out of Blender scenes."""
+"""Meshes and cameras of Blender scenes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ...capture.distortion import NAMES
 from ...capture.errors import CaptureError
 from ...core.errors import InputError
 
-# Custom property of a camera object for what Blender's cameras do not have: the distortion of its lens.
+# Custom property of a camera object: lens distortion, which Blender's cameras do not have.
 DISTORTION = "irpso_distortion"
 
 
 def open_blend(path: str | Path) -> None:
-    """Open a .blend file in place of the current one. Raises InputError where there is none or Blender refuses it."""
+    """Open a .blend file in place of the current one. Raises InputError where it is missing or Blender refuses it."""
     import bpy
 
     path = Path(path)
@@ -34,14 +34,14 @@ def open_blend(path: str | Path) -> None:
 
 
 def empty_blend() -> None:
-    """Open an empty file in place of the current one: Blender starts with a cube, a lamp and a camera."""
+    """Open an empty file in place of the current one, without Blender's default cube, lamp and camera."""
     import bpy
 
     bpy.ops.wm.read_homefile(use_empty=True, load_ui=False)
 
 
 def mesh_object(name: str | None = None) -> Any:
-    """Return the mesh object of that name, or the scene's only one. Raises InputError naming those that there are."""
+    """Return the mesh object of that name, or the scene's only one. Raises InputError that lists the candidates."""
     import bpy
 
     if name is not None:
@@ -76,9 +76,9 @@ def _choice() -> str:
 def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[float, float] = (1.0, 1.0)) -> Camera:
     """Return the camera of a Blender camera object at width × height pixels: lens, sensor fit, shift, and scale.
 
-    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are not taken over; the
-    distortion is that of the custom property irpso_distortion.
-    Raises InputError where the object is no camera or its projection is neither perspective nor orthographic.
+    pixel_aspect: the render settings' pixel aspect x and y. Clip distances and depth of field are ignored; distortion
+    comes from the custom property irpso_distortion.
+    Raises InputError where the object is not a camera or its projection is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
         raise InputError(f"object '{obj.name}' is of type {obj.type}, not a camera; name a camera object")
@@ -88,7 +88,7 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
     fit = data.sensor_fit
     if fit == "AUTO":
         fit = "HORIZONTAL" if width * pixel_aspect[0] >= height * pixel_aspect[1] else "VERTICAL"
-    # Blender's view plane is counted in the width of a pixel; a pixel is `tall` of them high.
+    # The unit of Blender's view plane is the width of a pixel; a pixel is `tall` units high.
     tall = pixel_aspect[1] / pixel_aspect[0]
     side = width if fit == "HORIZONTAL" else height * tall
     if data.type == "PERSP":
@@ -110,7 +110,7 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
 
 
 def _distorting(camera: Camera, obj: Any) -> Camera:
-    """Return the camera with the distortion that its object's custom property tells. Raises InputError."""
+    """Return the camera with the distortion of its object's custom property. Raises InputError."""
     given = obj.get(DISTORTION, ())
     where = f"camera '{obj.name}': its custom property {DISTORTION}"
     try:
@@ -122,18 +122,18 @@ def _distorting(camera: Camera, obj: Any) -> Camera:
 
 
 def middle_of(obj: Any) -> np.ndarray:
-    """Return (3,) the middle of an object's bounding box in the world."""
+    """Return (3,) the centre of an object's bounding box, in world space."""
     corners = np.array([tuple(corner) for corner in obj.bound_box])
     matrix = world_matrix(obj)
     return matrix[:3, :3] @ corners.mean(axis=0) + matrix[:3, 3]
 
 
 def world_matrix(obj: Any) -> np.ndarray:
-    """Return (4, 4) float64, an object's matrix in the world, also where it is hidden in viewports.
+    """Return (4, 4) float64, an object's world matrix, also where it is disabled in viewports.
 
-    Blender evaluates nothing that is disabled in viewports: the matrix_world of such an object is an old one, or none
-    in a file just opened. Its own transform and its parents' are put together here. Raises InputError where
-    a hidden one has constraints or a parent that is more than an object.
+    Blender does not evaluate objects that are disabled in viewports: their matrix_world is outdated, or unset in a file
+    just opened. For them this multiplies the transforms of the object and its parents. Raises InputError where such
+    an object has constraints or a parent type other than object.
     """
     import bpy
 

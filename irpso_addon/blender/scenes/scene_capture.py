@@ -1,4 +1,4 @@
-"""The capture that a Blender scene itself is: its own cameras, its lights, and the photographs that they have."""
+"""A Blender scene as a capture: its cameras, its lights, and the photographs assigned to them."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from .scene import camera_from_object, middle_of
 from .scene_images import Photograph, open_photograph
 from .scene_lights import light_of, too_wide
 
-# Custom properties of objects that the user interface made: their capture's name, and a camera's own pixel aspect (x,
-# y), which Blender keeps for a whole scene.
+# Custom properties of imported objects: the capture's name, and a camera's pixel aspect (x, y), which Blender has only
+# per scene.
 CAPTURE, ASPECT = "irpso_capture", "irpso_pixel_aspect"
-_SETTINGS = "irpso"  # where the user interface keeps an object's image and camera
+_SETTINGS = "irpso"  # the user interface's property group with an object's image and camera
 
 
 def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = False) -> Generator[None, None, Capture]:
-    """Yield before each piece of work, and return the capture of a scene: its lights that have an image, by name.
+    """Yield before each piece of work; return the capture of a scene: its lights with an image, sorted by name.
 
-    Each light is seen by its own camera or the scene's; a camera's own image is its mask. colour_space: and
-    skip_damaged: as for read_capture. Raises InputError naming the object and the remedy.
+    A light's camera is its own or the scene's; a camera's image is its mask. colour_space, skip_damaged: as for
+    read_capture. Raises InputError with the object's name and the remedy.
     """
     import bpy
 
-    bpy.context.view_layer.update()  # else what a script has just added is not in it
+    bpy.context.view_layer.update()  # else the scene lacks objects that a script has just added
     lights = photographed_lights(scene)
     if not lights:
         raise InputError("no light of this scene has a photograph; assign images to its lights, or import a capture")
@@ -60,7 +60,7 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
         vectors = {name: light for name, light in vectors.items() if name not in odd}
         why |= odd
     if not vectors:
-        raise InputError(f"{next(iter(why.values()))} (and so it is with the photographs of all lights)")
+        raise InputError(f"{next(iter(why.values()))} (the photographs of all lights are unusable)")
     left_out = tuple(LeftOut(n, obj.name, why[obj.name]) for n, obj in enumerate(lights) if obj.name in why)
     names = sorted(seen_by, key=natural)
     cameras, masks = [], []
@@ -79,41 +79,41 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
 
 
 def capture_of_open_file(colour_space: str = "auto", skip_damaged: bool = False) -> Capture:
-    """Return the capture that the scene of the open file is. Raises InputError as ``scene_steps`` does."""
+    """Return the open file's scene as a capture. Raises InputError like ``scene_steps``."""
     import bpy
 
     return run_steps(scene_steps(bpy.context.scene, colour_space, skip_damaged))
 
 
 def setting(obj: Any, name: str) -> Any:
-    """Return the image or the camera that an object was given, None without; also where no interface is registered."""
+    """Return an object's image or camera, or None; works without the registered user interface."""
     if hasattr(obj, _SETTINGS):
         return getattr(getattr(obj, _SETTINGS), name)
-    # Since Blender 5.0 what add-ons register is kept apart from custom properties.
+    # Since Blender 5.0 registered properties are separate from custom properties.
     kept = obj.bl_system_properties_get() if hasattr(obj, "bl_system_properties_get") else obj
     group = None if kept is None else kept.get(_SETTINGS)
     return None if group is None else group.get(name)
 
 
 def wide_lights(scene: Any, place: np.ndarray) -> list[str]:
-    """Return what is wrong with lights of the capture that are too wide to be their centres at a place (3,)."""
+    """Return warnings about lights too wide to act as points, as seen from ``place`` (3,)."""
     return [text for obj in photographed_lights(scene) if (text := too_wide(obj, place))]
 
 
 def wide_lights_around(obj: Any) -> list[str]:
-    """Return what ``wide_lights`` does of the open file's scene, for a subject in it."""
+    """Return the ``wide_lights`` of the open file's scene for a subject in it."""
     import bpy
 
     return wide_lights(bpy.context.scene, middle_of(obj))
 
 
 def photographed_lights(scene: Any) -> list:
-    """Return the light objects that have an image, in the order of their names; numbers in them count as numbers."""
+    """Return the light objects with an image, in natural order of their names."""
     return [obj for obj in lights_in_order(scene) if setting(obj, "image") is not None]
 
 
 def lights_in_order(scene: Any) -> list:
-    """Return a scene's light objects in the order of names; those of excluded collections only of another scene."""
+    """Return a scene's light objects, sorted by name; the current scene's without its excluded collections."""
     import bpy
 
     context = bpy.context
@@ -122,7 +122,7 @@ def lights_in_order(scene: Any) -> list:
 
 
 def _name(scene: Any, lights: list) -> str:
-    """Return the capture's name: that of the files that the lights were made from, else the scene's."""
+    """Return the capture's name: of the files that the lights came from, else the scene's."""
     names = {obj.get(CAPTURE) for obj in lights}
     return names.pop() if len(names) == 1 and None not in names else scene.name
 
@@ -150,7 +150,7 @@ def _common_size(pairs: list[tuple[Any, Photograph]], camera: str) -> tuple[int,
 
 
 def _odd_sizes(pairs: list[tuple[Any, Photograph]], camera: str) -> Iterator[tuple[Any, CaptureError]]:
-    """Yield the lights whose photographs are not of the size that most of a camera's have, with the error."""
+    """Yield the lights whose photographs differ from the most common size of their camera, with the error."""
     sizes = [photograph.size for _, photograph in pairs]
     expected = max(sizes, key=sizes.count)
     for obj, photograph in pairs:
@@ -158,7 +158,7 @@ def _odd_sizes(pairs: list[tuple[Any, Photograph]], camera: str) -> Iterator[tup
             width, height = photograph.size
             message = (
                 f"{photograph.where} is {width} × {height}, others of camera '{camera}' are {expected[0]} ×"
-                f" {expected[1]}; all images of a camera must be of one size, unscaled and uncropped"
+                f" {expected[1]}; all images of a camera must have one size, unscaled and uncropped"
             )
             yield obj, CaptureError(message, "size")
 
@@ -175,5 +175,5 @@ def _mask(obj: Any, camera: Camera, store: ImageStore) -> np.ndarray:
         )
     mask = photograph.mask()
     if not mask.any():
-        raise InputError(f"{photograph.where}, its mask, is empty; paint what is to be solved white")
+        raise InputError(f"{photograph.where}, its mask, is empty; paint the subject white")
     return mask

@@ -1,4 +1,4 @@
-"""Photographs that are images of the open file: on disk, packed, or made in Blender."""
+"""Photographs that are images of the open file: on disk, packed, or painted in Blender."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ...capture.images.linearise import Picture, Samples, mask_of_picture, sampl
 from ...core.errors import InputError
 from ..images import decode
 
-# Custom properties of an image, for what Blender's own do not say: the part and the layer of an EXR that holds several,
-# and a colour space that a capture gives its file.
+# Custom properties of an image: part and layer of an EXR with several, and the colour space that a capture states for
+# its file. Blender has no properties for them.
 PART, LAYER, COLOUR_SPACE = "irpso_part", "irpso_layer", "irpso_colour_space"
 _LINEAR_SPACES = ("Non-Color", "Linear Rec.709", "Linear", "Raw")
 _ENCODED_SPACES = ("sRGB",)
@@ -27,10 +27,9 @@ _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a s
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image of the open file as a capture needs it. size: (width, height). where: what it is called in errors.
+    """An image of the open file for a capture. size: (width, height). where: its name in errors.
 
-    coarse: whether it holds 8-bit sRGB codes.
-    read: returns its Samples; mask: returns it as a mask, (H, W) bool. Both raise InputError.
+    coarse: it holds 8-bit sRGB codes. read: returns its Samples. mask: returns (H, W) bool. Both raise InputError.
     """
 
     size: tuple[int, int]
@@ -41,18 +40,18 @@ class Photograph:
 
 
 def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str = "auto") -> Photograph:
-    """Return a ``bpy.types.Image`` as a photograph; its pixels are read when they are asked for.
+    """Return a ``bpy.types.Image`` as a photograph; pixels are read on demand.
 
-    owner: what it belongs to, for errors, as in "light 'Sun'". Files, packed ones as well, are read by the program's
-    own readers, so packing changes nothing. An image that was painted or made in Blender is taken as Blender holds it.
-    colour_space: as for read_capture; "auto" takes an image that Blender is told to be linear for that. Raises
-    InputError where it is no still image of one layer in sRGB or linear Rec. 709, or its file is missing.
+    owner: for errors, such as "light 'Sun'". IRPSO's readers read files, also packed ones, so packing changes nothing.
+    An image painted or made in Blender is used as Blender holds it. colour_space: as for read_capture; "auto" follows
+    a linear colour space set in Blender. Raises InputError where it is not a still image of one layer in sRGB or linear
+    Rec. 709, or its file is missing.
     """
     where = f"image '{image.name}' of {owner}"
     if image.source in _NOT_STILL:
         raise InputError(f"{where} is {_NOT_STILL[image.source]}; give it one still image")
     if image.source == "VIEWER":
-        raise InputError(f"{where} is a render's result; save it as EXR and give that file")
+        raise InputError(f"{where} is a render result; save it as EXR and use that file")
     space = _colour_space(image, where, colour_space)
     if image.is_dirty or image.source == "GENERATED":
         return _in_memory(image, where, space)
@@ -60,7 +59,7 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
         return _packed(image, where, space)
     reference = ImageRef(file_of(image), image.get(PART), image.get(LAYER), space)
     if not reference.path.is_file():
-        message = f"{where} is not there: {reference.path}; choose it again, or use File > External Data"
+        message = f"{where} is missing: {reference.path}; choose it again, or use File > External Data"
         raise CaptureError(message, "missing")
     with _told(where):
         size, coarse = store.size(reference), store.coarse(reference)
@@ -68,7 +67,7 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
 
 
 def file_of(image: Any) -> Path:
-    """Return the path of an image's file, whether anything is there or not."""
+    """Return the path of an image's file, which may be missing."""
     import bpy
 
     return Path(bpy.path.abspath(image.filepath, library=image.library))
@@ -88,20 +87,20 @@ def _colour_space(image, where: str, wanted: str) -> str:
 
 
 def _in_memory(image, where: str, space: str) -> Photograph:
-    """An image that no file holds as it is now. Its pixels are looked up by number: an undo makes all pointers void."""
+    """An image without an up-to-date file. It is looked up by its session id: an undo invalidates all pointers."""
     uid, size = image.session_uid, tuple(image.size)
     if 0 in size:
         raise InputError(f"{where} has no pixels; choose another")
 
     def picture() -> Picture:
-        found = _image_of(uid, where)
-        width, height = found.size
-        values = np.empty(width * height * found.channels, np.float32)
-        found.pixels.foreach_get(values)
-        return Picture(values.reshape(height, width, found.channels), 32 if found.is_float else 8)
+        current = _image_of(uid, where)
+        width, height = current.size
+        values = np.empty(width * height * current.channels, np.float32)
+        current.pixels.foreach_get(values)
+        return Picture(values.reshape(height, width, current.channels), 32 if current.is_float else 8)
 
     def read() -> Samples:
-        # Blender keeps floats in linear light, whatever the color space of their file: what "auto" takes them for.
+        # Blender keeps floats linear, whatever the colour space of their file; "auto" reads floats as linear.
         return samples_of_picture(picture(), space)
 
     return Photograph(size, where, not image.is_float and space != "linear", read, lambda: mask_of_picture(picture()))
@@ -121,7 +120,7 @@ def _packed(image, where: str, space: str) -> Photograph:
 
 @contextmanager
 def _unpacked(image, where: str) -> Iterator[Path]:
-    """Yield the path of a packed image's bytes in a temporary file."""
+    """Yield the path of a temporary file with a packed image's bytes."""
     import bpy
 
     if image.packed_file is None:
@@ -138,17 +137,17 @@ def _image_of(uid: int, where: str):
     for image in bpy.data.images:
         if image.session_uid == uid:
             return image
-    raise InputError(f"{where} was deleted meanwhile; give the light another and start again")
+    raise InputError(f"{where} was deleted meanwhile; assign another image and start again")
 
 
 @contextmanager
 def _told(where: str, path: Path | None = None) -> Iterator[None]:
-    """Put the image's name into errors that tell of its file."""
+    """Put the image's name into errors about its file."""
     try:
         yield
     except CaptureError as error:
         if error.code in ("part", "layer"):
             raise InputError(
-                f"{where} is an EXR of several layers; save the one to be used by itself, or list it in a capture.toml"
+                f"{where} is an EXR of several layers; save one layer as a file, or list it in a capture.toml"
             ) from error
         raise CaptureError(f"{where}: {error.message.replace(f'{path}: ', '')}", error.code) from error

@@ -1,4 +1,4 @@
-"""Lights of Blender scenes as lights of a capture, and what Blender has no place for."""
+"""Lights of Blender scenes as lights of a capture."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .light_units import area_intensity, point_intensity, spot_cone, spot_intens
 from .scene import world_matrix
 
 LIGHT_TYPES = ("SUN", "POINT", "SPOT", "AREA")
-# Custom property of a light, where no kind of Blender's has both: its cone in degrees (0 for none), and 1 where it
-# falls with the cosine.
+# Custom property of a light: its cone in degrees (0 for none), and 1 where it falls with the cosine. No Blender light
+# has both.
 EMISSION = "irpso_emission"
-# An area light wider than this part of its distance is more than its centre: a disk gives 1 % less than its centre
-# would (1 / (1 + tan² of its half-angle)), and is seen 11° wide, which blurs highlights.
+# An area light wider than this fraction of its distance is no point: a disk gives 1 % less than a point at its centre
+# (1 / (1 + tan² of its half-angle)) and spans 11°, which blurs highlights.
 WIDEST = 0.2
 _INTENSITY = {"SUN": sun_intensity, "POINT": point_intensity, "SPOT": spot_intensity, "AREA": area_intensity}
-_EVEN = 1e-4  # how far the scales of a spot may differ: they stretch its cone
+_EVEN = 1e-4  # largest difference of a spot's scales, which stretch its cone
 
 
 def light_of(obj: Any) -> Light:
-    """Return a Blender light object as a light; a spot within its cone, an area light as its centre.
+    """Return a Blender light object as a light: a spot inside its cone, an area light as a point at its centre.
 
-    Raises InputError, naming the object, where it gives no light or differs with direction in a way that is not read.
+    Raises InputError, with the object's name, where it gives no light or its emission pattern is not supported.
     """
     data, where = obj.data, f"light '{obj.name}'"
     if not getattr(data, "normalize", True):
@@ -47,7 +47,7 @@ def light_of(obj: Any) -> Light:
 
 
 def too_wide(obj: Any, place: np.ndarray) -> str:
-    """Return what is wrong with a light that is too wide to be taken as its centre at a place (3,), "" for others."""
+    """Return a warning about a light too wide to act as a point, as seen from ``place`` (3,), else ""."""
     data = obj.data
     if data.type != "AREA":
         return ""
@@ -58,13 +58,13 @@ def too_wide(obj: Any, place: np.ndarray) -> str:
     if width <= WIDEST * distance:
         return ""
     return (
-        f"light '{obj.name}' is {width:.3g} wide, {distance:.3g} from the subject, and is taken as its centre; make it"
-        f" at most {WIDEST * distance:.3g} wide, or move it away, for highlights as sharp as the material's"
+        f"light '{obj.name}' is {width:.3g} wide, {distance:.3g} from the subject, and is used as a point; make it"
+        f" at most {WIDEST * distance:.3g} wide, or move it away, for sharp highlights"
     )
 
 
 def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
-    """Return the light of a spot or an area light, which look along their −z."""
+    """Return the light of a spot or an area light, which point along −z."""
     data = obj.data
     axis = tuple(map(float, -axes[:, 2] / np.linalg.norm(axes[:, 2])))
     if EMISSION in obj:
@@ -73,7 +73,7 @@ def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
     if data.type == "AREA":
         if data.spread < math.pi - _EVEN:
             raise InputError(
-                f"{where} has a Spread of {math.degrees(data.spread):.0f}°, which is not read; set it to 180°"
+                f"{where} has a Spread of {math.degrees(data.spread):.0f}°, which is not supported; set it to 180°"
             )
         return replace(light, axis=axis, cosine=True)
     scales = np.linalg.norm(axes, axis=0)
@@ -81,12 +81,12 @@ def _directed(light: Light, obj: Any, axes: np.ndarray, where: str) -> Light:
         raise InputError(f"{where} has a cone that is not round; turn Square off, and scale it evenly")
     cone = spot_cone(data.spot_size, data.spot_blend)
     if cone <= 0:
-        raise InputError(f"{where} has its full strength nowhere; lower Blend")
+        raise InputError(f"{where} reaches full strength nowhere; lower Blend")
     return replace(light, axis=axis, cone=cone)
 
 
 def _node_gain(data: Any, where: str) -> np.ndarray:
-    """Return (3,) what a light's nodes multiply its colour by: the strength and colour of a plain Emission."""
+    """Return (3,) the gain of a light's nodes: strength times colour of a plain Emission."""
     if not data.use_nodes or data.node_tree is None:
         return np.ones(3)
     output = data.node_tree.get_output_node("ALL")

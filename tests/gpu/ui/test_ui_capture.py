@@ -573,8 +573,8 @@ def nothing(scene, tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (narrow_area, "light 'Softbox' has a Spread of 90°, which is not read; set it to 180°"),
-        (soft_spot, "light 'Spot' has its full strength nowhere; lower Blend"),
+        (narrow_area, "light 'Softbox' has a Spread of 90°, which is not supported; set it to 180°"),
+        (soft_spot, "light 'Spot' reaches full strength nowhere; lower Blend"),
         (square_spot, "light 'Spot' has a cone that is not round; turn Square off"),
         (stretched_spot, "light 'Spot' has a cone that is not round"),
         (dark, "light 'Off' gives no light"),

@@ -52,7 +52,7 @@ def test_each_exposure_has_its_own_dark_frame():
     dark = mean_dark(levels)
     assert dark.of(1.0, "a")[0, 0, 0] == pytest.approx(0.015) and dark.of(4.1, "a")[0, 0, 0] == pytest.approx(0.03)
     assert dark.of(None, "a")[0, 0, 0] == pytest.approx((0.015 + 0.03) / 2)
-    with pytest.raises(InputError, match="photo 3: no dark frame has its exposure; photograph one, or use --scale-dark"):
+    with pytest.raises(InputError, match="photo 3: no dark frame has its exposure; .*--scale-dark"):
         dark.of(2.0, "photo 3")
 
 
