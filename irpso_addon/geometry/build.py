@@ -1,4 +1,4 @@
-"""From a capture to a domain: on a flat card, or on a mesh."""
+"""Domains from captures: on a flat card, or on a mesh."""
 
 from __future__ import annotations
 
@@ -35,12 +35,11 @@ Bake = TypeVar("Bake", bound=GeometryBake)
 def domain_from_card(capture: Capture, scratch: Path | None = None, window: Window | None = None) -> Domain:
     """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
 
-    Everything is in the camera's own frame, where the card's normal is (0, 0, 1): lights and view are turned into it.
-    The card lies at the capture's ``card_distance``, which near lights need. scratch: the folder for a file that holds
-    the sample stack, None for memory; the file goes when the domain does. window: (x0, y0, width, height) of the texels
-    that the domain is to hold, with the values and the origin that ``tile`` would give them. Raises InputError for
-    several cameras, near lights without the card's distance, images of another size or, without a window, nothing to
-    see; ValueError where the window leaves the domain.
+    The frame is the camera's, with the card's normal at (0, 0, 1); lights and view are rotated into it. The card lies
+    at the capture's ``card_distance``, which near lights need. scratch: folder for a temporary file with the sample
+    stack, None for memory. window: (x0, y0, width, height) of the texels to hold; values and origin equal those of
+    ``tile``. Raises InputError for several cameras, near lights without the card's distance, images of another size
+    or, without a window, no lit texel; ValueError where the window leaves the domain.
     """
     return run_steps(card_steps(capture, scratch, window))
 
@@ -48,7 +47,7 @@ def domain_from_card(capture: Capture, scratch: Path | None = None, window: Wind
 def card_steps(
     capture: Capture, scratch: Path | None = None, window: Window | None = None
 ) -> Generator[None, None, Domain]:
-    """Yield before each image is read, and return what ``domain_from_card`` does: for callers that must not wait."""
+    """Yield before each image is read; return the result of ``domain_from_card``."""
     yield from _settling(capture)
     camera = capture.cameras[0]
     bake = card_bake(capture)
@@ -65,7 +64,7 @@ def card_steps(
         shown = bake.coverage & ((image[..., 3] > 0) | np.isfinite(image).all(axis=-1))
         out[shown] = image[shown]
         if observation.light.axis is not None:
-            # Not @, which may round off a texel's sum otherwise in an array of another size.
+            # Not @: its rounding of a texel's sum may depend on the array's size.
             points = np.einsum("nj,ij->ni", bake.position.reshape(-1, 3), camera.matrix[:3, :3]) + camera.matrix[:3, 3]
             _weigh(out, texels, *_shape_of(observation.light, points, texels))
     views = np.broadcast_to(_local(camera).view, (len(capture.observations), 4))
@@ -76,7 +75,7 @@ def card_steps(
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
-    """Return how many steps ``card_steps`` make, or ``mesh_steps`` at the most: there each camera is one, too."""
+    """Return the number of steps of ``card_steps``, an upper bound for ``mesh_steps``, which adds one per camera."""
     return len(capture.observations) + images_read(capture) + (len(capture.cameras) if on_mesh else 0)
 
 
@@ -87,7 +86,7 @@ def card_bake(capture: Capture) -> GeometryBake:
 
 
 def _settling(capture: Capture) -> Generator[None, None, None]:
-    """Yield before each image that tells how the files are encoded."""
+    """Yield before each image that is read to determine the encoding of the files."""
     if capture.encoding is not None:
         yield from capture.encoding.settling()
 
@@ -97,10 +96,10 @@ def _local(camera: Camera) -> Camera:
 
 
 def check_card(capture: Capture) -> np.ndarray:
-    """Return the (H, W) mask of a flat subject. Raises InputError where the capture cannot be one."""
+    """Return the (H, W) mask of a flat subject. Raises InputError where the capture is not of a card."""
     if len(capture.cameras) != 1:
         raise InputError(
-            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; give the mesh"
+            f"capture '{capture.name}' has {len(capture.cameras)} cameras, a flat card has one; add the mesh"
         )
     card_depth(capture)
     _check_masks(capture)
@@ -127,15 +126,14 @@ def domain_from_mesh(
 ) -> Domain:
     """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
 
-    mesh: of ``extract_mesh``, in the capture's world. grazing: the least cosine, 0…1, between face and view at
-    which a texel counts as seen. Observations are read one at a time, those under one light after one another. The
-    domain's bake is a SurfaceBake, which ``frames`` needs. scratch: as for a card. shadows: whether samples weigh less
-    where the mesh hides them from the light. falloff: whether samples at a slant weigh less. areas: whether a texel of
-    several pixels is their mean; else images are read at the texels' centres. window: (x0, y0, width, height) of the
-    texels that the domain is to hold, with the values and the origin that ``tile`` would give them; what is not seen
-    there is not read. surface: of ``mesh_surface``, where it has been made already. Raises InputError for overlapping
-    UVs (unless allowed), images of another size than their camera, or, without a window, when no texel is seen by any
-    camera; ValueError where the window leaves the domain.
+    mesh: from ``extract_mesh``, in the capture's world. grazing: least cosine, 0…1, between face normal and view of a
+    visible texel. Observations are read one at a time, light by light. The domain's bake is a SurfaceBake, for
+    ``frames``. scratch: as for a card. shadows: lower the weight of samples that the mesh shades. falloff: lower the
+    weight of slanted samples. areas: a texel of several pixels is their mean; else images are read at texel centres.
+    window: (x0, y0, width, height) of the texels to hold; values and origin equal those of ``tile``; images that do not
+    show it are not read. surface: from ``mesh_surface``, computed where None. Raises InputError for overlapping UVs
+    (unless allowed), images of another size than their camera, or, without a window, no visible texel; ValueError where
+    the window leaves the domain.
     """
     return run_steps(
         mesh_steps(
@@ -170,7 +168,7 @@ def mesh_steps(
     window: Window | None = None,
     surface: Surface | None = None,
 ) -> Generator[None, None, Domain]:
-    """Yield before each camera and each image, and return what ``domain_from_mesh`` does."""
+    """Yield before each camera and each image; return the result of ``domain_from_mesh``."""
     _check_masks(capture)
     yield from _settling(capture)
     bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
@@ -219,10 +217,10 @@ def _fill(
     project: Callable[[int], Projector],
     caster: ShadowCaster | None,
 ) -> Generator[None, None, None]:
-    """Read the images into the stack, yielding before each: light by light, since a light's shadows serve them all.
+    """Read the images into the stack, yielding before each: light by light, because images of one light share shadows.
 
-    project: of a camera by index. A Projector holds about 50 bytes for each texel that it sees, three times an image's
-    16, so each is made when its camera is first asked for, and goes when the last of its images has been read.
+    project: camera index → Projector. A Projector holds about 50 bytes per visible texel, three times an image's 16;
+    each is made for its camera's first image and freed after the last.
     """
     left = Counter(observation.camera for observation in capture.observations)
     projectors: dict[int, Projector] = {}
@@ -264,28 +262,28 @@ def _fill_light(
 
 
 def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
-    """Return the observations' numbers by what their light shines on, its intensity left out."""
-    found: dict[Light, list[int]] = {}
+    """Return light → observation indices; lights that differ in intensity alone are one."""
+    numbers: dict[Light, list[int]] = {}
     for number, observation in enumerate(observations):
         light = observation.light
         axis = None if light.axis is None else triple(light.axis)
         place = replace(light, vector=triple(light.vector), intensity=(1.0, 1.0, 1.0), axis=axis)
-        found.setdefault(place, []).append(number)
-    return found
+        numbers.setdefault(place, []).append(number)
+    return numbers
 
 
 def _shape_of(light: Light, positions: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N,) gains of radiance and (N,) weights for the light's shape at texels, flat indices to positions."""
+    """Return (N,) gains of radiance and (N,) weights for the light's shape; texels: flat indices into positions."""
     gain, weight = np.ones(len(texels), np.float32), np.ones(len(texels), np.float32)
     if light.axis is not None:
         for part in blocks(np.arange(len(texels))):
-            found = unshaped(light, positions[texels[filled(part)]].astype(np.float64))
-            gain[part], weight[part] = (values[: len(part)] for values in found)
+            shape = unshaped(light, positions[texels[filled(part)]].astype(np.float64))
+            gain[part], weight[part] = (values[: len(part)] for values in shape)
     return gain, weight
 
 
 def _weigh(layer: np.ndarray, texels: np.ndarray, gain: np.ndarray, weight: np.ndarray) -> None:
-    """Multiply radiance and weight of a layer (H, W, 4) at texels, flat indices; without weight radiance stays."""
+    """Multiply radiance and weight of a layer (H, W, 4) at texels (flat indices); at weight 0 the radiance stays."""
     if (gain == 1).all() and (weight == 1).all():
         return
     values = layer.reshape(-1, 4)[texels]
@@ -332,7 +330,7 @@ def _domain(
 
 
 def _light(light: Light, to_frame: np.ndarray) -> np.ndarray:
-    """Return (4,) a light in another frame: unit direction and 0, or position and 1."""
+    """Return a light in another frame (4,): unit direction and 0, or position and 1."""
     vector = to_frame[:3, :3] @ np.asarray(light.vector, np.float64)
     if light.distant:
         return np.append(vector / np.linalg.norm(vector), 0.0)
@@ -346,7 +344,7 @@ def _read(observation: Observation, capture: Capture) -> np.ndarray:
         height, width = image.shape[:2]
         raise InputError(
             f"image '{observation.name}' is {width} × {height}, its camera {camera.width} × {camera.height};"
-            " bring them to one size"
+            " scale them to one size"
         )
     return image
 

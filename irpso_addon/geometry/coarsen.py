@@ -1,6 +1,6 @@
-"""A domain of half as many texels along each side, and maps taken from one of the two to the other.
+"""Domains at half the resolution, and maps between the two resolutions.
 
-A coarse texel stands for the 2 × 2 texels under it that are covered; an odd row or column ends in cells of fewer.
+A coarse texel stands for the covered texels among 2 × 2; an odd row or column ends in smaller cells.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import numpy as np
 from .domain import Domain, GeometryBake, laid_on
 from .seams.seams import SeamMap, seam_map
 
-_SHORT = 1e-6  # of a mean of unit vectors: shorter ones point nowhere, as of two sides of a thin wall
-_STRANGE = 1e-6  # of another island's coarse texel: it tells only where no other does
-_NEAR, _FAR = 0.75, 0.25  # of bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
+_SHORT = 1e-6  # length of a mean of unit vectors; shorter means have no direction, as on two sides of a thin wall
+_STRANGE = 1e-6  # weight of another island's coarse texel: it counts only where no other is near
+_NEAR, _FAR = 0.75, 0.25  # bilinear weights: a texel's centre lies a quarter of a coarse texel off its cell's
 
 
 def coarser(domain: Domain) -> Domain:
     """Return the domain at half the size, rounded up: radiance averaged by weight, the rest over covered texels.
 
-    A sample's weight is the mean of its texels' weights. The domain must be no tile: a halo raises ValueError.
+    A sample's weight is the mean of its texels' weights. Raises ValueError for a tile with a halo.
     """
     if any(domain.halo):
-        raise ValueError("a tile with a halo has no coarser domain: its cells would be others than the whole domain's")
+        raise ValueError("a tile with a halo has no coarser domain: its cells would differ from the whole domain's")
     x, y = domain.origin
     stack = np.stack([_coarser_layer(layer, domain.bake.coverage) for layer in domain.stack.layers()])
     seams = None if domain.seams is None else _coarser_seams(domain.seams, domain.bake.coverage)
@@ -34,7 +34,7 @@ def coarser(domain: Domain) -> Domain:
 def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool = False) -> np.ndarray:
     """Return (h, w, n) float32 means of a map (H, W, n) over covered texels.
 
-    normal: whether it holds unit normals in the texels' tangent frames, which are turned and made unit again.
+    normal: the map holds unit normals in tangent frames; they are averaged in world space and normalised.
     """
     count = _cells(domain.bake.coverage).sum(axis=(1, 3))
     held = in_world(domain, values) if normal else np.asarray(values, np.float64)
@@ -46,9 +46,9 @@ def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool
 def finer_map(
     coarse: Domain, domain: Domain, values: np.ndarray, otherwise: np.ndarray, normal: bool = False
 ) -> np.ndarray:
-    """Return (H, W, n) float32: a map (h, w, n) of the coarse domain between its solvable texels, bilinearly.
+    """Return (H, W, n) float32: a map (h, w, n) of the coarse domain, interpolated between its solvable texels.
 
-    otherwise: (H, W, n), or what broadcasts to it, where no such texel is near. normal: as in ``coarser_map``.
+    otherwise: (H, W, n), or broadcastable to it, where no such texel is near. normal: as in ``coarser_map``.
     """
     held = in_world(coarse, values) if normal else np.asarray(values, np.float64)
     total = np.zeros((*domain.shape, held.shape[-1]))
@@ -67,15 +67,15 @@ def finer_map(
 
 
 def in_world(domain: Domain, normals: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) float64 world vectors of normals in the texels' tangent frames; as they are on a card."""
+    """Return (H, W, 3) float64 world vectors of normals in tangent frames; a card's stay unchanged."""
     normals = np.asarray(normals, np.float64)
     return normals if domain.card else np.einsum("hwi,hwij->hwj", normals, domain.bake.frames())
 
 
 def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) float64 unit normals in the texels' tangent frames, of world vectors of any length.
+    """Return (H, W, 3) float64 unit normals in tangent frames, of world vectors of any length.
 
-    What points below a texel's surface is bent up to it; what points nowhere is the texel's own normal.
+    A vector below the texel's surface is bent up to it; a zero vector becomes the texel's own normal.
     """
     local = vectors if domain.card else np.einsum("hwj,hwij->hwi", vectors, domain.bake.frames())
     local = np.concatenate([local[..., :2], np.maximum(local[..., 2:], 0)], axis=-1)
@@ -84,7 +84,7 @@ def in_frames(domain: Domain, vectors: np.ndarray) -> np.ndarray:
 
 
 def _cells(values: np.ndarray) -> np.ndarray:
-    """Return (h, 2, w, 2, …) of (H, W, …): the 2 × 2 texels of each cell, zeros where there are fewer."""
+    """Return (h, 2, w, 2, …) of (H, W, …): the 2 × 2 texels of each cell, padded with zeros."""
     height, width = values.shape[:2]
     padded = np.pad(values, [(0, height % 2), (0, width % 2)] + [(0, 0)] * (values.ndim - 2))
     return padded.reshape((height + 1) // 2, 2, (width + 1) // 2, 2, *values.shape[2:])
@@ -93,7 +93,7 @@ def _cells(values: np.ndarray) -> np.ndarray:
 def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     weight = np.where(coverage, np.maximum(layer[..., 3], 0), 0).astype(np.float64)
     mean, total = _cell_means(layer[..., :3], weight)
-    # Of a cell without weight the plain mean of what was photographed: it is for people to look at.
+    # A cell without weight has the plain mean of the photographs, for display.
     plain, _ = _cell_means(layer[..., :3], coverage & np.isfinite(layer[..., :3]).all(axis=-1))
     mean = np.where(total[..., None] > 0, mean, plain)
     count = np.maximum(_cells(coverage).sum(axis=(1, 3)), 1)
@@ -102,7 +102,7 @@ def _coarser_layer(layer: np.ndarray, coverage: np.ndarray) -> np.ndarray:
 
 def _cell_means(radiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (h, w, 3) weighted means of the cells, 0 where no texel has weight, and (h, w) their weights."""
-    # What weighs nothing may be anything, and 0 · NaN is NaN.
+    # Values of weight 0 may be NaN, and 0 · NaN is NaN.
     weighted = np.where(weight[..., None] > 0, radiance, 0) * weight[..., None]
     total = _cells(weight).sum(axis=(1, 3))
     return _cells(weighted).sum(axis=(1, 3)) / np.where(total > 0, total, 1)[..., None], total
@@ -120,7 +120,7 @@ def _coarser_bake(bake: GeometryBake) -> GeometryBake:
     covered = _cells(bake.coverage)
     height, width = covered.shape[0], covered.shape[2]
     flat = covered.transpose(0, 2, 1, 3).reshape(height, width, 4)
-    first = flat.argmax(axis=-1)[..., None, None]  # the first texel of a cell that is covered decides where means fail
+    first = flat.argmax(axis=-1)[..., None, None]  # the cell's first covered texel, used where means fail
 
     def children(values: np.ndarray) -> np.ndarray:
         """(h, w, 4, n) float64: the texels of each cell."""
@@ -147,16 +147,16 @@ def _coarser_bake(bake: GeometryBake) -> GeometryBake:
 
 
 def _across(tangent: np.ndarray, otherwise: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return unit vectors at right angles to the normal, as near to the tangent as can be (Gram–Schmidt)."""
-    found = tangent - (tangent * normal).sum(axis=-1, keepdims=True) * normal
+    """Return the unit vectors perpendicular to the normal that are nearest to the tangent (Gram–Schmidt)."""
+    result = tangent - (tangent * normal).sum(axis=-1, keepdims=True) * normal
     second = otherwise - (otherwise * normal).sum(axis=-1, keepdims=True) * normal
     axis = np.eye(3)[np.abs(normal).argmin(axis=-1)]
     third = axis - (axis * normal).sum(axis=-1, keepdims=True) * normal
-    return _unit(found, _unit(second, third))
+    return _unit(result, _unit(second, third))
 
 
 def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Return unit vectors; where they are too short, the others', made unit too."""
+    """Return unit vectors; too short ones are replaced by the others, also normalised."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     others = np.linalg.norm(otherwise, axis=-1, keepdims=True)
     return np.where(
@@ -165,7 +165,7 @@ def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 
 def _beside(size: int, coarse: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield for the cell of each texel of an axis, then for the cell next to it: its index, and its weight or 0."""
+    """Yield, for each texel of an axis, the index and bilinear weight of its own cell, then of the next cell."""
     at = np.arange(size)
     yield at // 2, np.full(size, _NEAR)
     other = at // 2 + np.where(at % 2 == 0, -1, 1)

@@ -1,4 +1,4 @@
-"""Carrying camera images into texels: where each texel falls in an image, and whether it is seen there."""
+"""Projection of camera images to texels: the place of each texel in an image, and its visibility."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from ..capture.camera import Camera
 from .surface.bake import SurfaceBake
 from .surface.footprint import MOST, falloff, jacobian, place, places_along
 
-GRAZING = 0.1  # cosine between the face's normal and the view below which a texel counts as not seen
-# Of a texel of several pixels so much must be usable, seen by the camera and with weight, for it to be read: what is
-# left of it has its centre within an eighth of a texel of the texel's own.
+GRAZING = 0.1  # cosine between face normal and view; below, a texel is not visible
+# Least usable (visible, with weight) share of a texel of several pixels: the centre of this part is within an eighth of
+# a texel of the texel's own.
 USABLE = 0.75
-# Surface that lies within this many pixels (in the world's units, at the texel) of the texel's own plane is the same
-# surface. Measured across the plane, so along the view it already grows with the slope.
+# Surface within this many pixels (at the texel, in world units) of the texel's own plane is the same surface. The
+# distance is perpendicular to the plane, so along the view it grows with the slope.
 _SAME_SURFACE = 0.5
-# Surfaces that meet at more than 60° are two, however near: their radiances do not mix.
+# Surfaces that meet at more than 60° are different at any distance: their radiances do not mix.
 _SAME_FACING = 0.5
-# float32 positions of a world are known to about this part of its largest coordinate.
+# Relative precision of float32 positions, times the largest coordinate.
 ROUNDING = 4e-7
-# A texel this near a row or column of pixel centres reads only that, so that no neighbour with no weight spoils it.
+# A texel this near a row or column of pixel centres reads only that row or column: a neighbour without weight cannot
+# spoil it.
 _SNAP = 1e-3
-_BLOCK = 1 << 15  # texels worked on at a time: what they need stays in the processor's cache
+_BLOCK = 1 << 15  # texels processed at a time: their data fit the processor's cache
 
 
 @dataclass
 class _Group:
-    """N texels that are read at the same number of places. along: how many, along u and v.
+    """N texels with the same number of sampling places. along: their number along u and v.
 
     texels: (N,) flat index. first: (N, 2) int32 pixel at or left of and below the texel's place. fraction: (N, 2) from
-    there. sides: (N, 2, 2) the Jacobian. counts: (N,) uint64, a bit for each place that shows the texel's surface.
-    worth: (N,) weight for the slant. All float32.
+    that pixel. sides: (N, 2, 2) the Jacobian. counts: (N,) uint64, one bit per place that shows the texel's surface.
+    worth: (N,) weight for the slant. Floats are float32.
     """
 
     along: tuple[int, int]
@@ -51,7 +52,7 @@ class _Group:
         return _Group(self.along, *(array[chosen] for array in arrays))
 
     def places(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the number of each place and (N, 2) where it is, relative to ``first``."""
+        """Yield the number of each place and its position (N, 2) relative to ``first``."""
         if self.along == (1, 1):
             yield 0, self.fraction
             return
@@ -62,14 +63,14 @@ class _Group:
 
 
 class Projector:
-    """Where the texels of a bake are seen by one camera; ``sample`` reads an image there.
+    """Places of a bake's texels in one camera; ``sample`` reads an image at them.
 
-    bake: the texels. seen: what the camera's pixels show of the same mesh (``bake_camera``). grazing: the least cosine
-    between face normal and view, 0…1. steps: (T, 2, 3) of ``texel_steps``; with them a texel that is larger than a
-    pixel is the mean over its area, without them all are read at their centres. fall: whether samples at a slant weigh
-    less. visible: (h, w) bool, the texels that the camera sees: inside the image by half a pixel (four pixel centres
-    around them), not hidden by another part of the mesh, not grazing, and with all the pixel centres that matter on the
-    texel's own surface, or of a texel of several pixels three quarters of them.
+    bake: the texels. seen: the surface in the camera's pixels (``bake_camera``). grazing: least cosine between face
+    normal and view, 0…1. steps: (T, 2, 3) from ``texel_steps``; with them a texel larger than a pixel is the mean over
+    its area, without them texels are read at their centres. fall: lower the weight of slanted samples. visible: (h, w)
+    bool, texels that are inside the image by half a pixel (four pixel centres around them), not hidden, not grazing,
+    and whose relevant pixel centres lie on the texel's own surface: all of them, or three quarters for a texel of
+    several pixels.
     """
 
     def __init__(
@@ -85,9 +86,9 @@ class Projector:
         self._shape = bake.coverage.shape
         self._bake, self._seen, self._grazing, self._steps, self._fall = bake, seen, grazing, steps, fall
         self._rounding = ROUNDING * float(np.abs(seen.position).max(initial=0))
-        found = [self._look(block) for block in blocks(np.flatnonzero(bake.coverage))]
-        self._groups = _joined([group for groups in found for group in groups])
-        del self._bake, self._seen, self._steps  # which may be large
+        parts = [self._look(block) for block in blocks(np.flatnonzero(bake.coverage))]
+        self._groups = _joined([group for groups in parts for group in groups])
+        del self._bake, self._seen, self._steps  # they may be large
 
     @property
     def visible(self) -> np.ndarray:
@@ -98,14 +99,13 @@ class Projector:
         return visible
 
     def sample(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-        """Return (h, w, 4) float32: an image's radiance at the texels, 0 where it shows none, and its weight in alpha.
+        """Return (h, w, 4) float32: an image's radiance at the texels, 0 where not visible, and its weight in alpha.
 
-        image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all of it. Between pixel
-        centres radiance and weight are interpolated; where one of the pixels that count has no weight (outside the
-        mask, not a number) the texel has none either. A texel of several pixels is the mean of those that are usable
-        and weighs as much as their share, nothing where that is under three quarters. What has part in a bound is a
-        bound (capture/bounds.py). A texel without weight has the radiance of the pixels as they are: it is for people
-        to look at.
+        image: (H, W, 4) of the camera's size, weight in alpha. mask: (H, W) bool, None for all pixels. Radiance and
+        weight are interpolated between pixel centres; one pixel without weight (outside the mask, not a number) gives
+        the texel weight 0. A texel of several pixels is the mean of the usable ones; its weight is their share, or 0
+        where that is under three quarters. A bound among the pixels makes the texel a bound (capture/bounds.py). A
+        texel of weight 0 keeps the radiance of its pixels, for display.
         """
         if image.shape != (self.camera.height, self.camera.width, 4):
             raise ValueError(f"the image is {image.shape}, the camera {self.camera.height} × {self.camera.width} × 4")
@@ -131,7 +131,7 @@ class Projector:
         return stack.reshape(*self._shape, 4)
 
     def _mean(self, group: _Group, pixels: np.ndarray, usable: np.ndarray) -> np.ndarray:
-        """Return (N, 4) the mean of the pixels (P, 4) that are usable, (P,) bool, and its weight."""
+        """Return (N, 4) the mean of the usable pixels and its weight. pixels: (P, 4), usable: (P,) bool."""
         total = np.zeros((len(group.texels), 4), np.float32)
         share = np.zeros(len(total), np.float32)
         number = group.along[0] * group.along[1]
@@ -143,7 +143,7 @@ class Projector:
                 total += pixels[pixel] * weight[:, None]
                 share += weight
         if number == 1:
-            total[share < 1 - 1e-5] = 0  # the four weights add up to 1 but for rounding
+            total[share < 1 - 1e-5] = 0  # the four weights sum to 1 up to rounding
         else:
             total[:, :3] /= np.maximum(share, 1e-6)[:, None]
             total[:, 3] /= number
@@ -152,16 +152,16 @@ class Projector:
         return total
 
     def _any(self, group: _Group, flags: np.ndarray) -> np.ndarray:
-        """Return (N, 3) bool: which of the flags (P, 3) any of a texel's pixels has."""
-        found = np.zeros((len(group.texels), 3), bool)
+        """Return (N, 3) bool: the flags (P, 3) that at least one of a texel's pixels has."""
+        result = np.zeros((len(group.texels), 3), bool)
         for bit, where in group.places():
             counts = (group.counts >> np.uint64(bit)) & np.uint64(1) > 0
             for pixel, weight in _taps(group.first, where, self.camera.width):
-                found |= flags[np.where(counts, pixel, 0)] & (counts & (weight > 0))[:, None]
-        return found
+                result |= flags[np.where(counts, pixel, 0)] & (counts & (weight > 0))[:, None]
+        return result
 
     def _look(self, texels: np.ndarray) -> list[_Group]:
-        """Return where the texels are seen, in groups that are read alike."""
+        """Return the visible texels in groups with the same number of places."""
         camera, size = self.camera, len(texels)
         texels = filled(texels)
         points = self._bake.position.reshape(-1, 3)[texels].astype(np.float64)
@@ -206,24 +206,24 @@ class Projector:
         return [group for group in groups if len(group.texels)]
 
     def _count(self, group: _Group, surface: _Surface) -> np.ndarray:
-        """Fill in which places of each texel show its surface, and return their share."""
+        """Set the bits of the places that show each texel's surface; return their share."""
         limit = np.array([self.camera.width - 1, self.camera.height - 1], np.float32)
         tolerance = _SAME_SURFACE * surface.pixel * max(1.0, max(group.along) / 2) + self._rounding
-        found = np.zeros(len(group.texels), np.int32)
+        visible = np.zeros(len(group.texels), np.int32)
         for bit, where in group.places():
             at = group.first + where
             shown = ((at >= 0) & (at <= limit)).all(axis=1)
             for pixel, weight in _taps(group.first, where, self.camera.width):
-                asked = np.flatnonzero(shown & (weight > 0))
-                shown[asked] = _same_surface(self._seen, pixel[asked], surface.part(asked), tolerance[asked])
+                read = np.flatnonzero(shown & (weight > 0))
+                shown[read] = _same_surface(self._seen, pixel[read], surface.part(read), tolerance[read])
             group.counts |= shown.astype(np.uint64) << np.uint64(bit)
-            found += shown
-        return found / (group.along[0] * group.along[1])
+            visible += shown
+        return visible / (group.along[0] * group.along[1])
 
 
 @dataclass
 class _Surface:
-    """What N texels show: triangle numbers (N,), points and face normals (N, 3), a pixel's width in the world (N,)."""
+    """The surface at N texels: triangle (N,), points and face normals (N, 3), a pixel's width in the world (N,)."""
 
     numbers: np.ndarray
     points: np.ndarray
@@ -231,20 +231,20 @@ class _Surface:
     pixel: np.ndarray
 
     def part(self, chosen: np.ndarray | slice) -> _Surface:
-        """Return some of them."""
+        """Return the surface at some of the texels."""
         return _Surface(self.numbers[chosen], self.points[chosen], self.faces[chosen], self.pixel[chosen])
 
 
 def blocks(texels: np.ndarray) -> list[np.ndarray]:
-    """Return the texels in blocks that are worked on at a time."""
+    """Return the texels in blocks."""
     return [texels[start : start + _BLOCK] for start in range(0, len(texels), _BLOCK)]
 
 
 def filled(texels: np.ndarray) -> np.ndarray:
-    """Return a block of texels filled up to full length by repeating the last.
+    """Return a block of texels padded to full length with its last texel.
 
-    How a matrix product rounds may depend on its number of rows; so filled, a texel's values do not depend on which
-    others are worked on with it.
+    The rounding of a matrix product may depend on its number of rows; with padding a texel's values do not depend on
+    the rest of the block.
     """
     return np.concatenate([texels, np.repeat(texels[-1:], _BLOCK - len(texels))])
 
@@ -269,7 +269,7 @@ def _taps(first: np.ndarray, where: np.ndarray, width: int) -> Iterator[tuple[np
     flat = corner[:, 0] + corner[:, 1] * width
     for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
         weight = (x if dx else 1 - x) * (y if dy else 1 - y)
-        # A pixel of weight 0 may lie beyond the image's edge: the first stands in for it.
+        # A pixel of weight 0 may lie outside the image: the first replaces it.
         yield np.where(weight > 0, flat + dx + dy * width, flat), weight
 
 
@@ -282,10 +282,10 @@ def _toward(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def _same_surface(seen: SurfaceBake, pixel: np.ndarray, surface: _Surface, tolerance: np.ndarray) -> np.ndarray:
-    """Return whether what a pixel shows continues the surface at the points: same triangle, or near and facing alike.
+    """Return whether a pixel shows the surface of the points: the same triangle, or a near one that faces alike.
 
-    Nearness is measured along the mean of the two normals: along it a chord of an evenly curved surface has no extent,
-    so curvature does not look like a gap.
+    Distance is measured along the mean of the two normals, in which a chord of an evenly curved surface has no extent:
+    curvature does not look like a gap.
     """
     numbers = seen.triangle.ravel()[pixel]
     same = numbers == surface.numbers

@@ -1,7 +1,7 @@
-"""Normals in the world and in the object's own space, as Blender's Normal Map node takes them.
+"""Normals in world and object space, for Blender's Normal Map node.
 
-Measured in Cycles: the node's "Object Space" and "World Space" read 2c − 1 as the vector itself; "Blender Object Space"
-and "Blender World Space" turn its Y and Z over first. The maps here are for the former.
+Measured in Cycles: the node's "Object Space" and "World Space" read 2c − 1 as the vector; "Blender Object Space" and
+"Blender World Space" flip its Y and Z first. These maps are for the former.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ import numpy as np
 
 from .domain import GeometryBake
 
-BLOCK = 1 << 18  # texels worked on at a time
+BLOCK = 1 << 18  # texels processed at a time
 
 Change = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def world_normals(bake: GeometryBake, normals: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) float32 unit normals in world axes of normals (H, W, 3) in the solver's frame.
+    """Return (H, W, 3) float32 unit normals in world axes from normals (H, W, 3) in the solver's frame.
 
-    On a card the world is its camera's own. Texels outside the coverage come back as (0, 0, 1).
+    A card's world is its camera's frame. Texels outside the coverage become (0, 0, 1).
     """
     return changed_normals(bake, normals, lambda texels, frames, given: np.einsum("nij,ni->nj", frames, given))
 
 
 def changed_normals(bake: GeometryBake, normals: np.ndarray, change: Change) -> np.ndarray:
-    """Return (H, W, 3) float32 unit vectors that ``change`` makes of normals (H, W, 3), block by block of N texels.
+    """Apply ``change`` to normals (H, W, 3) in blocks of N texels; return (H, W, 3) float32 unit vectors.
 
-    change: of flat indices (N,), the solver's frames (N, 3, 3) and float64 normals (N, 3), returns (N, 3) of any
-    length. Texels outside the coverage, and where nothing is left of a normal, come back as (0, 0, 1).
+    change: takes flat indices (N,), the solver's frames (N, 3, 3) and float64 normals (N, 3), returns (N, 3) of any
+    length. Texels outside the coverage or with a zero result become (0, 0, 1).
     """
     result = np.zeros((*bake.coverage.shape, 3), np.float32)
     result[..., 2] = 1
@@ -44,18 +44,18 @@ def changed_normals(bake: GeometryBake, normals: np.ndarray, change: Change) -> 
 
 
 def object_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return (…, 3) float32 unit normals in an object's axes of normals in the world's; matrix: (4, 4) object to world.
+    """Return (…, 3) float32 unit normals in object axes from normals in world axes; matrix: (4, 4) object to world.
 
-    A normal goes out by the inverse transpose, so it comes back by the transpose.
+    Object to world is the inverse transpose, so world to object is the transpose.
     """
     return unit(np.asarray(normals, np.float64) @ np.asarray(matrix, np.float64)[:3, :3]).astype(np.float32)
 
 
 def turned(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return (…, 3) float32 unit normals turned from a camera's axes into the world's by its (4, 4) matrix."""
+    """Return (…, 3) float32 unit normals in world axes from normals in camera axes; matrix: (4, 4) camera to world."""
     return unit(np.asarray(normals, np.float64) @ np.asarray(matrix, np.float64)[:3, :3].T).astype(np.float32)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (…, 3) of length 1; those of length 0 stay."""
+    """Return vectors (…, 3) normalised; zero vectors stay."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)

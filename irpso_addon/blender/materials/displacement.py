@@ -24,14 +24,14 @@ _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (2
 def displacement(nodes: OwnNodes, maps: Maps, height: Height, subject: str, folder: Path | None, uv_map: str):
     """Make image and Displacement node; return its output. A card is one unit wide at any resolution."""
     image = data_image(maps, "height", height.values[..., None], subject, folder)
-    # Repeated, the corners of a card would take half of their height from the other side.
+    # With repetition the border of a card would take half of its height from the opposite side.
     texture = nodes.node(
         "map height", "ShaderNodeTexImage", _PLACES["map height"], "Height", image=image, extension="EXTEND"
     )
     if uv_map:
         uv = nodes.node("uv", "ShaderNodeUVMap", _PLACES["uv"], uv_map=uv_map)
         nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
-    # In the world an object's unequal scale does not bend the relief; a card's is its own, and grows with it.
+    # In world space an object's unequal scale does not bend the relief. A card's relief scales with the card.
     space = "OBJECT" if height.unit == "texels" else "WORLD"
     node = nodes.node("displacement", "ShaderNodeDisplacement", _PLACES["displacement"], space=space)
     node.inputs["Midlevel"].default_value = 0.0

@@ -1,1 +1,1 @@
-"""What reaches a texel of a light: shadows of the mesh, the shape of the beam."""
+"""Visibility of lights: shadows of the mesh, and the shape of the beam."""

@@ -1,8 +1,8 @@
-"""Cast and attached shadows that the mesh itself predicts: how far each texel can see a light.
+"""Cast and attached shadows that the mesh predicts: the visible fraction of a light at each texel.
 
-A shadow map (Williams 1978, Casting curved shadows on curved surfaces) that holds the number of the triangle which the
-light sees rather than a depth: a texel is then compared with that triangle's plane at the texel's own place, so a
-surface cannot shade itself for its slope alone, and the bias is a distance across the plane.
+A shadow map (Williams 1978, Casting curved shadows on curved surfaces) with triangle numbers in place of depths. A
+texel is compared with the plane of the triangle that the light sees, at the texel's own place: a slope alone cannot
+make a surface shade itself, and the bias is a distance perpendicular to the plane.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from ..surface.bake import SurfaceBake, camera_triangles
 from ..surface.footprint import texel_steps
 from ..surface.mesh import MeshData
 
-_PIXELS_A_TEXEL = 1.5  # along a side: between lit and dark a texel's weight then changes over less than two texels
+_PIXELS_A_TEXEL = 1.5  # along a side: the weight changes from lit to dark within two texels
 _SMALLEST, _LARGEST = 256, 4096  # pixels along a side of a map
-_BORDER = 2  # pixels of a map around what it is to hold
-_WIDEST = math.radians(50)  # half the angle over which one picture is taken of what a near light shines on
-# A texel is shaded by a plane that is more than a pixel in front of it, measured across the plane. With half a pixel
-# 0.6 to 1.5 % of the head scan that is lit was taken for shaded, nearly all at n·l < 0.2; with one, under 1 %.
+_BORDER = 2  # pixels of a map around its content
+_WIDEST = math.radians(50)  # largest half-angle of one map of a near light
+# A plane shades a texel that lies more than a pixel behind it, measured perpendicular to the plane. With half a pixel
+# 0.6 to 1.5 % of the lit head scan counted as shaded, nearly all at n·l < 0.2; with one pixel under 1 %.
 _BIAS = 1.0
-# And, as that is far along the light where the plane is seen edge on, by one so many pixels nearer to the light.
+# A plane seen edge-on also shades when it is this many pixels nearer to the light.
 _FARTHEST = 8.0
-# Cosine to the light below zero at which a face tells nothing any more: 95 % of the normals in the head scan's normal
-# map are within 7° of the mesh's own, so that what the mesh has turned away by less may still be lit.
+# Cosine to the light, below zero, at which a face's weight reaches 0: 95 % of the normals in the head scan's normal map
+# are within 7° of the mesh's own, so faces turned away by less may still be lit.
 _TURNED = 0.12
 
 
 class ShadowCaster:
-    """A mesh as the lights of a capture see it; ``weights`` draws one shadow map at a time.
+    """Shadows of a mesh under the lights of a capture; ``weights`` draws one shadow map at a time.
 
-    mesh: what casts shadows, all of its triangles. bake: the texels they fall on. texel: how wide one is in the world
-    (``texel_size``); maps have about 1.5 pixels to a texel along each side, 256 to 4096 in all.
+    mesh: all of its triangles cast shadows. bake: the texels that receive them. texel: a texel's width in the world
+    (``texel_size``); maps have about 1.5 pixels per texel along each side, 256 to 4096 in all.
     """
 
     def __init__(self, mesh: MeshData, bake: SurfaceBake, texel: float):
@@ -54,11 +54,11 @@ class ShadowCaster:
         self._points = _lifted(mesh, bake)
 
     def weights(self, light: Light, texels: np.ndarray) -> np.ndarray:
-        """Return (N,) float32 what a sample of each texel under a light is worth: 1 lit, 0 in shadow.
+        """Return (N,) float32 the weight of each texel's sample under a light: 1 lit, 0 in shadow.
 
-        texels: (N,) flat indices into the bake. Between, at the border of a cast shadow, the part of the four pixels of
-        the map around a texel that see the light is taken, twice less one: a sample in half a shadow is off by half.
-        Where both the face and the shading normal turn away from the light, the weight falls to 0 at 7°.
+        texels: (N,) flat indices into the bake. At the border of a cast shadow the weight is 2 s − 1, where s is the
+        lit share of the four map pixels around the texel: a half shaded sample errs by half. Where both the face and
+        the shading normal turn away from the light, the weight falls to 0 at 7°.
         """
         result = self._turned(light, texels)
         planes = self._oriented(light)
@@ -83,7 +83,7 @@ class ShadowCaster:
         return result
 
     def _views(self, light: Light, texels: np.ndarray, left: np.ndarray) -> Iterator[tuple[Camera, np.ndarray]]:
-        """Yield cameras at the light, and which of the texels that are left each is for."""
+        """Yield cameras at the light, each with the remaining texels that it covers."""
         if not len(left):
             return
         vector = np.asarray(light.vector, np.float64)
@@ -100,7 +100,7 @@ class ShadowCaster:
             half = math.tan(math.asin(self._radius / distance))
             yield _perspective(vector, away / distance, half, self._size(2 * half * distance)), left
             return
-        # From within, the six sides of a cube.
+        # For a light inside: the six sides of a cube.
         size = self._size(2 * (distance + self._radius))
         side = np.empty(len(left), np.uint8)
         for part in blocks(np.arange(len(left))):
@@ -114,7 +114,7 @@ class ShadowCaster:
                 yield _perspective(vector, backward, 1.0, size), left[side == number]
 
     def _size(self, width: float) -> int:
-        """Return how many pixels a map has along a side that is so wide in the world."""
+        """Return the pixels along a side of a map that is ``width`` wide in the world."""
         return int(np.clip(math.ceil(_PIXELS_A_TEXEL * width / max(self._texel, 1e-30)), _SMALLEST, _LARGEST))
 
     def _oriented(self, light: Light) -> np.ndarray:
@@ -126,7 +126,7 @@ class ShadowCaster:
     def _lit(
         self, light: Light, view: Camera, numbers: np.ndarray, planes: np.ndarray, texels: np.ndarray
     ) -> np.ndarray:
-        """Return (N,) the part of the map's pixels around each texel that see it lit."""
+        """Return (N,) the lit share of the map pixels around each texel."""
         own = self._bake.triangle.ravel()[texels]
         points = self._points[texels].astype(np.float64)
         place, depth = view.project(points)
@@ -150,7 +150,7 @@ class ShadowCaster:
 
 
 def texel_size(mesh: MeshData, bake: SurfaceBake) -> float:
-    """Return how wide a texel is in the world: the root of the mean area of those that a bake of the whole covers."""
+    """Return a texel's width in the world: the root of the mean area of all covered texels."""
     height, width = bake.coverage.shape
     steps = texel_steps(mesh, width, height)
     areas = np.linalg.norm(np.cross(steps[:, 0], steps[:, 1]), axis=1)
@@ -159,10 +159,10 @@ def texel_size(mesh: MeshData, bake: SurfaceBake) -> float:
 
 
 def _lifted(mesh: MeshData, bake: SurfaceBake) -> np.ndarray:
-    """Return (H · W, 3) float32: texels moved from flat triangles to the curved surface that their normals stand for.
+    """Return (H · W, 3) float32: texels moved from flat triangles to the curved surface of the shading normals.
 
-    Without it the facets of a smooth mesh shade each other near the border of the light (Hanika 2021, Hacking the
-    shadow terminator): a point goes up by how far it lies under the planes at the corners.
+    Without it the facets of a smooth mesh shade each other near the terminator (Hanika 2021, Hacking the shadow
+    terminator): a point rises by its depth below the planes at the corners.
     """
     lifted = bake.position.reshape(-1, 3).copy()
     for part in blocks(np.flatnonzero(bake.coverage)):
@@ -198,13 +198,13 @@ def _corner_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _perspective(place: np.ndarray, backward: np.ndarray, half: float, size: int) -> Camera:
-    """Return a camera that looks against ``backward`` and sees as far to the sides as ``half``, a tangent."""
+    """Return a camera that looks against ``backward``. half: tangent of its half field of view."""
     scale = (size / 2 - _BORDER) / half
     return Camera(size, size, (scale, scale), (size / 2, size / 2), _looking(place, backward))
 
 
 def _looking(place: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    """Return (4, 4) the matrix of a camera at a place, with its z axis along a unit vector."""
+    """Return the (4, 4) matrix of a camera at a place, with its z axis along a unit vector."""
     aside = np.zeros(3)
     aside[np.abs(backward).argmin()] = 1
     right = np.cross(aside, backward)

@@ -1,9 +1,9 @@
-"""Heights from normals: slopes integrated by weighted least squares, with the natural boundary at the mask.
+"""Heights from normals: weighted least-squares integration of slopes, with the natural boundary at the mask.
 
-The discrete problem is that of Quéau, Durou & Aujol 2018, Normal Integration: A Prefit: over the edges inside the mask,
-minimise the weighted squares of what the difference of two heights is off the mean of their slopes. It is solved by
-conjugate gradients, preconditioned by the Poisson equation of the whole rectangle, which a cosine transform inverts:
-the number of steps does not grow with the size. They end at a residual of 1e-4 of the first, or at 300.
+The discrete problem is from Quéau, Durou & Aujol 2018, Normal Integration: A Survey: minimise, over the edges inside
+the mask, the weighted squares of height difference minus mean slope. The solver is conjugate gradients, preconditioned
+by the Poisson equation of the full rectangle, which a cosine transform inverts: the number of steps does not grow with
+the size. It ends at 1e-4 of the first residual, or after 300 steps.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from ...core.graph import connected
 
-# A slope's error grows with the inverse square of nz, which asks for weights of its fourth power. On the normals of a
-# scanned bunny with 2° of noise the square does as well (0.08 texels of 102), in a fifth of the steps.
+# A slope's error grows with the inverse square of nz, so the optimal weight is its fourth power. On the normals of a
+# scanned bunny with 2° of noise the square is as accurate (0.08 texels of 102), in a fifth of the steps.
 _LEAST_NZ, _POWER = 0.1, 2
 _TOLERANCE, _STEPS = 1e-4, 300
 
@@ -25,7 +25,7 @@ _TOLERANCE, _STEPS = 1e-4, 300
 class Height:
     """A relief. values: (H, W) float32, toward the normal, mean 0 in every island, 0 outside. covered: (H, W) bool.
 
-    unit: of the values: "texels", which are as high as a card's texels are wide, or "world". steps: of the solver.
+    unit: "texels" (the width of a card's texel) or "world". steps: of the solver.
     """
 
     values: np.ndarray
@@ -35,13 +35,13 @@ class Height:
 
     @property
     def midlevel(self) -> float:
-        """The value in 0…1 at which the PNG has height 0."""
+        """The PNG value, 0…1, of height 0."""
         low, high = self._limits
         return -low / (high - low)
 
     @property
     def scale(self) -> float:
-        """What the PNG's whole range 0…1 spans, in ``unit``."""
+        """The height range of the PNG's 0…1, in ``unit``."""
         low, high = self._limits
         return high - low
 
@@ -52,36 +52,36 @@ class Height:
         return (low, high) if high > low else (low, low + 1.0)
 
     def described(self) -> dict[str, object]:
-        """Return what the report says of it."""
+        """Return its table for the report."""
         return {"unit": self.unit, "scale": self.scale, "midlevel": self.midlevel, "steps": self.steps}
 
 
 def card_slopes(
     normals: np.ndarray, focal: tuple[float, float] = (1.0, 1.0), rays: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return slopes (H, W, 2) of a card's relief along x and y, in texels a texel, and their weights (H, W).
+    """Return slopes (H, W, 2) of a card's relief along x and y, in texels per texel, and their weights (H, W).
 
-    normals: (H, W, 3) in camera space. focal: the camera's scale along x and y; a texel counts as 1 / focal[0] wide.
-    Without ``rays`` the camera is orthographic. With them, (H, W, 3) the points at depth 1 that a perspective camera's
-    pixels show, the slopes are those of −log depth times focal[0] (Quéau, Durou & Aujol 2018, Section 2.3): what
-    ``integrate`` returns then goes through ``relief_from_log``.
+    normals: (H, W, 3) in camera space. focal: the camera's scale along x and y; a texel is 1 / focal[0] wide. Without
+    ``rays`` the camera is orthographic. rays: (H, W, 3) points at depth 1 in a perspective camera's pixels; the slopes
+    are then of −log depth times focal[0] (Quéau, Durou & Aujol 2018, Section 2.3), and ``relief_from_log`` converts
+    the integrated result.
     """
     facing = normals[..., 2] if rays is None else -np.einsum("hwi,hwi->hw", normals, rays)
-    # Where a surface turns away its slope has no end.
+    # The slope of a surface that turns away is infinite.
     steep = np.maximum(facing, _LEAST_NZ)
     return -normals[..., :2] / steep[..., None] * (1.0, focal[0] / focal[1]), np.minimum(steep, 1) ** _POWER
 
 
 def relief_from_log(values: np.ndarray, focal: float) -> np.ndarray:
-    """Return heights in texels, as wide as they are at the mean depth D, of −focal · log(depth / D)."""
+    """Return heights from −focal · log(depth / D), in texels as wide as at the mean depth D."""
     return -focal * np.expm1(-np.asarray(values) / focal)
 
 
 def tangent_slopes(normals: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return slopes (H, W, 2) of the relief on a mesh, in world units per texel, and their weights (H, W).
 
-    normals: (H, W, 3) in the solver's tangent frames. along: (H, W, 2, 2) how far a step of one texel along x, and
-    along y, goes along the tangent and the bitangent, in world units.
+    normals: (H, W, 3) in the solver's tangent frames. along: (H, W, 2, 2) one texel's step along x and y, in tangent
+    and bitangent components, world units.
     """
     steep = np.maximum(normals[..., 2], _LEAST_NZ)
     return np.einsum("hwki,hwi->hwk", along, -normals[..., :2] / steep[..., None]), steep**_POWER
@@ -90,7 +90,7 @@ def tangent_slopes(normals: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, 
 def integrate(
     slopes: np.ndarray, weights: np.ndarray, covered: np.ndarray, torn: np.ndarray | None = None
 ) -> tuple[np.ndarray, int]:
-    """Return heights (H, W) float64, of mean 0 in every connected island, 0 outside, and the number of steps taken.
+    """Return heights (H, W) float64, with mean 0 in every connected island and 0 outside, and the number of steps.
 
     slopes: (H, W, 2) along x and y per texel. weights: (H, W) ≥ 0. covered: (H, W) bool. torn: (H, W, 2) bool, true
     where a texel and its neighbour at x + 1, or at y + 1, are not neighbours on the surface.
@@ -118,7 +118,7 @@ def integrate(
 def islands(shape: tuple[int, ...], joined: list[tuple[int, np.ndarray]]) -> np.ndarray:
     """Return (H, W) int, the number of the island that each texel is of, one alone being an island too.
 
-    joined: for axes, (H, W − 1) for axis 1 and (H − 1, W) for axis 0, bool: where neighbours belong together.
+    joined: bool per axis, (H, W − 1) for axis 1 and (H − 1, W) for axis 0: neighbours are connected.
     """
     number = np.arange(shape[0] * shape[1]).reshape(shape)
     ends = [(number[_pair(shape, axis)[0]][true], number[_pair(shape, axis)[1]][true]) for axis, true in joined]
@@ -127,14 +127,14 @@ def islands(shape: tuple[int, ...], joined: list[tuple[int, np.ndarray]]) -> np.
 
 
 def _pair(shape: tuple[int, ...], axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the texels that have a neighbour along an axis, and those neighbours."""
+    """Return slices of the texels with a neighbour along an axis, and of those neighbours."""
     if axis == 1:
         return (slice(None), slice(0, shape[1] - 1)), (slice(None), slice(1, shape[1]))
     return (slice(0, shape[0] - 1), slice(None)), (slice(1, shape[0]), slice(None))
 
 
 def _conjugate_gradients(edges: list, shape: tuple[int, ...]) -> tuple[np.ndarray, int]:
-    """Return the least-squares heights, and the steps taken. Texels without an edge stay whatever they are."""
+    """Return the least-squares heights and the number of steps. Texels without an edge keep their values."""
 
     def divergence(flows: list[np.ndarray]) -> np.ndarray:
         total = np.zeros(shape)
@@ -166,7 +166,7 @@ def _conjugate_gradients(edges: list, shape: tuple[int, ...]) -> tuple[np.ndarra
 
 
 def _poisson(shape: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the solver of the Poisson equation on the rectangle, with reflecting borders: its result has mean 0."""
+    """Return a solver of the Poisson equation on the rectangle with reflecting borders; its result has mean 0."""
     y, x = (2 - 2 * np.cos(np.pi * np.arange(size) / size) for size in shape)
     eigenvalues = y[:, None] + x[None]
     eigenvalues[0, 0] = np.inf
@@ -178,7 +178,7 @@ def _poisson(shape: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _cosines(values: np.ndarray, axis: int, inverse: bool = False) -> np.ndarray:
-    """Return the cosine transform of type II along an axis, or undo it, by a real FFT of its length (Makhoul 1980)."""
+    """Return the type II cosine transform along an axis, or its inverse, by a real FFT (Makhoul 1980)."""
     values = np.moveaxis(values, axis, -1)
     size = values.shape[-1]
     half = size // 2 + 1

@@ -1,4 +1,4 @@
-"""Heights of what was recovered: the relief of a card, and the detail on a mesh above its own surface."""
+"""Relief of recovered normals: heights of a card, and detail above a mesh's own surface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .height import Height, card_slopes, integrate, relief_from_log, tangent_slo
 def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Height:
     """Return the relief of a card in texels, toward the viewer; normals: (H, W, 3) in camera space.
 
-    Through a perspective camera it is measured along its axis, against the mean depth, in texels of there.
+    With a perspective camera heights are along its axis, relative to the mean depth, in texels at that depth.
     """
     if not camera.perspective:
         values, steps = integrate(*card_slopes(normals, camera.scale), covered)
@@ -32,9 +32,9 @@ def card_height(camera: Camera, normals: np.ndarray, covered: np.ndarray) -> Hei
 
 
 def _through_lens(slopes: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return slopes (H, W, 2) along x and y per pixel of a lens, of those per pixel of a camera without distortion.
+    """Return slopes (H, W, 2) per pixel of a lens from those per pixel of a camera without distortion.
 
-    places: (H, W, 2) the pixels in that camera, NaN where the lens shows nothing.
+    places: (H, W, 2) pixels in that camera, NaN where the lens shows nothing.
     """
     along = np.nan_to_num(np.stack(np.gradient(places, axis=(1, 0)), axis=-2))
     return np.einsum("hwka,hwa->hwk", along, np.nan_to_num(slopes))
@@ -43,8 +43,8 @@ def _through_lens(slopes: np.ndarray, places: np.ndarray) -> np.ndarray:
 def mesh_height(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, covered: np.ndarray) -> Height:
     """Return the relief on a mesh along its shading normals, in world units, of mean 0 in every UV island.
 
-    normals: (H, W, 3) in the solver's frame. It is what the normals lean off the mesh's own: detail that is small
-    against the bends of the mesh, whose curvature is not counted.
+    normals: (H, W, 3) in the solver's frame. The relief comes from their tilt against the mesh's own normals: detail
+    that is small against the mesh's bends. The mesh's own curvature is ignored.
     """
     along, torn = steps_along(mesh, bake)
     values, steps = integrate(*tangent_slopes(normals, along), covered & bake.coverage, torn)
@@ -52,9 +52,9 @@ def mesh_height(mesh: MeshData, bake: SurfaceBake, normals: np.ndarray, covered:
 
 
 def steps_along(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far one texel goes on the surface, and which neighbours in the UV square are none on it.
+    """Return one texel's steps on the surface, and the neighbours in the UV square that are not neighbours on it.
 
-    The steps are (H, W, 2, 2) float32: [along x, along y][along the tangent, along the bitangent], in world units.
+    steps: (H, W, 2, 2) float32, [along x, along y][along the tangent, along the bitangent], in world units.
     torn: (H, W, 2) bool, where the texel and the next one along x, or along y, are of different UV islands.
     """
     height, width = bake.coverage.shape
@@ -71,7 +71,7 @@ def steps_along(mesh: MeshData, bake: SurfaceBake) -> tuple[np.ndarray, np.ndarr
 
 
 def uv_islands(mesh: MeshData) -> np.ndarray:
-    """Return (T,) int: triangles of one number hang together by corners shared in the world and in the UV square."""
+    """Return (T,) int component numbers of triangles that share corners in the world and in the UV square."""
     corners = np.concatenate([mesh.positions, mesh.uvs], axis=-1).reshape(-1, 5)
     corner = np.unique(corners, axis=0, return_inverse=True)[1].reshape(-1)
     triangle = np.repeat(np.arange(len(mesh.uvs)), 3)
