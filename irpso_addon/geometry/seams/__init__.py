@@ -1,1 +1,1 @@
-"""UV seams: which texels are neighbours on the surface though the UV map cuts them apart."""
+"""UV seams: texels that are neighbours on the surface but not in the UV map."""

@@ -1,4 +1,4 @@
-"""Where a UV map cuts a mesh: islands, their border edges, and where what lies past an edge is found."""
+"""Cuts of a UV map: islands, their border edges, and the map from past an edge to the other side."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ...core.graph import connected
 if TYPE_CHECKING:
     from ..surface.mesh import MeshData
 
-# Texture coordinates of one corner that differ by less than this part of a texel are one place: rounding, not a cut.
+# Texture coordinates of one corner that differ by less than this fraction of a texel are equal: rounding, not a cut.
 _SAME_PLACE = 0.01
-# An unfolded triangle that stretches lengths by more than this against those along the edge is a sliver, of which
-# nothing can be told so far away: lengths then count alike in all directions.
+# An unfolded triangle that stretches lengths by more than this, relative to those along the edge, is a sliver: its map
+# is meaningless away from it, so lengths count alike in all directions.
 _SLIVER = 8.0
 
 
@@ -23,9 +23,9 @@ _SLIVER = 8.0
 class SeamEdges:
     """The E border edges of a UV map's islands, in texels: a texel's centre lies at (x + ½, y + ½).
 
-    start, end: (E, 2) float64. outward: (E, 2) unit, away from the island. island: (E,) int32 its number. other: (E,)
-    int32 the island on the other side of the seam, −1 at a border of the surface. across: (E, 2, 3) the affine map
-    from places past the edge to where they lie on the other side.
+    start, end: (E, 2) float64. outward: (E, 2) unit, away from the island. island: (E,) int32 number. other: (E,) int32
+    the island on the other side of the seam, −1 at a border of the surface. across: (E, 2, 3) the affine map from
+    places past the edge to the other side.
     """
 
     start: np.ndarray
@@ -36,11 +36,11 @@ class SeamEdges:
     across: np.ndarray
 
     def some(self, chosen: np.ndarray) -> SeamEdges:
-        """Return some of the edges, by (E,) bool."""
+        """Return the edges selected by (E,) bool."""
         return SeamEdges(**{item.name: getattr(self, item.name)[chosen] for item in fields(SeamEdges)})
 
     def halved(self) -> SeamEdges:
-        """Return the edges in texels twice as large."""
+        """Return the edges in units of texels twice as large."""
         across = self.across.copy()
         across[..., 2] /= 2
         return replace(self, start=self.start / 2, end=self.end / 2, across=across)
@@ -49,13 +49,13 @@ class SeamEdges:
 def seam_edges(mesh: MeshData, width: int, height: int) -> tuple[SeamEdges, np.ndarray]:
     """Return the borders of a mesh's islands on width × height texels, and each triangle's island, (T,) int32.
 
-    Triangles are of one island where they share an edge at one place of the surface and of the UV map, to a hundredth
-    of a texel. An edge of more than two triangles is a border of the surface.
+    Triangles of one island share an edge on the surface and, within a hundredth of a texel, in the UV map. An edge of
+    more than two triangles is a border of the surface.
     """
     uv = mesh.uvs.astype(np.float64) * (width, height)
     corners = _welded(mesh.positions.reshape(-1, 3)).reshape(-1, 3)
     first, second = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    turned = first > second  # so that all sides of an edge name its ends in one order
+    turned = first > second  # all sides of an edge list its ends in one order
     a, b = uv.reshape(-1, 2), np.roll(uv, -1, axis=1).reshape(-1, 2)
     a, b = np.where(turned[:, None], b, a), np.where(turned[:, None], a, b)
     edge = _numbered(np.minimum(first, second), np.maximum(first, second))
@@ -73,14 +73,14 @@ def seam_edges(mesh: MeshData, width: int, height: int) -> tuple[SeamEdges, np.n
 
 
 def _numbered(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return (N,) numbers of pairs of whole numbers, equal where both are."""
+    """Return (N,) numbers of pairs of integers, equal where both are equal."""
     return np.unique(first.astype(np.int64) * (int(second.max()) + 1) + second, return_inverse=True)[1]
 
 
 def _welded(points: np.ndarray) -> np.ndarray:
-    """Return (N,) numbers, equal where points (N, 3) float32 are equal to the last bit."""
+    """Return (N,) numbers, equal where points (N, 3) float32 are bitwise equal."""
     bits = (np.ascontiguousarray(points, np.float32) + np.float32(0)).view(np.uint32).astype(np.uint64)  # no −0
-    # One number a point sorts ten times faster than three; it is checked below.
+    # One number per point sorts ten times faster than three; collisions are checked below.
     mixed = bits @ np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
     _, first, number = np.unique(mixed, return_index=True, return_inverse=True)
     if (bits[first][number] != bits).any():
@@ -89,7 +89,7 @@ def _welded(points: np.ndarray) -> np.ndarray:
 
 
 def _paired(keys: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (P, 2) indices of keys that occur twice, and (A,) those of all others that are usable."""
+    """Return (P, 2) indices of keys that occur twice, and (A,) indices of the other usable keys."""
     order = np.flatnonzero(usable)
     order = order[np.argsort(keys[order], kind="stable")]
     start = np.flatnonzero(np.diff(keys[order], prepend=-1))
@@ -108,9 +108,9 @@ def _described(
     there: np.ndarray,
     islands: np.ndarray,
 ) -> SeamEdges:
-    """Return the border edges ``here``, (E,) corners at which they begin; there: their other sides, −1 for none.
+    """Return the border edges. here: (E,) their start corners. there: (E,) the other sides' corners, −1 for none.
 
-    a, b: (3T, 2) texels of the ends of every edge, both sides in one order.
+    a, b: (3T, 2) the ends of every edge in texels, both sides in one order.
     """
     outward, along, across = _sides(mesh, uv, a, b, here)
     inward, along_there, across_there = _sides(mesh, uv, a, b, np.maximum(there, 0))
@@ -126,13 +126,13 @@ def _described(
 
 
 def _sides(mesh: MeshData, uv: np.ndarray, a: np.ndarray, b: np.ndarray, edge: np.ndarray) -> tuple:
-    """Return of edges: the unit vector out of their triangle; and the texels to a unit of length on the surface, along
-    the edge and out of the triangle at a right angle to it."""
+    """Return, per edge, the unit vector out of its triangle, and the texel vectors of a unit length on the surface:
+    along the edge, and out of the triangle perpendicular to it."""
     triangle, corner = edge // 3, edge % 3
     third = (corner + 2) % 3
     points = mesh.positions.astype(np.float64)
     p, q, r = points[triangle, corner], points[triangle, (corner + 1) % 3], points[triangle, third]
-    # Both sides name the edge's ends in one order.
+    # Both sides list the edge's ends in one order.
     swapped = ((uv[triangle, corner] != a[edge]).any(axis=-1))[:, None]
     p, q = np.where(swapped, q, p), np.where(swapped, p, q)
     length = np.linalg.norm(q - p, axis=-1, keepdims=True)
@@ -154,7 +154,7 @@ def _sides(mesh: MeshData, uv: np.ndarray, a: np.ndarray, b: np.ndarray, edge: n
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverses of (N, 2, 2) matrices; not finite where there is none."""
+    """Return the inverses of (N, 2, 2) matrices; not finite for singular ones."""
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     return adjugate / (a * d - b * c)[:, None, None]

@@ -1,8 +1,8 @@
-"""Gaps within an island: the banks of a gap are near each other in the UV map, but neighbours only across a seam.
+"""Gaps inside an island: texels on both sides of a gap are near each other in the UV map, not on the surface.
 
-Where the island around a block of texels falls into several pieces, each piece that the block has a share in is a chart
-of its own; all other texels of an island are one chart. Texels of one piece see each other, and past its border the
-piece sees what its own edges say.
+Where the island around a block of texels falls into several pieces, each piece inside the block is a chart of its own;
+all other texels of an island are one chart. Texels of one piece see each other; past its border a piece sees the
+surface past its own edges.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from ...core.graph import connected
 from .edges import SeamEdges
 from .places import places_beyond, texel_at
 
-FIRST_CHART = -2  # charts that are parts of an island count down from here; −1 is no texel
-_WINDOWS = 512  # looked at at a time
-# Windows reach so many blocks past a block: what a texel sees past its border lies a block away at most, and if another
-# bank is nearer to that, this lies another block away at most.
+FIRST_CHART = -2  # charts of pieces count down from here; −1 is no texel
+_WINDOWS = 512  # processed at a time
+# Blocks of a window on each side of its block: a texel sees at most one block past its border, and a nearer side of a
+# gap lies at most one further block away.
 _BLOCKS = 2
 _SIDE = 2 * _BLOCKS + 1
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """Blocks of B × B texels around which an island falls into pieces, and the Q charts that this makes.
+    """Blocks of B × B texels around which an island falls into pieces, and the resulting Q charts.
 
-    corner: (A, 2) x, y of a block's first texel. island: (A,). label: (A, 5B, 5B) int16 the piece that each texel of
-    the window of two blocks around a block belongs to, −1 where none of the island. block, piece: (Q,) of each chart.
+    corner: (A, 2) x, y of a block's first texel. island: (A,). label: (A, 5B, 5B) int16 the piece of each texel in the
+    window of two blocks around a block, −1 outside the island. block, piece: (Q,) of each chart.
     """
 
     corner: np.ndarray
@@ -38,21 +38,21 @@ class Pieces:
     piece: np.ndarray
 
     def number(self) -> np.ndarray:
-        """Return (A, most pieces) the chart of a piece, −1 where the block has no share in it."""
+        """Return (A, most pieces) the chart of a piece, −1 where it is outside the block."""
         result = np.full((len(self.corner), max(int(self.label.max(initial=0)), 0) + 1), -1)
         result[self.block, self.piece] = np.arange(len(self.block))
         return result
 
 
 def pieces_of(island: np.ndarray, reach: int) -> Pieces:
-    """Return the pieces that islands (H, W) fall into around blocks of ``reach`` texels."""
+    """Return the pieces of islands (H, W) around blocks of ``reach`` texels."""
     height, width = island.shape
     rows, columns = -(-height // reach), -(-width // reach)
     before = _BLOCKS * reach
     after = (rows * reach - height + before, columns * reach - width + before)
     padded = np.pad(island, ((before, after[0]), (before, after[1])), constant_values=-1)
     low, high = (_around_blocks(padded, reach, f) for f in (np.minimum, np.maximum))
-    mixed = low != high  # a window of one island alone is in one piece
+    mixed = low != high  # a window of one island only is one piece
     y, x = np.nonzero((island >= 0) & np.kron(mixed, np.ones((reach, reach), bool))[:height, :width])
     pairs = np.unique(np.stack([y // reach * columns + x // reach, island[y, x]], axis=-1), axis=0)
     corner = np.stack([pairs[:, 0] % columns, pairs[:, 0] // columns], axis=-1) * reach
@@ -71,7 +71,7 @@ def pieces_of(island: np.ndarray, reach: int) -> Pieces:
 
 
 def charts_of(island: np.ndarray, pieces: Pieces) -> np.ndarray:
-    """Return (H, W) int32 the chart of each texel: its island, or from −2 downward the number of a piece's chart."""
+    """Return (H, W) int32 the chart of each texel: its island, or a piece's chart, from −2 downward."""
     chart = island.copy()
     if len(pieces.block):
         a, x, y, label = _texels(pieces, 0)
@@ -80,9 +80,9 @@ def charts_of(island: np.ndarray, pieces: Pieces) -> np.ndarray:
 
 
 def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, 2) places and (N,) charts that see the texel there, for all that cannot be told from its chart.
+    """Return (N, 2) places and (N,) charts that see the texel there although its chart is another.
 
-    A texel of a piece is seen by the rest of its island, and by the other charts of that piece.
+    The rest of its island and the other charts of its piece see a texel of a piece.
     """
     if not len(pieces.block):
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
@@ -99,7 +99,7 @@ def known_directly(chart: np.ndarray, island: np.ndarray, pieces: Pieces) -> tup
 def beyond_pieces(
     edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (N, 2) places past the borders of pieces, (N,) the edge that each is nearest to, and (N,) their charts."""
+    """Return (N, 2) places past the borders of pieces, (N,) the nearest edge of each, and (N,) their charts."""
     if not len(pieces.block):
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
     edge, view = _edges_of(edges, island, pieces, reach)
@@ -107,7 +107,7 @@ def beyond_pieces(
     def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:
         block = pieces.block[looking]
         x, y = (place - pieces.corner[block] + _BLOCKS * reach).T
-        # What a chart sees lies a block away from it at most.
+        # A chart sees at most one block far.
         outside = np.minimum(x, y) < (_BLOCKS - 1) * reach
         outside |= np.maximum(x, y) >= (_BLOCKS + 2) * reach
         x, y = np.where(outside, 0, x), np.where(outside, 0, y)
@@ -119,7 +119,7 @@ def beyond_pieces(
 
 
 def _around_blocks(padded: np.ndarray, reach: int, extreme: np.ufunc) -> np.ndarray:
-    """Return the least, or largest, number in the window of every block."""
+    """Return the smallest, or largest, number in the window of every block."""
     rows, columns = padded.shape[0] // reach, padded.shape[1] // reach
     each = extreme.reduce(extreme.reduce(padded.reshape(rows, reach, columns, reach), axis=3), axis=1)
     rows, columns = rows - _SIDE + 1, columns - _SIDE + 1
@@ -128,7 +128,7 @@ def _around_blocks(padded: np.ndarray, reach: int, extreme: np.ufunc) -> np.ndar
 
 
 def _labelled(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (M, S, S) numbers from 0 of the pieces of masks (M, S, S), touching at corners too, and (M,) how many."""
+    """Return (M, S, S) piece numbers from 0 of masks (M, S, S), 8-connected, and (M,) their counts."""
     begins = mask.copy()
     begins[..., 1:] &= ~mask[..., :-1]
     runs = np.where(mask, np.cumsum(begins).reshape(mask.shape) - 1, -1)
@@ -150,7 +150,7 @@ def _labelled(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _texels(pieces: Pieces, around: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return of the pieces' texels up to ``around`` blocks from theirs: which block, x, y, and the label."""
+    """Return block, x, y and label of the pieces' texels up to ``around`` blocks from their block."""
     reach = pieces.label.shape[1] // _SIDE
     low = (_BLOCKS - around) * reach
     part = slice(low, low + (2 * around + 1) * reach)
@@ -161,7 +161,7 @@ def _texels(pieces: Pieces, around: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _edges_of(edges: SeamEdges, island: np.ndarray, pieces: Pieces, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of an edge and a chart at whose piece, in its window, it lies."""
+    """Return (edge, chart) pairs where the edge lies at the chart's piece inside its window."""
     width = island.shape[1]
     length = np.linalg.norm(edges.end - edges.start, axis=-1)
     count = np.ceil(length).astype(np.int64) + 1

@@ -1,4 +1,4 @@
-"""Places past the borders of islands: which border edge each is nearest to, and which texel is nearest to a place."""
+"""Places past the borders of islands: their nearest border edge, and the texel nearest to a place."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from .edges import SeamEdges
 
 Covered = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-# A place may lie so many texels inside its own border: rounding of the raster that drew the island.
+# Texels that a place may lie inside its own border: rounding of the rasterizer.
 _INSIDE = 0.75
-# Of two edges equally near, at their common corner, the one that a place lies more in front of.
+# Of two equally near edges, at their common corner, prefer the one that faces the place.
 _BESIDE = 1e-4
-# A place within a border has a covered texel's centre less than a texel away; what has not lies past the border too.
+# A place inside a border has a covered texel's centre within a texel; a place without one lies past the border too.
 _WITHIN = 0.99
 _AROUND = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
 
@@ -22,16 +22,16 @@ _AROUND = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
 def places_beyond(
     edges: SeamEdges, view: np.ndarray, covered: Covered, shape: tuple[int, ...], reach: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, 2) places past borders, and (N,) the border edge of their view that each is nearest to.
+    """Return (N, 2) places past borders, and (N,) the nearest border edge of the same view.
 
-    view: (E,) from 0, who looks past an edge; each looks by itself. covered: of (n,) views and (n, 2) places, whether
-    they are within the view's own border, or not to be looked at. shape: (H, W) texels; ``reach`` more are looked at on
-    every side. They are found ring by ring outward, each place trying the edges of those around it.
+    view: (E,) from 0, the chart that looks past an edge; views are independent. covered: tests (n,) views and (n, 2)
+    places: inside the view's own border, or to be skipped. shape: (H, W) texels; the search extends ``reach`` texels
+    on every side. It proceeds ring by ring outward; each place tries the edges of its neighbours.
     """
     grid = shape[1] + 2 * reach + 2, shape[0] + 2 * reach + 2
 
     def nearest(place: np.ndarray, edge: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return sorted keys (view and place) that are not known, and the nearest of the edges tried for each."""
+        """Return sorted new keys (view and place), and the nearest of the edges tried for each."""
         far = ((place < -reach) | (place >= (shape[1] + reach, shape[0] + reach))).any(axis=1)
         place, edge = place[~far], edge[~far]
         left = ~covered(view[edge], place)
@@ -64,7 +64,7 @@ def places_beyond(
 
 
 def _seeds(edges: SeamEdges) -> tuple[np.ndarray, np.ndarray]:
-    """Return places along all edges and around them, and which edge each is of."""
+    """Return places along and around all edges, and the edge of each."""
     length = np.linalg.norm(edges.end - edges.start, axis=-1)
     count = np.ceil(2 * length).astype(np.int64) + 1
     edge = np.repeat(np.arange(len(count)), count)
@@ -75,7 +75,7 @@ def _seeds(edges: SeamEdges) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance(place: np.ndarray, edge: np.ndarray, edges: SeamEdges) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N,) by which the nearest edge is chosen, and whether a place lies in front of its edge."""
+    """Return (N,) costs for the choice of the nearest edge, and whether a place lies in front of its edge."""
     start, side = edges.start[edge], edges.end[edge] - edges.start[edge]
     away = place + 0.5 - start
     t = (away * side).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), 1e-30)
@@ -86,9 +86,9 @@ def _distance(place: np.ndarray, edge: np.ndarray, edges: SeamEdges) -> tuple[np
 
 
 def texel_at(at: np.ndarray, wanted: np.ndarray, island: np.ndarray) -> np.ndarray:
-    """Return (N,) flat indices of the texel of the wanted island whose centre is nearest to a place, −1 where none is.
+    """Return (N,) flat indices of the wanted island's texel whose centre is nearest to a place, −1 for none.
 
-    Looked for is in the texel that the place lies in, and in the eight around it.
+    Candidates are the texel that contains the place and the eight around it.
     """
     height, width = island.shape
     result, least = np.full(len(at), -1, np.int64), np.full(len(at), _WITHIN**2)

@@ -1,9 +1,8 @@
-"""UV seams: which texels are neighbours on the surface though the UV map has cut them apart.
+"""UV seams: texels that are neighbours on the surface but not in the UV map.
 
-A mesh's UV map falls into islands: triangles that share edges in it. Where an edge of the surface is cut, so that two
-islands (or two sides of one) have it at different places, what lies beyond the edge on the one side is what lies within
-it on the other: the triangle there, unfolded into the plane of this one. A place past a border has as neighbour the
-texel that lies there on the surface; past a border of the surface itself there is none.
+An island is a set of triangles that share edges in the UV map. At a seam two islands (or two sides of one) have the
+same surface edge at different UV places. The surface past the edge is then the other side's triangle, unfolded into the
+plane of this one: a place past a border has as neighbour the texel there. Past a border of the surface there is none.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from .places import Covered, places_beyond, texel_at
 if TYPE_CHECKING:
     from ..surface.mesh import MeshData
 
-# Texels past a border for which neighbours are known: as far as a prior of the shipped presets looks (2^4).
+# Texels past a border with known neighbours: the reach of the prior in the shipped presets (2^4).
 SEAM_REACH = 16
-# Up to this halo a tile looks which places its texels reach; past it nearly all that are known are.
+# Up to this halo a tile selects the places that its texels reach; with a wider halo nearly all are reached.
 LOOKED_FOR = 4
 
 
@@ -30,13 +29,12 @@ LOOKED_FOR = 4
 class SeamMap:
     """Neighbours past borders, of W×H texels.
 
-    island: (H, W) int32 number of the island a covered texel lies on, −1 where none. chart: (H, W) int32 the part of
-    the UV map that it looks from: its island, or beside a gap in that a number from −2 downward. A texel sees those of
-    its own chart, and from such a part those whose chart is its island, where they lie; all others are told:
-    place: (N, 2) int32 x, y, some outside the domain, as the chart ``of`` (N,) sees them. target: (N,) int64 the texel
-    that lies there on the surface: y·W + x, or W·H + its number in the ghosts. at: (N, 2) float32 exactly where, in
-    texels of the whole domain. They are sorted by y, x and chart. reach: how many texels past a border places are
-    known. edges: what it was made from.
+    island: (H, W) int32 island number of a covered texel, −1 elsewhere. chart: (H, W) int32 the texel's island, or
+    beside a gap in it a number from −2 downward. Texels of one chart see each other directly, and a chart from −2
+    downward also sees the texels whose chart is its island. All other neighbours are listed:
+    place: (N, 2) int32 x, y, also outside the domain, as seen from the chart ``of`` (N,). target: (N,) int64 the texel
+    there on the surface: y·W + x, or W·H + its ghost number. at: (N, 2) float32 the exact position in texels of the
+    whole domain. Sorted by y, x and chart. reach: texels past a border with listed places. edges: the source.
 
     A tile has an ghosts: M texels of other tiles that its own see across seams. ghosts: (M, 2) int32 x, y in the whole
     domain; ghost_normal: (M, 3), ghost_tangent: (M, 4), as in GeometryBake.
@@ -64,7 +62,7 @@ class SeamMap:
 def seam_map(edges: SeamEdges, island: np.ndarray, reach: int = SEAM_REACH) -> SeamMap:
     """Return the neighbours past the borders of islands.
 
-    island: (H, W) int32 the island that each texel lies on, −1 where none.
+    island: (H, W) int32 island number of each texel, −1 for none.
     """
     island = np.ascontiguousarray(island, np.int32)
     here = edges.some(np.isin(edges.island, island))
@@ -76,11 +74,11 @@ def seam_map(edges: SeamEdges, island: np.ndarray, reach: int = SEAM_REACH) -> S
     place, edge, of = (np.concatenate(both) for both in zip((place, edge, of), more, strict=True))
     at = np.einsum("nij,nj->ni", here.across[edge, :, :2], place + 0.5) + here.across[edge, :, 2]
     target = texel_at(at, here.other[edge], island)
-    found = target >= 0
+    hit = target >= 0
     direct, seen_from = known_directly(chart, island, pieces)
-    place, of = np.concatenate([place[found], direct]), np.concatenate([of[found], seen_from])
-    at = np.concatenate([at[found], direct + 0.5])
-    target = np.concatenate([target[found], direct[:, 1] * island.shape[1] + direct[:, 0]])
+    place, of = np.concatenate([place[hit], direct]), np.concatenate([of[hit], seen_from])
+    at = np.concatenate([at[hit], direct + 0.5])
+    target = np.concatenate([target[hit], direct[:, 1] * island.shape[1] + direct[:, 0]])
     order = np.lexsort((of, place[:, 0], place[:, 1]))
     return SeamMap(
         island, chart, place[order].astype(np.int32), of[order].astype(np.int32), target[order],
@@ -97,7 +95,7 @@ def seams_of(mesh: MeshData, triangle: np.ndarray, reach: int = SEAM_REACH) -> S
 
 
 def _covered(island: np.ndarray) -> Covered:
-    """Return what tells whether places lie on the islands that look."""
+    """Return a function that tests whether places lie on the islands that see them."""
 
     def covered(looking: np.ndarray, place: np.ndarray) -> np.ndarray:
         x, y = np.clip(place, 0, (island.shape[1] - 1, island.shape[0] - 1)).T
@@ -107,7 +105,7 @@ def _covered(island: np.ndarray) -> Covered:
 
 
 def window_seams(seams: SeamMap, window: tuple[int, int, int, int]) -> SeamMap:
-    """Return the seams of texels [x0, x0 + width) × [y0, y0 + height) that are all there is: without an ghosts."""
+    """Return the seams of texels [x0, x0 + width) × [y0, y0 + height) as a whole domain, without ghosts."""
     x0, y0, width, height = window
     y, x = np.divmod(seams.target, seams.shape[1])
     inside = (x >= x0) & (x < x0 + width) & (y >= y0) & (y < y0 + height)

@@ -1,4 +1,4 @@
-"""The seams of a tile of a domain, and the texels that it sees across them."""
+"""Seams of a tile, with ghosts: the texels outside that it sees across them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def tile_seams(
     box: tuple[int, int, int, int],
     halo: int,
 ) -> SeamMap:
-    """Return the seams of a tile of a domain, with the ghosts that its own texels see beyond it.
+    """Return the seams of a tile of a domain, with the ghosts that its own texels see outside it.
 
     solvable (H, W), normal (H, W, 3), tangent (H, W, 4), origin: of the domain. box: x0, y0, width, height of the
-    tile's own texels. halo: texels around them, less where the domain ends.
+    tile's own texels. halo: texels around them, clipped at the domain's border.
     """
     height, width = seams.shape
     x0, y0, wide, high = box

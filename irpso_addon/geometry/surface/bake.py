@@ -1,4 +1,4 @@
-"""Geometry bakes: the surface that each texel of a UV square, or each pixel of a camera, shows."""
+"""Geometry bakes: the surface at each texel of a UV square, or at each pixel of a camera."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .lens import undistorted_frame
 from .mesh import MeshData
 from .slots import OPTION, overlapping_slots
 
-# What islands may share of the covered texels: neighbours packed to within rounding touch, they do not overlap.
+# Largest share of covered texels in several triangles: tightly packed islands touch by rounding, without overlap.
 OVERLAP_LIMIT = 0.005
-_OVERLAP_SIZE = 1024  # texels along the square on which overlaps are looked for
-_LARGEST_SIDE = 16384  # texels drawn at once at most along a side, whatever the device allows
-_BLOCK = 1024  # texels along the square in which coverage is looked for
-_NEAREST = 1e-4  # the near plane, as a part of the farthest depth
+_OVERLAP_SIZE = 1024  # side, in texels, of the square for the overlap test
+_LARGEST_SIDE = 16384  # most texels drawn at once along a side, on every device
+_BLOCK = 1024  # side, in texels, of the blocks for the coverage test
+_NEAREST = 1e-4  # near plane, as a fraction of the farthest depth
 
 
 @dataclass(frozen=True)
 class SurfaceBake(GeometryBake):
-    """A geometry bake of a mesh, with the triangles themselves.
+    """A geometry bake of a mesh, with its triangles.
 
-    face_normal: (H, W, 3) float32 unit normal of the flat triangle, on the side that the shading normal is on.
-    triangle: (H, W) int32 its number, −1 where there is none.
+    face_normal: (H, W, 3) float32 unit normal of the flat triangle, on the shading normal's side.
+    triangle: (H, W) int32 triangle number, −1 for none.
     """
 
     face_normal: np.ndarray
@@ -35,11 +35,11 @@ class SurfaceBake(GeometryBake):
 
 
 def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> SurfaceBake:
-    """Return the surface over each texel's centre of the UV square, at any resolution.
+    """Return the surface at each texel centre of the UV square, at any resolution.
 
-    The tangent is made orthogonal to the normal in every texel, so (t, sign · n × t, n) is an orthonormal frame: the
-    solver's tangent space. Raises InputError, naming the mesh, where more than 0.5 % of the covered texels show
-    several triangles (unless allowed: then the last of them counts).
+    Tangents are orthogonal to the normals, so (t, sign · n × t, n) is an orthonormal frame: the solver's tangent space.
+    Raises InputError, with the mesh's name, where more than 0.5 % of the covered texels lie in several triangles
+    (unless allowed: then the last triangle counts).
     """
     if not allow_overlap:
         _refuse_overlap(mesh)
@@ -48,7 +48,7 @@ def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False
     side = min(context.max_texture_size(), _LARGEST_SIDE)
     if max(width, height) <= side:
         return _bake(mesh, places, width, height, nearest=False)
-    # Wider than a texture can be, as UDIM tiles side by side may well stand.
+    # UDIM tiles side by side may be wider than a texture can be.
     rows = []
     for y in range(0, height, side):
         blocks = [
@@ -65,9 +65,9 @@ def _joined(parts: list[SurfaceBake], axis: int) -> SurfaceBake:
 
 
 def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
-    """Return (H, W) bool: the texels whose centre a triangle covers, found in blocks and so with little memory.
+    """Return (H, W) bool: texels whose centre a triangle covers; computed in blocks, with little memory.
 
-    Where an edge runs through a centre it may differ from ``bake_uv`` in rounding.
+    Where an edge passes through a centre, the result may differ from ``bake_uv`` by rounding.
     """
     places = _uv_places(mesh, width, height)
     covered = np.zeros((height, width), bool)
@@ -80,11 +80,11 @@ def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 
 def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
-    """Return the nearest surface that the centre of each of a camera's pixels sees; back faces are surface too.
+    """Return the nearest surface at the centre of each of a camera's pixels, back faces included.
 
-    A perspective camera sees what is farther than 1e-4 of the farthest depth; an orthographic one, which has no place,
-    sees all along its direction. Triangles are drawn with straight edges: where the lens distorts, a camera without
-    distortion is drawn, at the camera's own scale, and each pixel shows that one's pixel nearest to it.
+    A perspective camera's near plane is at 1e-4 of the farthest depth; an orthographic one sees its full direction.
+    Triangles are drawn with straight edges: for a lens with distortion a camera without it is drawn, at the same scale,
+    and each pixel takes that camera's nearest pixel.
     """
     if any(camera.distortion):
         plain, index = undistorted_frame(camera)
@@ -93,13 +93,13 @@ def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
 
 
 def camera_triangles(mesh: MeshData, camera: Camera) -> np.ndarray:
-    """Return (H, W) int32: the number of the triangle that ``bake_camera`` shows, −1 for none; of a plain camera."""
+    """Return (H, W) int32: the triangle numbers of ``bake_camera``, −1 for none. The camera has no distortion."""
     places = _camera_places(mesh, camera)
     return raster.nearest_triangles(places, camera.width, camera.height) - 1
 
 
 def _picked(bake: SurfaceBake, index: np.ndarray) -> SurfaceBake:
-    """Return a bake of some pixels of another, (H, W) flat indices, −1 for a pixel that shows nothing."""
+    """Return a bake gathered from another by flat indices (H, W), −1 for an empty pixel."""
     nothing = {"triangle": -1}
     arrays = {}
     for item in fields(SurfaceBake):
@@ -111,15 +111,15 @@ def _picked(bake: SurfaceBake, index: np.ndarray) -> SurfaceBake:
 
 
 def overlap(mesh: MeshData, size: int = _OVERLAP_SIZE) -> float:
-    """Return which part of the covered texels of the UV square lies under more than one triangle, 0…1.
+    """Return the share of the UV square's covered texels that lie in several triangles, 0…1.
 
-    A UDIM tile is looked at in size × size texels.
+    A UDIM tile has size × size texels.
     """
     return _shared(*_first_and_last(mesh, size))
 
 
 def _first_and_last(mesh: MeshData, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first and the last triangle over each texel, from 1; 0 for none. Tiles stand on each other."""
+    """Return the first and the last triangle over each texel, from 1; 0 for none. UDIM tiles are stacked in rows."""
     places = _uv_places(mesh, size * len(mesh.tiles), size)
     found = [
         [raster.triangle_numbers(places - np.array([x, 0, 0, 0]), size, size, first) for first in (True, False)]
@@ -150,11 +150,11 @@ def _refuse_overlap(mesh: MeshData) -> None:
                 f"{where}, because modifier {names} makes copies that share it; switch that off in the viewport until"
                 " the maps are kept, or apply it and unwrap the mesh again"
             )
-        raise InputError(f"{where}; unwrap the mesh so that every place has texels of its own")
+        raise InputError(f"{where}; unwrap the mesh without overlaps")
 
 
 def _repeated(mesh: MeshData, first: np.ndarray, last: np.ndarray) -> bool:
-    """Return whether most of what overlaps does so with triangles of the very same texture coordinates."""
+    """Return whether most overlaps are of triangles with identical texture coordinates."""
     shared = first != last
     corners = mesh.uvs[..., 0] + 1j * mesh.uvs[..., 1]
     one, other = (np.sort(corners[numbers[shared] - 1], axis=-1) for numbers in (first, last))
@@ -183,7 +183,7 @@ def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 
 def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
-    """Return (T, 3, 4) pixel coordinates, depth in −1…1 and w of a camera, all but w multiplied by w."""
+    """Return (T, 3, 4) a camera's pixel coordinates x·w, y·w, depth·w (depth in −1…1) and w."""
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
     local = mesh.positions.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
     depth = -local[..., 2]
@@ -195,7 +195,7 @@ def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
         near = max(float(depth.min()) - 1e-3 * span, _NEAREST * far)
         clip = ((far + near) * depth - 2 * far * near) / (far - near)
     else:
-        # A margin, so that rounding cuts nothing away.
+        # A margin against rounding at the planes.
         near, far = float(depth.min()) - 1e-3 * span, float(depth.max()) + 1e-3 * span
         clip = (2 * depth - far - near) / (far - near)
     return np.concatenate([plane, clip[..., None], w[..., None]], axis=-1)

@@ -1,4 +1,4 @@
-"""How large a texel is in an image, and at which places within it the image is read."""
+"""A texel's footprint in an image, and the places inside it at which the image is read."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import numpy as np
 from ...capture.camera import Camera
 from .mesh import MeshData
 
-MOST = 8  # places along a side of a texel at most: which of them count is kept in the bits of a number of 64
-# A place is read between four pixel centres, so that places so many pixels apart leave no pixel out.
+MOST = 8  # most places along a side of a texel: 64 bits hold their visibility
+# A place is interpolated between four pixel centres: places this many pixels apart skip no pixel.
 _SPACING = 1.25
-# κ of ``falloff``: the part of the variance of a sample seen head-on that comes from where its pixel lies on the
-# surface. Photographs of the head scan's colours (1 % noise, up to half a pixel off) carried into 512² and 1024² texels
-# had squared errors that rise with the stretch a, from 1 to 8, as 1 + κ (a² − 1) with κ from 0.07 to 0.12.
+# κ of ``falloff``: the share of a head-on sample's variance that comes from the position of its pixel on the surface.
+# Photographs of the head scan's colours (1 % noise, up to half a pixel off), projected to 512² and 1024² texels, have
+# squared errors that grow with the stretch a, from 1 to 8, as 1 + κ (a² − 1) with κ from 0.07 to 0.12.
 _SPREAD = 0.1
 
 
 def texel_steps(mesh: MeshData, width: int, height: int) -> np.ndarray:
-    """Return (T, 2, 3) float64: how far each triangle's surface goes in the world over one texel along u and along v.
+    """Return (T, 2, 3) float64: each triangle's world steps over one texel along u and along v.
 
-    width, height: texels of the whole domain. 0 for triangles without area in it.
+    width, height: texels of the whole domain. 0 for triangles without UV area.
     """
     corners = mesh.positions.astype(np.float64)
     places = mesh.uvs.astype(np.float64) * (width, height)
@@ -31,9 +31,9 @@ def texel_steps(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 
 def jacobian(camera: Camera, points: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return (N, 2, 2): how far a texel reaches in the image, x and y in rows, in pixels a texel along u and v.
+    """Return the Jacobians (N, 2, 2) of a texel in the image: rows x and y, columns u and v, pixels per texel.
 
-    points: (N, 3), the texels' centres. steps: (N, 2, 3) of ``texel_steps``. 0 where a side of the texel is not in
+    points: (N, 3), the texels' centres. steps: (N, 2, 3) from ``texel_steps``. 0 where a side of the texel is not in
     front of the camera.
     """
     sides = []
@@ -48,25 +48,25 @@ def jacobian(camera: Camera, points: np.ndarray, steps: np.ndarray) -> np.ndarra
 
 
 def places_along(sides: np.ndarray) -> np.ndarray:
-    """Return (N, 2) uint8: at how many places along u and v an image is read, 1 … MOST, for Jacobians (N, 2, 2)."""
+    """Return (N, 2) uint8: the number of places along u and v, 1 … MOST, for Jacobians (N, 2, 2)."""
     lengths = np.sqrt((sides * sides).sum(axis=1))
     return np.clip(np.ceil(lengths - (_SPACING - 1)), 1, MOST).astype(np.uint8)
 
 
 def place(number: int, along: int) -> float:
-    """Return where the place of a number lies along a side that has so many: −0.5 … 0.5 of the side."""
+    """Return a place's position along a side with ``count`` places: −0.5 … 0.5 of the side."""
     return (number + 0.5) / along - 0.5
 
 
 def falloff(cosine: np.ndarray, grazing: float, sides: np.ndarray | None) -> np.ndarray:
-    """Return (N,) 0…1: how much a sample at a slant is worth beside one of a face seen head-on.
+    """Return (N,) 0…1: the weight of a slanted sample relative to a head-on one.
 
-    cosine: (N,) between face normal and view. grazing: the cosine at which nothing is left. sides: Jacobians (N, 2, 2),
-    None where they are not known. Two factors. A pixel seen at a slant covers a = 1/cosine times its width of the
-    surface, so that what displaces or blurs the image moves it a times as far: the inverse of a variance that grows
-    with a² from head-on, down to 1 / (1 + κ (a² − 1)). Where the texel is longer than the pixel's footprint, that is no
-    loss: a is no more than the footprint's longer side in texels, nor less than 1. And 1 − (grazing / cosine)², over
-    what that is head-on, which goes smoothly to the cut-off: about 0.75 at twice its cosine, 0.96 at five times.
+    cosine: (N,) between face normal and view. grazing: the cosine of weight 0. sides: Jacobians (N, 2, 2), or None.
+    The weight has two factors. (1) A slanted pixel covers a = 1/cosine times its width on the surface, so displacement
+    and blur of the image act a times as far: the inverse variance 1 / (1 + κ (a² − 1)). A texel longer than the pixel's
+    footprint loses nothing: a is at most the footprint's longer side in texels, and at least 1. (2)
+    1 − (grazing / cosine)², relative to head-on, falls smoothly to the cut-off: about 0.75 at twice its cosine, 0.96 at
+    five times.
     """
     cosine = np.maximum(cosine, 1e-6)
     stretch = 1 / cosine
@@ -77,7 +77,7 @@ def falloff(cosine: np.ndarray, grazing: float, sides: np.ndarray | None) -> np.
 
 
 def _longest(sides: np.ndarray) -> np.ndarray:
-    """Return (N,) the longer axis, in texels, of a pixel's footprint: one over the smaller singular value."""
+    """Return (N,) the longer axis of a pixel's footprint in texels: 1 / the smaller singular value."""
     total = (sides * sides).sum(axis=(1, 2))
     area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
     larger = (total + np.sqrt(np.maximum(total**2 - 4 * area**2, 0))) / 2  # squared singular value

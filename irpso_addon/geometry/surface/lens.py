@@ -1,4 +1,4 @@
-"""Cameras with lens distortion, in which straight edges are bent: the plain camera in which they can be drawn."""
+"""Lens distortion: a camera without distortion for drawing, where straight edges stay straight."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from ...capture.camera import Camera
 
-_MARGIN = 2  # pixels around what the lens shows
-_LARGEST = 4  # times the image's longer side: near 90° off the axis a plain picture has no end
+_MARGIN = 2  # pixels around the lens's view
+_LARGEST = 4  # times the image's longer side: near 90° off the axis an undistorted image is infinite
 
 
 def undistorted_frame(camera: Camera) -> tuple[Camera, np.ndarray]:
-    """Return a camera without distortion whose frame holds all that a distorting one shows, and where its pixels fall.
+    """Return a camera without distortion that covers the view of a distorting one, and the map between their pixels.
 
-    The second is (H, W) int64: for each pixel of the camera the flat index of the nearest pixel of the other, −1 where
-    the lens shows nothing. Both have the same scale, unless the frame would be wider than four times the image.
+    The map is (H, W) int64: for each pixel of the distorting camera the flat index of the other's nearest pixel, −1
+    where the lens shows nothing. Scales are equal, unless the frame would exceed four times the image.
     """
     plain = replace(camera, distortion=())
     places, _ = plain.project(camera.points(1.0))

@@ -10,7 +10,7 @@ from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
 from .udim import SMALLEST_AREA, layout_size, uv_areas
 
-# More of the surface than this without area in the UV map is a fault of the map.
+# Largest share of the surface without area in a valid UV map.
 _DEGENERATE_LIMIT = 0.005
 
 
@@ -18,13 +18,13 @@ _DEGENERATE_LIMIT = 0.005
 class MeshData:
     """T triangles, by corner, in world units and world axes; all float32.
 
-    positions: (T, 3, 3). normals: (T, 3, 3) unit, as Blender shades (custom and sharp ones included). tangents:
+    positions: (T, 3, 3). normals: (T, 3, 3) unit, Blender's shading normals (custom and sharp ones included). tangents:
     (T, 3, 4) unit MikkTSpace tangent and the bitangent's sign. uvs: (T, 3, 2) in 0…1, the place in the domain.
-    materials: (T,) int32 slot. uv_map: the name of the UV map the texture coordinates and tangents are of. matrix:
-    (4, 4) float64 object to world. tiles: the UDIM tiles of the domain, which stand side by side in it from the left:
-    ``uvs`` are within all of them together, tangents those of the UV map itself. slots: the names of the object's
-    material slots. solved: (T,) bool, triangles whose slot is asked for, None for all; the others are seen and throw
-    shadows, but have no texels. copied_by: names of the object's modifiers that may repeat faces with their UVs.
+    materials: (T,) int32 slot. uv_map: name of the UV map of texture coordinates and tangents. matrix: (4, 4) float64
+    object to world. tiles: the domain's UDIM tiles, side by side from the left: ``uvs`` span all of them, tangents are
+    of the UV map itself. slots: names of the object's material slots. solved: (T,) bool, triangles of the requested
+    slots, None for all; the others occlude and cast shadows, but have no texels. copied_by: names of modifiers that may
+    repeat faces with their UVs.
     """
 
     name: str
@@ -42,21 +42,21 @@ class MeshData:
 
     @property
     def texel_uvs(self) -> np.ndarray:
-        """(T, 3, 2) places in the domain; of triangles that are not solved all 0, so that nothing draws them."""
+        """(T, 3, 2) places in the domain, all 0 for triangles that are not solved: they draw no pixel."""
         return self.uvs if self.solved is None else np.where(self.solved[:, None, None], self.uvs, np.float32(0))
 
     @property
     def solved_slots(self) -> tuple[int, ...]:
-        """The slots of the triangles that are solved, ascending."""
+        """The slots of the solved triangles, ascending."""
         return tuple(np.unique(self.materials if self.solved is None else self.materials[self.solved]).tolist())
 
     def domain_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return (width, height) of the domain in which a UDIM tile has so many texels. Raises InputError."""
+        """Return (width, height) of the domain, from those of a UDIM tile. Raises InputError."""
         return layout_size(self.tiles, width, height)
 
 
 def check_uvs(name: str, uv_map: str, positions: np.ndarray, uvs: np.ndarray) -> None:
-    """Raise InputError where (T, 3, 2) texture coordinates are no numbers or hold no area for the surface."""
+    """Raise InputError where texture coordinates (T, 3, 2) are not numbers or give the surface no area."""
     where = f"UV map '{uv_map}' of '{name}'"
     if not np.isfinite(uvs).all():
         raise InputError(f"{where} holds values that are not numbers; unwrap the mesh again")

@@ -1,4 +1,4 @@
-"""Material slots of an object: which are asked for, and what to do where their texture coordinates overlap."""
+"""Material slots of an object: selection by name or index, and slots that share texture coordinates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OPTION = "--slots"
 
 
 def slot_names(obj: Any) -> tuple[str, ...]:
-    """Return the names of an object's material slots; of one without a material "slot N"."""
+    """Return the names of an object's material slots; "slot N" for one without a material."""
     return tuple(
         slot.material.name if slot.material is not None else f"slot {index}"
         for index, slot in enumerate(obj.material_slots)
@@ -20,9 +20,9 @@ def slot_names(obj: Any) -> tuple[str, ...]:
 
 
 def slots_of_text(text: str, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the indices, ascending, of slots named "name or index,…". Raises InputError naming those that there are.
+    """Return the ascending indices of slots given as "name or index,…". Raises InputError that lists the slots.
 
-    names: of all slots. A name may hold commas where it is the only one.
+    names: of all slots. A single name may contain commas.
     """
     parts = [text.strip()] if text.strip() in names else [part.strip() for part in text.split(",")]
     found = set()
@@ -40,12 +40,12 @@ def slots_of_text(text: str, names: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def listed(names: tuple[str, ...]) -> str:
-    """Return slots with their numbers, for people."""
+    """Return slots with their numbers, for display."""
     return ", ".join(f"{index} '{name}'" for index, name in enumerate(names))
 
 
 def overlapping_slots(materials: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[int, ...]:
-    """Return the slots between which overlaps lie, none where most of them lie within a slot.
+    """Return the slots that overlap each other, or none where most overlaps lie within a slot.
 
     materials: (T,) slot of each triangle. first, last: (H, W) triangles over each texel from 1, 0 for none.
     """

@@ -60,7 +60,7 @@ def test_one_place_in_two_tiles_is_no_overlap_and_in_one_tile_the_slots_are_name
     with pytest.raises(InputError, match=r"over 50 % .* slots 'B', 'C' share it; recover them one by one \(--slots\)"):
         bake.bake_uv(both, 16, 16)
     within = replace(both, materials=both.materials * 0)
-    with pytest.raises(InputError, match="unwrap the mesh so that every place has texels of its own"):
+    with pytest.raises(InputError, match="unwrap the mesh without overlaps"):
         bake.bake_uv(within, 16, 16)
 
 
