@@ -1,4 +1,4 @@
-"""What the images of recovered texels say of their lights: one Gauss–Newton step, the texels' own answer counted in."""
+"""One Gauss–Newton step on the light parameters, with the texel parameters eliminated (Golub and Pereyra 1973)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from ..settings.groups import Fitness
 from ..state.prepare import drop_shadow, light_vectors
 from ..views.forward import Renderer
 
-GAINS, MOVES = 3, 3  # unknowns of a light: logarithms of its intensity, and angles (a near light's third: its distance)
-_TURN = 2e-3  # radians: of a normal or a light, small against what bends a highlight, large against float32
+GAINS, MOVES = 3, 3  # free parameters of a light: log intensities, and angles (a near light's third: its distance)
+_TURN = 2e-3  # radians, of a normal or a light: small against the width of a highlight, large against float32
 _STEP = 2e-3  # of a parameter's range
-_GAIN_PRIOR = 2.0  # standard deviation of a logarithm: holds what nothing tells, and nothing else
+_GAIN_PRIOR = 2.0  # standard deviation of a logarithm: weak, it fixes undetermined gains only
 _GROUPS = 8  # of texels, for the deviations
 _LARGEST_STEP = 0.5  # of a logarithm
-_FAR, _DARKEST = 0.7, 0.05  # of a light off by more than a factor of two no sample is what it seems: shadow, highlight
-_SAMPLED_AS = 100.0  # independent texels: neighbours of one subject are wrong together, and more of them tell no more
+_FAR, _DARKEST = 0.7, 0.05  # shadow and highlight are not recognised under a light off by more than a factor of two
+_SAMPLED_AS = 100.0  # independent texels: errors of neighbours are correlated, so more texels add no information
 
 
 @dataclass(frozen=True)
 class LightStep:
-    """gains: (K, 3) logarithms to be added. moves: (K, 3) radians, or parts of the distance, along ``axes_of``.
+    """gains: (K, 3) log intensities to add. moves: (K, 3) radians, or fractions of the distance, along ``axes_of``.
 
     deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982). told: the
-    second least eigenvalue of what the images say of the gains, which is 1 where a light's own shading is known, and
-    near 0 where the texels face one way. explained: the part of the weighted squared error that the step takes away.
+    second smallest eigenvalue of the gains' normalised matrix: 1 where the shading of a light is known, near 0 where
+    all texels face one way. explained: the fraction of the weighted squared error that the step removes.
     """
 
     gains: np.ndarray
@@ -42,9 +42,9 @@ class LightStep:
 
 @dataclass(frozen=True)
 class Moving:
-    """How lights may move. start: (K, 4) as given. axes: of ``axes_of`` there. moves: (K, 3) so far, along the axes.
+    """Moves of lights. start: (K, 4) given lights. axes: their ``axes_of``. moves: (K, 3) so far, along the axes.
 
-    sigma: one standard deviation of the moves, in radians and as a part of a near light's distance.
+    sigma: prior standard deviation of the moves, in radians and as a fraction of a near light's distance.
     """
 
     start: np.ndarray
@@ -53,7 +53,7 @@ class Moving:
     sigma: float
 
     def lights(self, further: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return (K, 4) float32 lights as they are, or ``further`` (K, 3) along their axes; directions stay unit."""
+        """Return (K, 4) float32 lights, moved ``further`` (K, 3) along their axes; directions stay unit."""
         result = self.start.astype(np.float64)
         result[:, :3] += np.einsum("ka,kac->kc", self.moves + further, self.axes)
         distant = self.start[:, 3] == 0
@@ -61,14 +61,14 @@ class Moving:
         return result.astype(np.float32)
 
     def moved(self, further: np.ndarray) -> Moving:
-        """Return it after ``further`` (K, 3) moves."""
+        """Return the moves with ``further`` (K, 3) added."""
         return replace(self, moves=self.moves + further)
 
 
 def axes_of(domain: Domain) -> np.ndarray:
-    """Return (K, 3, 3) rows by which a light moves: two across, and the third toward it (zero for a distant one).
+    """Return (K, 3, 3) axes of motion as rows: two across, the third toward the light (zero for a distant one).
 
-    Of a distant light they are unit vectors, of a near one as long as it is far from the middle of the texels.
+    Unit vectors for a distant light; for a near one their length is its distance from the centre of the texels.
     """
     vectors = domain.lights[:, :3].astype(np.float64)
     near = domain.lights[:, 3] > 0
@@ -91,14 +91,14 @@ def light_step(
     gains: bool,
     moving: Moving | None,
 ) -> Generator[None, None, LightStep]:
-    """Yield after each observation, and return what would make the lights fit the images better.
+    """Yield after each observation; return the step of the lights toward a better fit.
 
-    The unknowns of the texels, of ``values`` all but the ``fixed``, are eliminated (variable projection; Golub and
-    Pereyra 1973): a light's error that they have taken up is seen all the same. Samples count as in the robust fitness.
-    scale: (h, w) of ``prepare.texel_scale``. moving: None where the lights stay where they are, as ``domain`` has them.
+    Variable projection (Golub and Pereyra 1973) eliminates the texels' free parameters, all of ``values`` but the
+    ``fixed``: light errors that the texels have absorbed still count. Samples are weighted as in the robust fitness.
+    scale: (h, w) from ``prepare.texel_scale``. moving: None for fixed light positions.
     """
     texels = np.nonzero(domain.bake.coverage)
-    found = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
+    equations = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
     steps = _texel_steps(model, values, fixed)
     renders = _Renders(domain, model, values, steps, moving)
     stack = np.stack([*domain.stack.layers()])
@@ -113,20 +113,20 @@ def light_step(
             difference = _difference(seen, render)
             outlying = difference
             if gains:
-                # Against what the light itself does to most texels: one that is off as a whole is no outlier.
+                # Relative to the light's effect on most texels: a light that is off as a whole is no outlier.
                 outlying = difference - render * _typical(difference, render, seen[:, 3:])
                 off = _off_as_a_whole(domain.stack.layer(k)[texels].astype(np.float64), render)
                 if abs(off.mean()) > _FAR:
                     far[k] = off
             weight = seen[:, 3:] * (k not in far) / (1 + (outlying / level / fitness.delta) ** 2)
-            found.add(
+            equations.add(
                 difference / level, weight, render / level, texel_part / level[..., None],
                 None if move_part is None else move_part / level[..., None],
             )  # fmt: skip
             yield
     finally:
         renders.close()
-    step = found.solved(steps, moving)
+    step = equations.solved(steps, moving)
     for k, logarithms in far.items():
         step.gains[k] = logarithms
     return step
@@ -134,7 +134,7 @@ def light_step(
 
 @dataclass(frozen=True)
 class _Step:
-    """An unknown of every texel: its values a step up and down, and how far each texel was moved in all."""
+    """A free parameter of all texels: its values one step up and down, and each texel's total step."""
 
     name: str
     up: np.ndarray
@@ -167,7 +167,7 @@ def _texel_steps(model: ReflectanceModel, values: Mapping[str, np.ndarray], fixe
 
 
 class _Renders:
-    """The texels as they are, with each unknown a step up and down, and under each light a step aside."""
+    """Renders of the texels: as they are, with each parameter a step up and down, and with each light moved."""
 
     def __init__(
         self,
@@ -194,7 +194,7 @@ class _Renders:
             self._aside = Renderer(domain.bake, model, dict(values), lights, *repeated, domain.card)
 
     def of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return of observation k (T, 3) radiance, (T, 3, P) its change with the unknowns and (T, 3, 3) the light's."""
+        """Return observation k's radiance (T, 3), and its derivatives by parameters (T, 3, P) and light (T, 3, 3)."""
         images = self._all.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)
         images = images[:, *self._texels]
         differences = (images[1::2] - images[2::2]).transpose(1, 2, 0)
@@ -212,13 +212,13 @@ class _Renders:
 
 
 class _Equations:
-    """Normal equations of the texels' unknowns and the lights', collected observation by observation."""
+    """Normal equations of texel and light parameters, accumulated observation by observation."""
 
     def __init__(self, observations: int, texels: int, gains: bool, moves: bool):
         self._groups = np.arange(texels) % _GROUPS
         self._gains, self._moves = gains, moves
         self._size = GAINS * gains + MOVES * moves
-        self._own: list[np.ndarray] = []  # (T, Q, Q) of each light, Q unknowns
+        self._own: list[np.ndarray] = []  # (T, Q, Q) of each light, Q parameters
         self._right: list[np.ndarray] = []  # (T, Q)
         self._cross: list[np.ndarray] = []  # (T, P, Q)
         self._texel: np.ndarray | None = None  # (T, P, P)
@@ -227,7 +227,7 @@ class _Equations:
         self._observations = observations
 
     def add(self, error, weight, render, texel_part, move_part) -> None:
-        """Count one observation in: (T, 3) error, weight and render, (T, 3, P) and (T, 3, 3) derivatives."""
+        """Add one observation: (T, 3) error, weight and render, (T, 3, P) and (T, 3, 3) derivatives."""
         parts = []
         if self._gains:
             parts.append(render[..., None] * np.eye(GAINS))
@@ -245,7 +245,7 @@ class _Equations:
         self._weights += float(weight.sum())
 
     def solved(self, steps: list[_Step], moving: Moving | None) -> LightStep:
-        """Eliminate the texels, and solve for the lights, with and without each group of texels."""
+        """Eliminate the texels and solve for the lights: with all texels, and without each group."""
         noise = max(self._squares / max(self._weights, 1.0), 1e-8)
         matrices, rights = self._reduced(steps, noise)
         count = self._observations
@@ -269,7 +269,7 @@ class _Equations:
         )  # fmt: skip
 
     def _reduced(self, steps: list[_Step], noise: float) -> tuple[np.ndarray, np.ndarray]:
-        """(G, KQ, KQ) and (G, KQ): the equations of the lights alone, of each group of texels."""
+        """(G, KQ, KQ) and (G, KQ): the lights' reduced equations, per group of texels."""
         count, size = self._observations, self._size
         texels = len(self._groups)
         own, right = np.stack(self._own, axis=1), np.stack(self._right, axis=1)
@@ -293,7 +293,7 @@ class _Equations:
         return matrices, rights
 
     def _prior(self, texels: int, noise: float, moving: Moving | None) -> tuple[np.ndarray, np.ndarray]:
-        """(KQ, KQ) and (KQ,): what is believed before; gains change no channel's scale."""
+        """(KQ, KQ) and (KQ,): the prior; gains keep the scale of each channel."""
         count, size = self._observations, self._size
         matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
         strength = noise * max(1.0, texels / _SAMPLED_AS)
@@ -310,7 +310,7 @@ class _Equations:
         return matrix, right
 
     def _told(self, whole: np.ndarray) -> float:
-        """The second least eigenvalue of the grey gains' matrix over its diagonal."""
+        """The second smallest eigenvalue of the grey gains' matrix, normalised by its diagonal."""
         count, size = self._observations, self._size
         blocks = whole.reshape(count, size, count, size)[:, :GAINS, :, :GAINS].sum(axis=(1, 3))
         spread = np.sqrt(np.maximum(np.diag(blocks), 1e-30))
@@ -318,17 +318,17 @@ class _Equations:
 
 
 def _difference(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
-    """(T, 3) of samples (T, 4) to their render, 0 where they weigh nothing."""
+    """(T, 3) difference of samples (T, 4) and render, 0 at weight 0."""
     return np.where(seen[:, 3:] > 0, seen[:, :3] - render, 0.0)
 
 
 def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
-    """(3,) logarithms of the factors by which most samples (T, 4), taken for no shadow, differ from their render."""
+    """(3,) log factors between most samples (T, 4) and their render, under the assumption of no shadow."""
     return np.log(np.maximum(1 + _typical(_difference(seen, render), render, seen[:, 3:]), _DARKEST))
 
 
 def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return (K, 3) factors on the intensities by which most of what the texels' images show is met."""
+    """Return (K, 3) factors on the intensities that match most samples of the texels."""
     texels = np.nonzero(domain.bake.coverage)
     factors = np.ones((domain.observations, GAINS))
     lit = domain.lights, domain.intensities, domain.views
@@ -341,7 +341,7 @@ def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.
 
 
 def _typical(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(3,) medians of (T, 3) differences over the render, each counting as what it is a part of."""
+    """(3,) medians of differences (T, 3) relative to the render, weighted by the render."""
     values, weight = difference / np.maximum(render, 1e-9), np.maximum(render, 0) * weight
     order = np.argsort(values, axis=0)
     ordered, summed = np.take_along_axis(values, order, 0), np.cumsum(np.take_along_axis(weight, order, 0), axis=0)
@@ -350,7 +350,7 @@ def _typical(difference: np.ndarray, render: np.ndarray, weight: np.ndarray) -> 
 
 
 def _across(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (…, 3) across unit vectors, and each other."""
+    """Two unit vectors (…, 3) perpendicular to unit vectors and to each other."""
     least = np.eye(3)[np.abs(vectors).argmin(axis=-1)]
     first = _unit(np.cross(vectors, least))
     return first, np.cross(vectors, first)

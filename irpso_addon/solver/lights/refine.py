@@ -1,4 +1,4 @@
-"""Lights that are not known well: their intensities up to one scale, and small errors of where they are."""
+"""Estimation of uncertain lights: intensities up to one scale, and small errors of direction or position."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from .fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_ste
 from .sample import LightSample
 from .semi_calibrated import normalised
 
-MOST_DEGREES = 20.0  # of a refinement: what is further off has to be measured
+MOST_DEGREES = 20.0  # of a refinement: larger errors need a calibration
 _ROUNDS = 12
-_SETTLED = 1e-3  # root mean square of a round's changes, of intensities and in radians of directions, at which it ends
-# δ of the fitness in the first rounds: to a narrow one a light that is off is an outlier, and stays off. On a relief of
-# 3° under 20 lights that began 44 % off, eight rounds end at 0.2 % with these widths, and at 8.8 % without.
+_SETTLED = 1e-3  # RMS change (relative intensities, radians of directions) of the last round
+# δ of the fitness in the first rounds: with a narrow δ a wrong light is an outlier and stays wrong. On a relief of 3°
+# under 20 lights with 44 % initial error, eight rounds end at 0.2 % with these widths, and at 8.8 % without.
 _WIDTHS = (0.2, 0.1, 0.05)
 _SLICE_SECONDS = 0.02
-_BRIGHT = 95.0  # percentile of the albedos that a common factor brings to _WHITE where it would lie above 1
+_BRIGHT = 95.0  # percentile of the albedos that a common factor lowers to _WHITE where it exceeds 1
 _WHITE = 0.9
-_TOLD = 0.01  # of LightStep.told: under it a trend of the intensities from one side to the other is hard to see
-_SMALL = 256  # texels of a look at lights that are taken as given
-_CONTRADICTED = 0.1  # root mean square by which they have to be off to be spoken of
-# The part of the error that other intensities have to explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 where a
-# matte model is given a glossy surface, 0.01 where nothing is wrong.
+_TOLD = 0.01  # least LightStep.told; below, a linear trend of the intensities is not determined
+_SMALL = 256  # texels for the check of given intensities
+_CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
+# Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
+# matte model on a glossy surface, 0.01 for correct intensities.
 _EXPLAINED = 0.6
-_LEAST_LIGHTS = 8  # that tell their intensities
+_LEAST_LIGHTS = 8  # for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
 
 
 @dataclass(frozen=True)
 class Lights:
-    """What was found. lights: (K, 4) and intensities: (K, 3), to be put into a Domain.
+    """Estimated lights. lights: (K, 4) and intensities: (K, 3), for a Domain.
 
-    factors: (K, 3) on the given intensities. deviations: (K, 3) relative standard deviations of the intensities, as far
-    as texels differ in what they say; an error of the model is not in them. turned: (K,) degrees by which a distant
-    light was turned, or a near one is seen elsewhere from the middle of the texels. told: see LightStep. rounds: how
-    often the texels were recovered. change: the last round's, root mean square.
+    factors: (K, 3) on the given intensities. deviations: (K, 3) relative standard deviations of the intensities from
+    the scatter between texels, without model error. turned: (K,) degrees between the given and the estimated light, as
+    seen from the centre of the texels. told: see LightStep. rounds: recoveries of the texels. change: RMS change of the
+    last round.
     """
 
     lights: np.ndarray
@@ -62,11 +62,11 @@ class Lights:
     change: float
 
     def applied(self, domain: Domain) -> Domain:
-        """Return the domain under these lights."""
+        """Return the domain with these lights."""
         return with_lights(domain, self.lights, self.intensities)
 
     def summary(self) -> str:
-        """Return in a line how far they are from those that were given."""
+        """Return one line about their difference from the given lights."""
         parts = []
         if (self.factors != 1).any():
             low, high = self.factors.mean(axis=-1).min(), self.factors.mean(axis=-1).max()
@@ -76,7 +76,7 @@ class Lights:
         return ", ".join(parts) or "as given"
 
     def report(self, numbers: Sequence[int] | None = None) -> dict[str, Any]:
-        """Return what a report says of them, as plain data. numbers: of the lights, in whose order they are told."""
+        """Return their table for the report, as plain data. numbers: of the lights, in the order of the report."""
         order = np.argsort(numbers) if numbers is not None else slice(None)
         return {
             "intensities": np.round(self.intensities, 6)[order].tolist(),
@@ -88,7 +88,7 @@ class Lights:
         }
 
     def warnings(self, asked: bool = True) -> list[str]:
-        """Return a line for each thing that makes them doubtful. asked: whether somebody asked for intensities."""
+        """Return one line per doubt. asked: the user asked for intensities."""
         lines = []
         if not asked and (self.factors != 1).any():
             lines.append(
@@ -97,12 +97,12 @@ class Lights:
             )
         if self.told < _TOLD:
             lines.append(
-                "the surface is nearly flat: the lights' intensities may be off by a trend from one side to the other;"
+                "the surface is nearly flat: the lights' intensities may have a linear trend from side to side;"
                 " photograph a grey card or a matte ball beside it"
             )
         if self.change > 10 * _SETTLED:
             lines.append(
-                f"the lights had not settled after {self.rounds} rounds: the last changed them by {self.change:.1%}"
+                f"the lights did not converge in {self.rounds} rounds: the last changed them by {self.change:.1%}"
             )
         return lines
 
@@ -119,16 +119,15 @@ def estimate_lights(
     fitted: Sequence[int] | None = None,
     entry: Literal["auto", "fragment", "compute"] = "auto",
 ) -> Lights:
-    """Return the lights under which about a thousand texels of a domain are explained best.
+    """Return the lights that best explain about a thousand texels of a domain.
 
-    Semi-calibrated photometric stereo (Cho et al. 2016) begins it; then the texels are recovered with the model and the
-    lights moved by Gauss–Newton steps, in turns, until neither changes. Images tell intensities up to one scale a
-    channel: the mean logarithm stays as given, but for a common factor where the surface would be brighter than white.
-    schedule: of the texels' recovery, ``standard`` by default; what looks at neighbours is left out of it. known: as
-    for a Recovery. intensities: whether they are estimated, each channel by itself. refine_degrees: standard deviation
-    of the error of the given directions (or of where near lights are seen from the texels), 0 to leave them; at most
-    20. fitted: the observations that tell, by default all; the others get the intensity that meets their own image.
-    Raises InputError; otherwise as a Recovery.
+    The start is semi-calibrated photometric stereo (Cho et al. 2016). Then recoveries of the texels and Gauss–Newton
+    steps of the lights alternate until neither changes. Images determine intensities up to one scale per channel: the
+    mean logarithm stays as given, except for a common factor where the surface would be brighter than white.
+    schedule: of the texels' recovery, ``standard`` by default, without spatial phases. fixed: as for a Recovery.
+    intensities: estimate them, each channel by itself. refine_degrees: standard deviation of the error of the given
+    directions (for near lights as seen from the texels), 0…20; 0 keeps them. fitted: the observations in the fit, all
+    by default; the others get the intensity that matches their own image. Raises InputError; otherwise as a Recovery.
     """
     return run_steps(
         light_steps(domain, model, schedule, seed, fixed, intensities=intensities, refine_degrees=refine_degrees,
@@ -149,16 +148,16 @@ def light_steps(
     entry: Literal["auto", "fragment", "compute"] = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights]:
-    """Yield often how far it is, 0…1, and return what ``estimate_lights`` does: for callers that must not wait.
+    """Yield the fraction done, 0…1; return the result of ``estimate_lights``.
 
-    sample: of ``light_sample.draw`` with the same seed and observations, where it has been drawn already.
+    sample: from ``sample.draw`` with the same seed and observations, drawn here where None.
     """
     check(intensities, refine_degrees)
     fitted = np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
     sample = sample or light_sample.draw(domain, seed, fitted)
     if not len(sample.rows):
         raise InputError(
-            "no texel is lit by three observations, so that its lights cannot be told; give the intensities"
+            "no texel is lit by three observations, so the lights are not determined; give the intensities"
         )
     search = _Search(
         sample, model, sample_schedule(schedule), seed, light_sample.fixed_at(fixed, sample), fitted, intensities,
@@ -180,10 +179,10 @@ def chosen_steps(
     entry: Literal["auto", "fragment", "compute"] = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights | None]:
-    """Yield often how far it is, 0…1, and return the lights that are found, None where they are taken as given.
+    """Yield the fraction done, 0…1; return the estimated lights, or None where the given ones stay.
 
     intensities: "given", "estimate", or "auto": estimated where all are given as 1, the images contradict that, and the
-    lights are enough to tell. The others: as for ``light_steps``.
+    lights suffice. The others: as for ``light_steps``.
     """
     fitted = np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
 
@@ -196,19 +195,19 @@ def chosen_steps(
     if intensities == "auto" and can_tell(domain, fitted):
         sample = sample or light_sample.draw(domain, seed, fitted)
         if (yield from _contradicted(domain, model, seed, fixed, fitted, entry, sample)):
-            found = yield from search(True)
-            if found.told >= _TOLD:
-                return found
+            lights = yield from search(True)
+            if lights.told >= _TOLD:
+                return lights
     if intensities != "estimate" and refine_degrees == 0:
         return None
     return (yield from search(intensities == "estimate"))
 
 
 def can_tell(domain: Domain, fitted: np.ndarray | None = None) -> bool:
-    """Return whether intensities, all given as 1, are determined by the images: by many lights, widely spread.
+    """Return whether images determine the intensities, all given as 1: there are many, widely spread lights.
 
-    Under lights that lie close together an error of the model passes for other intensities, and these turn normals: on
-    twelve photographs of a ball under lights within 22°, from 6.2 to 7.2°. fitted: the observations that count.
+    Under lights that lie close together a model error looks like other intensities, which turn normals: with twelve
+    photographs of a ball under lights within 22°, errors rise from 6.2 to 7.2°. fitted: the observations in the fit.
     """
     lights = domain.lights if fitted is None else domain.lights[fitted]
     if not (domain.intensities == 1).all() or len(lights) < _LEAST_LIGHTS:
@@ -227,32 +226,32 @@ def _contradicted(
     entry: Any,
     sample: LightSample,
 ) -> Generator[float, None, bool]:
-    """Yield while some texels are recovered under the lights as given, and return whether the images contradict them.
+    """Recover some texels under the given lights, with yields; return whether the images contradict the lights.
 
-    Nothing is recovered where the first estimate, of matt texels, is near to what is given.
+    No recovery runs where the first estimate, for matt texels, is near the given intensities.
     """
     if not len(sample.rows) or _size(np.log(sample.factors)) < _CONTRADICTED:
         return False
     few = light_sample.draw(domain, seed, fitted, _SMALL)
-    here, held = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
-    recovery = Recovery(here, model, sample_schedule(), seed, held, entry)
+    part, held = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
+    recovery = Recovery(part, model, sample_schedule(), seed, held, entry)
     try:
         while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
             yield 0.0
         values = recovery.maps(confidence=False).values
     finally:
         recovery.close()
-    return _disagreement(here, model, values, frozenset(fixed)) is not None
+    return _disagreement(part, model, values, frozenset(fixed)) is not None
 
 
 def check(intensities: bool, refine_degrees: float) -> None:
-    """Raise InputError where there is nothing to be found, or more than can be."""
+    """Raise InputError where nothing is to be estimated, or the angle is out of range."""
     if not 0 <= refine_degrees <= MOST_DEGREES:
         raise InputError(
             f"--refine-directions {refine_degrees:g}: give the directions' error in degrees, 0 to {MOST_DEGREES:g}"
         )
     if not intensities and refine_degrees == 0:
-        raise InputError("lights: neither intensities nor directions are asked for; ask for one of them")
+        raise InputError("lights: neither intensities nor directions are to be estimated; choose one of them")
 
 
 def sample_schedule(schedule: Schedule | None = None) -> Schedule:
@@ -265,15 +264,15 @@ def sample_schedule(schedule: Schedule | None = None) -> Schedule:
 def contradiction(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str], seed: int = 0
 ) -> str:
-    """Return a warning where recovered maps say that the intensities are not as given, "" where they do not.
+    """Return a warning where recovered maps contradict the given intensities, else "".
 
     values: parameter name → (H, W, components) of the whole domain.
     """
     sample = light_sample.draw(domain, seed, np.arange(domain.observations), _SMALL)
     if not len(sample.rows):
         return ""
-    here = {name: sample.part(value) for name, value in values.items()}
-    step = _disagreement(sample.domain, model, here, fixed)
+    sampled = {name: sample.part(value) for name, value in values.items()}
+    step = _disagreement(sample.domain, model, sampled, fixed)
     if step is None:
         return ""
     remedy = (
@@ -290,7 +289,7 @@ def contradiction(
 def _disagreement(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str]
 ) -> LightStep | None:
-    """Return the step that other intensities would be, None where recovered texels do not speak for them."""
+    """Return the step to better intensities, None where recovered texels do not support one."""
     fitness = load_schedule("standard").fitness
     scale = texel_scale(domain, fitness.percentile)
     fitness = replace(fitness, delta=_WIDTHS[1])
@@ -299,7 +298,7 @@ def _disagreement(
 
 
 class _Search:
-    """The texels' recovery and the lights' steps in turns. factors: on the intensities of the fitted observations."""
+    """Alternation of texel recoveries and light steps. factors: on the intensities of the fitted observations."""
 
     def __init__(
         self,
@@ -327,19 +326,19 @@ class _Search:
         self._values: dict[str, np.ndarray] = {}
 
     def rounds(self) -> Generator[float, None, None]:
-        """Make them all; yields how far it is."""
+        """Run all rounds; yields the fraction done."""
         while self._round < _ROUNDS and (self._change > _SETTLED or self._round < len(_WIDTHS)):
             width = _WIDTHS[self._round] if self._round < len(_WIDTHS) else 0.0
             schedule = self._schedule.replaced(delta=max(self._schedule.fitness.delta, width))
             self._round += 1
-            # The images are divided rather than the lights multiplied, so that all count the same however dim.
-            here = _divided(self._base, self._factors)
+            # Divide the images instead of multiplying the lights: dim images then count like bright ones.
+            domain = _divided(self._base, self._factors)
             if self._moving is not None:
-                here = with_lights(here, self._moving.lights(), here.intensities)
-            self._values = yield from self._solved(here, schedule)
-            scale = texel_scale(here, schedule.fitness.percentile)
+                domain = with_lights(domain, self._moving.lights(), domain.intensities)
+            self._values = yield from self._solved(domain, schedule)
+            scale = texel_scale(domain, schedule.fitness.percentile)
             stepping = light_step(
-                here,
+                domain,
                 self._model,
                 self._values,
                 frozenset(self._fixed),
@@ -357,7 +356,7 @@ class _Search:
             self._change = max(_size(self._step.gains), _size(self._step.moves))
 
     def found(self, domain: Domain) -> Lights:
-        """Return the lights of a domain, those that were not fitted too."""
+        """Return the lights of a domain, including those outside the fit."""
         count = domain.observations
         lights, factors = domain.lights.copy(), np.ones((count, GAINS))
         deviations, turned = np.zeros((count, GAINS)), np.zeros(count)
@@ -383,9 +382,9 @@ class _Search:
             recovery.close()
 
     def _fraction(self, part: float) -> float:
-        """How far it is: of what is left, a round past the first ones most often takes half."""
-        made = self._round - 1 + part
-        return made / 6 if made < 3 else 1 - 0.5 ** (made - 2)
+        """Return the fraction done: after three rounds each usually takes half of the rest."""
+        rounds = self._round - 1 + part
+        return rounds / 6 if rounds < 3 else 1 - 0.5 ** (rounds - 2)
 
 
 def _divided(domain: Domain, factors: np.ndarray) -> Domain:

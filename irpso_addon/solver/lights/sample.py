@@ -1,4 +1,4 @@
-"""Some of a domain's texels as a domain of their own: enough to tell the lights by, few enough to be solved soon."""
+"""A small sample of a domain's texels, as a domain, for the estimation of lights."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ...geometry.domain import Domain, laid_on
 from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
-_TEXELS = 1024  # at most; noise of 5 % of a sample is then 0.2 % of a light
-_SAMPLES = 1 << 16  # at most, of all observations together; but _LEAST texels
+_TEXELS = 1024  # at most; 5 % noise of a sample is then 0.2 % of a light
+_SAMPLES = 1 << 16  # at most, over all observations; but at least _LEAST texels
 _LEAST = 384
 _WIDTH = 64  # of their grid
-_CANDIDATES = 3  # times as many are looked at: a texel is read from all layers of a stack that may lie on a disk
-_EVERY_LIGHT = 128  # texels that a light is to have where that many see it
-_CELLS = 5  # normals are told apart by so many cells along each axis
+_CANDIDATES = 3  # candidates per texel; each is read from all layers of a stack, which may be on disk
+_EVERY_LIGHT = 128  # texels per light, where so many see it
+_CELLS = 5  # cells along each axis of the histogram of normals
 
 
 @dataclass(frozen=True)
 class LightSample:
     """Some texels of a domain, and the first estimate of its lights.
 
-    domain: h×w texels, each of which stands for itself: neighbours there are none in the whole. factors: (n, 3) on the
-    given intensities of the observations that are fitted. rows, columns: where its first texels, row by row, lie in
-    the whole; what is left over is not covered.
+    domain: h×w independent texels; neighbours in it are not neighbours in the source. factors: (n, 3) on the given
+    intensities of the fitted observations. rows, columns: places in the source of its texels, row by row; the rest of
+    the grid is not covered.
     """
 
     domain: Domain
@@ -36,22 +36,21 @@ class LightSample:
     columns: np.ndarray
 
     def part(self, value: np.ndarray) -> np.ndarray:
-        """Return (h, w, …) of a map (H, W, …) of the whole."""
+        """Return (h, w, …) of a map (H, W, …) of the source."""
         return _grid(value[self.rows, self.columns], self.domain.shape)
 
 
 def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> LightSample:
-    """Return texels that many lights reach, their normals spread as widely as the subject's, and a first estimate.
+    """Return texels under many lights, with normals as widely spread as the subject's, and a first estimate.
 
-    Nothing but numpy: it may run in a thread beside a window. fitted: the observations by index that are looked at.
-    most: texels.
+    Uses numpy only, so it may run in a thread. fitted: indices of the observations in the fit. most: number of texels.
     """
     places = np.flatnonzero(domain.solvable)
     count = min(most, max(_LEAST, _SAMPLES // domain.observations))
     rng = np.random.default_rng(seed % 2**32)
     chosen = np.sort(rng.permutation(places)[: _CANDIDATES * count])
     rows, columns = np.divmod(chosen, domain.shape[1])
-    stack = without_bounds(domain.stack.texels(rows, columns))  # of a light they tell nothing
+    stack = without_bounds(domain.stack.texels(rows, columns))  # bounds do not determine lights
     vectors, irradiance = (a[fitted] for a in light_vectors(domain, (rows, columns)))
     kept = _well_lit(stack[fitted], 2 * count)
     vectors, irradiance = (a if a.shape[1] == 1 else a[:, kept] for a in (vectors, irradiance))
@@ -66,12 +65,12 @@ def draw(domain: Domain, seed: int, fitted: np.ndarray, most: int = _TEXELS) -> 
 
 
 def fixed_at(fixed: Mapping[str, np.ndarray], sample: LightSample) -> dict[str, np.ndarray]:
-    """Return known maps, (H, W, components) or (components,), at the sample's texels."""
+    """Return fixed maps, (H, W, components) or (components,), at the sample's texels."""
     return {name: value if np.ndim(value) == 1 else sample.part(np.asarray(value)) for name, value in fixed.items()}
 
 
 def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the ``count`` texels that the most observations see, and of some that see each observation."""
+    """Indices of the ``count`` texels with the most observations, and of some texels for each observation."""
     seen = (stack[..., 3] > 0) & (stack[..., :3] > 0).any(axis=-1)
     order = np.argsort(-seen.sum(axis=0), kind="stable")
     wanted = np.zeros(len(order), bool)
@@ -84,7 +83,7 @@ def _well_lit(stack: np.ndarray, count: int) -> np.ndarray:
 
 
 def _spread(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices in an order whose beginnings hold as many texels of one normal as of another."""
+    """Indices in an order in which every prefix holds about equally many texels of each normal."""
     cells = np.floor((normals + 1) * (_CELLS / 2)).clip(0, _CELLS - 1).astype(int) @ (1, _CELLS, _CELLS**2)
     shuffled = rng.permutation(len(cells))
     by_cell = shuffled[np.argsort(cells[shuffled], kind="stable")]

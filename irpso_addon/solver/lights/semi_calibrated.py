@@ -1,32 +1,31 @@
-"""Relative intensities of lights of known places from the images alone, on a matte surface: the first estimate."""
+"""First estimate of relative light intensities from the images of a matte surface; light positions are given."""
 
 from __future__ import annotations
 
 import numpy as np
 
 _ROUNDS = 30  # of reweighting; most subjects settle in ten
-_SETTLED = 1e-4  # relative change of an intensity at which it ends
-_LEAST_WIDTH = 0.02  # of the robust weight, as a fraction of a texel's albedo: under it lies what noise does
+_SETTLED = 1e-4  # relative change of an intensity in the last round
+_LEAST_WIDTH = 0.02  # of the robust weight, as a fraction of a texel's albedo: the level of noise
 _WIDTH = 2.0  # times the median of the residuals
-_FACING = 0.1  # least cosine of a sample that counts: what lies lower is shadow more often than not
-_DARK = 0.1  # of what the texel and the image are like elsewhere: shadow, at first
+_FACING = 0.1  # least cosine of a sample; below, most samples are in shadow
+_DARK = 0.1  # of the texel's and the image's usual radiance: shadow, at first
 _COLOUR_ROUNDS = 10
-# On a surface that is nearly flat two trends of the intensities are told by nothing, the second least eigenvalue is
-# small (1 for what images tell well, 0.1 of a bunny), and a highlight would decide: on a relief of 6° under 20 lights
-# the estimate is off by up to a factor of 8, and of 1.4 where it holds by so much to the intensities that were given.
+# On a nearly flat surface two trends of the intensities are undetermined: the second smallest eigenvalue is small (1
+# where images determine well, 0.1 for a bunny) and a highlight would decide. On a relief of 6° under 20 lights the
+# estimate errs by up to a factor of 8 without this weight of the given intensities, and by 1.4 with it.
 _TOLD, _FAITH = 0.05, 0.02
 
 
 def relative_intensities(
     radiance: np.ndarray, weight: np.ndarray, vectors: np.ndarray, irradiance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (K, 3) factors on the intensities that were given, mean logarithm 0 a channel, and (T, 3) normals.
+    """Return (K, 3) factors on the given intensities, with mean logarithm 0 per channel, and (T, 3) normals.
 
     Semi-calibrated photometric stereo (Cho, Matsushita, Tai and Kweon 2016): m_ij = e_j b_i·l_j is linear in b_i and
-    1/e_j together, so that all of them are the eigenvector of the smallest eigenvalue of one matrix, with the b_i
-    eliminated (K×K). Reweighted until it settles, so that shadow and highlights count little. radiance: (K, T, 3).
-    weight: (K, T), 0 for what is not seen. vectors, irradiance: of ``prepare.light_vectors``. A light that no texel
-    tells keeps the factor 1.
+    1/e_j, so the solution is the eigenvector of the smallest eigenvalue of one K×K matrix, with the b_i eliminated.
+    Reweighting until convergence suppresses shadows and highlights. radiance: (K, T, 3). weight: (K, T), 0 where not
+    visible. vectors, irradiance: from ``prepare.light_vectors``. An undetermined light keeps the factor 1.
     """
     if not radiance.shape[1]:
         return np.ones((len(radiance), 3)), np.zeros((0, 3))
@@ -43,12 +42,12 @@ def relative_intensities(
 
 
 def normalised(factors: np.ndarray) -> np.ndarray:
-    """Return (K, 3) factors with the mean logarithm 0 in each channel: the scale that images alone never tell."""
+    """Return (K, 3) factors with mean logarithm 0 in each channel: images do not determine this scale."""
     return factors / np.exp(np.log(factors).mean(axis=0))
 
 
 def _grey_factors(grey: np.ndarray, usable: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return factors (K,), scaled normals (T, 3) and the weights (K, T) at which they settled."""
+    """Return factors (K,), scaled normals (T, 3) and the final weights (K, T)."""
     inverse = np.ones(len(grey))
     kept = usable * _first_weights(grey, usable)
     for _ in range(_ROUNDS):
@@ -66,7 +65,7 @@ def _grey_factors(grey: np.ndarray, usable: np.ndarray, vectors: np.ndarray) -> 
 
 
 def _first_weights(grey: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """(K, T) 0 for what is dark for its texel, each image taken relative to what it is like."""
+    """(K, T) 0 for samples that are dark for their texel, relative to their image."""
     seen = np.where(usable, grey, np.nan)
     seen[~usable.any(axis=1)] = 1.0  # numpy warns of a percentile of nothing
     image = np.nanpercentile(seen, 80, axis=1)
@@ -74,14 +73,14 @@ def _first_weights(grey: np.ndarray, usable: np.ndarray) -> np.ndarray:
     seen[:, ~usable.any(axis=0)] = 1.0
     texel = np.nanpercentile(seen, 80, axis=0)
     level = grey / (image[:, None] * texel)
-    # Highlights stand out where gains are unknown only against the image they are in.
+    # With unknown gains a highlight stands out only against its own image.
     return (level > _DARK) * np.minimum(1, 1 / np.maximum(level, 1e-6) ** 2)
 
 
 def _smallest(grey: np.ndarray, kept: np.ndarray, toward: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """(K,) 1/e of the least squares of b_i·l_ij − m_ij / e_j with the b_i eliminated, mean logarithm 0."""
-    samples = grey * inverse[:, None]  # near each other in size: the norm of 1/e is what least squares hold fixed
-    samples = samples / np.maximum(np.sqrt((kept * samples**2).sum(axis=0)), 1e-30)  # a texel counts as any other
+    """(K,) 1/e that minimises b_i·l_ij − m_ij / e_j in least squares, with b_i eliminated and mean logarithm 0."""
+    samples = grey * inverse[:, None]  # of similar size, because least squares fix the norm of 1/e
+    samples = samples / np.maximum(np.sqrt((kept * samples**2).sum(axis=0)), 1e-30)  # all texels count alike
     gram = _gram(kept, toward)
     root = np.linalg.inv(np.linalg.cholesky(gram))
     cross = np.einsum("tab,ktb->tak", root, (kept * samples)[..., None] * toward, optimize=True)
@@ -113,17 +112,17 @@ def _gram(kept: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def _scaled_normals(samples: np.ndarray, kept: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """(T, 3) of weighted least squares (Woodham 1980)."""
+    """(T, 3) scaled normals by weighted least squares (Woodham 1980)."""
     right = ((kept * samples)[..., None] * vectors).sum(axis=0)
     return np.linalg.solve(_gram(kept, vectors), right[..., None])[..., 0]
 
 
 def _channel_factors(shade: np.ndarray, facing: np.ndarray, kept: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """(K,) factors of one channel, its shading known but for the texels' albedos."""
+    """(K,) factors of one channel; its shading is known up to the texels' albedos."""
     factors = grey.copy()
     ratio = np.where(kept > 0, shade, 0) / facing
     for _ in range(_COLOUR_ROUNDS):
-        # By least squares in turns: shading is known, so nothing is left for the two to trade but the scale.
+        # Alternating least squares: shading is fixed, so only the common scale is free.
         told = kept * facing**2
         albedo = (told * ratio * factors[:, None]).sum(axis=0) / np.maximum(
             (told * factors[:, None] ** 2).sum(0), 1e-30
