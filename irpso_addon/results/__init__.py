@@ -1,1 +1,1 @@
-"""Recovered maps and what is written of them: ``Maps``, tables, files, report, preview pictures."""
+"""Recovered maps and their output: ``Maps``, tables, files, report, preview pictures."""

@@ -1,4 +1,4 @@
-"""Maps written beside a model's own: normals in other spaces, heights."""
+"""Derived maps: normals in other spaces, heights."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ NORMAL_SPACES = ("object", "world", "directx")
 
 @dataclass(frozen=True)
 class DerivedMap:
-    """One map besides those of the model.
+    """One map that is not of the model.
 
-    name: its file stem. values: (H, W, C) float32, row 0 at the bottom, as the EXR has them. encoded: the same in 0…1,
-    as the 16-bit PNG has them. text: what the PNG holds, for the report. exr: whether there is an EXR at all.
+    name: file stem. values: (H, W, C) float32, row 0 at the bottom, for the EXR. encoded: the same in 0…1, for the
+    16-bit PNG. text: the PNG's encoding, for the report. exr: an EXR is written.
     """
 
     name: str
@@ -32,24 +32,24 @@ def normal_maps(
 ) -> list[DerivedMap]:
     """Return normal maps of other spaces, "object", "world" or "directx" → (H, W, 3) unit vectors, XYZ.
 
-    For "directx" the vectors are those of the tangent-space map; its PNG has green turned over, and it has no EXR,
-    whose vectors would be the same. Object and world space are as Blender's Normal Map node takes them. margin: that of
-    the Maps whose tangent-space normals are given.
+    For "directx" the vectors are those of the tangent-space map; its PNG has green inverted, and it has no EXR, whose
+    vectors would be the same. Object and world space follow Blender's Normal Map node. margin: of the Maps with the
+    tangent-space normals.
     """
-    made = []
+    maps = []
     for space, vectors in spaces.items():
         flat = FLAT_NORMAL if space == "directx" else None
         values = fill_margin(vectors, covered, far=flat, given=margin if space == "directx" else None)
         if space == "directx":
             encoded = encode_normal(values * np.float32([1, -1, 1]))
-            made.append(DerivedMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
+            maps.append(DerivedMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
         else:
-            made.append(DerivedMap(f"normal_{space}", values, encode_normal(values), f"0.5 * n + 0.5, {space} space"))
-    return made
+            maps.append(DerivedMap(f"normal_{space}", values, encode_normal(values), f"0.5 * n + 0.5, {space} space"))
+    return maps
 
 
 def height_map(height: Height) -> DerivedMap:
-    """Return the map of a relief: the numbers themselves as EXR, the fraction of its ``scale`` as PNG."""
+    """Return the map of a relief: heights as EXR, fractions of its ``scale`` as PNG."""
     values = fill_margin(height.values[..., None], height.covered, far=(0.0,))
     encoded = np.clip(values / height.scale + height.midlevel, 0, 1)
     text = f"(height in {height.unit}) / {height.scale:.9g} + {height.midlevel:.9g}"

@@ -1,4 +1,4 @@
-"""What may be written besides a model's maps: normals in other spaces, and the relief."""
+"""Choice and computation of the derived maps: normals in other spaces, and the relief."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from .maps import Maps
 
 @dataclass(frozen=True)
 class DerivedMaps:
-    """What is wanted. normals: some of "object", "world" and "directx". height: the relief, as a map.
+    """Choice of derived maps. normals: some of "object", "world" and "directx". height: the relief as a map.
 
-    displacement: the relief as displacement of the material, and as a map as well.
+    displacement: the relief as a map and as displacement of the material.
     """
 
     normals: tuple[str, ...] = ()
@@ -30,23 +30,21 @@ class DerivedMaps:
     displacement: bool = False
 
     def check(self, model: ReflectanceModel) -> None:
-        """Raise InputError where one is asked for and the model has no normals to make it of."""
+        """Raise InputError where one is chosen and the model has no normal."""
         if (self.normals or self.relief) and not any(parameter.is_normal for parameter in model.parameters):
-            raise InputError(
-                f"model {model.name}: has no normal, so there are no other normal maps and no height of it"
-            )
+            raise InputError(f"model {model.name}: has no normal, so it has no other normal maps and no height")
 
     @property
     def relief(self) -> bool:
-        """Whether heights are to be found."""
+        """Whether heights are needed."""
         return self.height or self.displacement
 
 
 def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
-    """Return the spaces that "object,world,directx" names, each once, in that order. Raises InputError."""
+    """Return the spaces in a list like "object,world,directx", each once, in that order. Raises InputError."""
     wanted = [part.strip().lower() for part in text.split(",")] if text else []
     if unknown := [part for part in wanted if part not in NORMAL_SPACES]:
-        raise InputError(f"{option}: '{unknown[0]}' is no normal map; choose some of {', '.join(NORMAL_SPACES)}")
+        raise InputError(f"{option}: '{unknown[0]}' is not a normal map; choose some of {', '.join(NORMAL_SPACES)}")
     return tuple(space for space in NORMAL_SPACES if space in wanted)
 
 
@@ -58,10 +56,10 @@ def derived_maps(
     mesh: MeshData | None,
     camera: Camera,
 ) -> tuple[list[DerivedMap], Height | None]:
-    """Return the maps that are wanted, and the relief by itself.
+    """Return the chosen maps, and the relief.
 
-    found: with normals in the solver's frames; written: in those of Blender's normal maps. bake: the domain's; mesh:
-    None for a card, whose ``camera`` it is: there object space is the camera's, and the world the capture's.
+    found: normals in the solver's frames. written: normals in the frames of Blender's normal maps. bake: the domain's.
+    mesh: None for a card; then object space is that of ``camera``, and world space the capture's.
     """
     name = next((parameter.name for parameter in found.model.parameters if parameter.is_normal), None)
     if name is None or not (wanted.normals or wanted.relief):
@@ -76,17 +74,17 @@ def derived_maps(
         else:
             world = world_normals(bake, solver)
             spaces[space] = world if space == "world" else object_normals(mesh.matrix, world)
-    made = normal_maps(spaces, found.covered, written.margin)
+    maps = normal_maps(spaces, found.covered, written.margin)
     if not wanted.relief:
-        return made, None
+        return maps, None
     if mesh is None:
         height = card_height(camera, solver, found.covered)
     else:
         height = mesh_height(mesh, bake, solver, found.covered)
-    return [*made, height_map(height)], height
+    return [*maps, height_map(height)], height
 
 
 def _everywhere(normals: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W, 3) of normals for each texel, or of one for all."""
+    """Return (H, W, 3) normals from one per texel or one for all."""
     normals = np.asarray(normals)
     return np.broadcast_to(normals.reshape(1, 1, 3), (*shape, 3)) if normals.size == 3 else normals.reshape(*shape, 3)

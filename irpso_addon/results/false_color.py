@@ -6,9 +6,9 @@ import numpy as np
 
 UNCOVERED = (0.150, 0.150, 0.156)
 
-# (N, 3) display values at equal steps, straight lines between them.
-# Lightness (OKLab) rises from deep blue to yellow at two thirds and falls little to red, so that steps of equal error
-# look about equally large and the highest errors stand out by hue and saturation, not by glare.
+# (N, 3) display values at equal steps, linear between them.
+# Lightness (OKLab) rises from deep blue to yellow at two thirds and falls slightly to red: equal steps of error look
+# about equal, and the highest errors stand out by hue and saturation, not by glare.
 COLORS = np.array([
     (0.130, 0.145, 0.420), (0.130, 0.300, 0.690), (0.110, 0.500, 0.800), (0.140, 0.660, 0.700), (0.400, 0.760, 0.480),
     (0.730, 0.810, 0.320), (0.970, 0.760, 0.230), (0.960, 0.520, 0.170), (0.880, 0.270, 0.150), (0.720, 0.070, 0.120),
@@ -18,7 +18,7 @@ COLORS = np.array([
 def false_color(error: np.ndarray, maximum: float, covered: np.ndarray | None = None) -> np.ndarray:
     """Return (H, W, 3) float32 display values of an error (H, W): blue at 0, red at ``maximum`` and above.
 
-    Uncovered texels and those that are not a number are dark grey.
+    Uncovered and NaN texels are dark grey.
     """
     error = np.asarray(error, np.float64)
     shown = np.isfinite(error) if covered is None else np.isfinite(error) & covered

@@ -1,4 +1,4 @@
-"""Which parameters share a map, and how a map's numbers become channels of a picture."""
+"""Maps of a model: parameters that share one, and its encoding as channels of a picture."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _RESERVED = {"residual", "confidence", "maps", "coverage", "preview", "relit", "
 
 @dataclass(frozen=True)
 class MapTable:
-    """One result texture. name: its file stem. parameters: whose components are its channels, in order."""
+    """One result texture. name: file stem. parameters: their components are its channels, in order."""
 
     name: str
     parameters: tuple[Parameter, ...]
 
     @property
     def components(self) -> int:
-        """How many channels carry something."""
+        """Number of channels in use."""
         return sum(p.components for p in self.parameters)
 
     @property
     def channels(self) -> str:
-        """Channel names in an EXR: Y, RG, RGB or RGBA, which every reader takes for a picture."""
+        """Channel names in an EXR: Y, RG, RGB or RGBA, which every reader shows as a picture."""
         return CHANNELS[self.components]
 
     @property
@@ -41,18 +41,18 @@ class MapTable:
 
     @property
     def color_space(self) -> str:
-        """Colour space of its 8/16-bit picture, in Blender's words."""
+        """Blender's name of the colour space of its 8/16-bit picture."""
         return self.parameters[0].color_space
 
     @property
     def fits_unit(self) -> bool:
-        """Whether the numbers themselves, or their defined encoding, fit 0…1, so that a PNG holds them as they are."""
+        """Whether the numbers, or their standard encoding, fit 0…1, so a PNG holds them unscaled."""
         in_unit = all(p.range[0] >= 0 and p.range[1] <= 1 for p in self.parameters)
         return self.is_normal or self.color_space == "sRGB" or in_unit
 
 
 def map_tables(model: ReflectanceModel) -> list[MapTable]:
-    """Return the maps of a model in the table's order; InputError where a map cannot be written."""
+    """Return the maps of a model in the table's order. Raises InputError where a map cannot be written."""
     grouped: dict[str, list[Parameter]] = {}
     for parameter in model.parameters:
         grouped.setdefault(parameter.map, []).append(parameter)
@@ -71,9 +71,9 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
 
 
 def map_values(table: MapTable, maps: Maps) -> np.ndarray:
-    """Return (H, W, components) float32 of a map, with a margin of 8 texels past what is covered.
+    """Return (H, W, components) float32 of a map, with a margin of 8 texels around the covered ones.
 
-    Farther out lies the mean, or a flat normal. A parameter that ``maps`` does not hold is at its default.
+    Outside the margin is the mean, or a flat normal. A parameter that ``maps`` lacks is at its default.
     """
     shape = maps.covered.shape
     values = [
@@ -87,9 +87,9 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
 
 
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
-    """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or the numbers as they are.
+    """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or the plain numbers.
 
-    Numbers of a range that does not fit 0…1 are stored as a fraction of it. Two channels get a third, black one.
+    Numbers of a range beyond 0…1 are stored as a fraction of it. Two channels get a third, black one.
     """
     if table.is_normal:
         return encode_normal(values)
@@ -107,7 +107,7 @@ def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
 
 
 def encoding_text(table: MapTable) -> str:
-    """Say in words what the PNG of a map holds, for the report."""
+    """Return the encoding of a map's PNG in words, for the report."""
     if table.is_normal:
         return "0.5 * n + 0.5, OpenGL (Y+)"
     if table.color_space == "sRGB":

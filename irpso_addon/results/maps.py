@@ -10,7 +10,7 @@ import numpy as np
 from ..core.udim import ONE_SQUARE, tile_part
 from ..reflectance.model import ReflectanceModel
 
-UNKNOWN = 0.25  # of a parameter's range: who is uncertain by more than this does not know
+UNKNOWN = 0.25  # of a parameter's range: a larger standard deviation means unknown
 
 
 @dataclass(frozen=True)
@@ -18,16 +18,15 @@ class Maps:
     """Recovered parameters of H×W texels, row 0 at the bottom.
 
     values: parameter name → (H, W, components) float32 in the parameter's own units; a normal is a unit vector in
-    tangent space (mesh) or camera space (card). covered: (H, W) bool, the texels that were solved. residual: (H, W)
-    mean absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
+    tangent space (mesh) or camera space (card). covered: (H, W) bool, the solved texels. residual: (H, W) mean
+    absolute difference between render and reference over the weighted samples, in radiance, or None. confidence:
     parameter name → (H, W, components) standard deviation in the parameter's units, or None; a normal's is in radians,
-    one component, at most π/2. tiles: the UDIM tiles that stand side by side in the maps, from the left. margin: (H, W)
-    bool, texels past UV seams whose values are those of the seam's other side, or None. wrapped: whether what lies past
-    one border of the UV square may be what lies within the opposite one, as where a mesh is unwrapped all around.
-    alternatives: parameter name → (H, W, components), how much worse materials fit that are far from the estimate in
-    that number, as a deviance from −9 to 9 (solver/engine/alternatives.py); measured with the confidence, else None.
-    two_modes: parameter name → (H, W) bool, the covered texels whose material leaves that number open; {} before
-    solver.modes.with_modes.
+    one component, at most π/2. tiles: the maps' UDIM tiles, side by side from the left. margin: (H, W) bool, texels
+    past UV seams with the values of the seam's other side, or None. wrapped: the UV square may continue at its opposite
+    border, as where a mesh is unwrapped all around. alternatives: parameter name → (H, W, components), the deviance,
+    −9 to 9, of materials far from the estimate in that number against the estimate (solver/engine/alternatives.py);
+    measured with the confidence, else None. two_modes: parameter name → (H, W) bool, covered texels whose material
+    leaves that number open; {} before solver.modes.with_modes.
     """
 
     model: ReflectanceModel
@@ -42,10 +41,7 @@ class Maps:
     two_modes: dict[str, np.ndarray] = field(default_factory=dict)
 
     def unknown(self) -> dict[str, np.ndarray]:
-        """Return, for each searched number, (H, W) bool: covered texels of which it is not known.
-
-        ``confidence`` is wide there, or it has two modes.
-        """
+        """Return, for each searched number, (H, W) bool: covered texels with wide ``confidence`` or two modes."""
         return {
             p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * (p.range[1] - p.range[0]))
             | self.two_modes.get(p.name, False)
@@ -55,7 +51,7 @@ class Maps:
 
 
 def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
-    """Yield (number, its maps) for each tile, as views."""
+    """Yield (number, maps) of each tile, as views."""
     count = len(maps.tiles)
     for index, number in enumerate(maps.tiles):
 

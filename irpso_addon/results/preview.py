@@ -1,4 +1,4 @@
-"""The pictures that go with a result: preview.png, convergence.png, live.png and the strip of a converging map."""
+"""Pictures of a result: preview.png, convergence.png, live.png and the strip of a converging map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..reflectance.model import Parameter
 from .false_color import UNCOVERED, false_color
 
 MARK_COLORS = ((0.96, 0.36, 0.33), (0.42, 0.80, 0.38), (0.38, 0.66, 1.00), (0.98, 0.80, 0.30))
-_SHOWN = 360  # pixels: small maps are enlarged by a whole factor to come near this height, large ones reduced
+_SHOWN = 360  # pixels of height: integer factors enlarge small maps, or reduce large ones, to about this
 _MARGIN, _GAP = 28, 14
 _HEADING, _LABEL, _SMALL = 13.0, 11.0, 9.0
 _BAR = 14
@@ -22,11 +22,11 @@ _BAR = 14
 
 @dataclass(frozen=True)
 class PreviewRow:
-    """One row of a preview: what is compared, and how far apart it is.
+    """One row of a preview: reference, recovered, and error.
 
-    label: written at the left. reference, recovered: (H, W, 3) display values (see ``display_image``). error: (H, W)
-    in ``unit``. covered: (H, W) bool, where there is a picture. counted: (H, W) bool, where the error counts; by
-    default all that is covered. maximum: the error painted red; by default the 99th percentile, rounded up.
+    label: at the left. reference, recovered: (H, W, 3) display values (see ``display_image``). error: (H, W) in
+    ``unit``. covered: (H, W) bool, texels of the picture. counted: (H, W) bool, texels whose error counts, by default
+    the covered ones. maximum: the error shown as red, by default the 99th percentile, rounded up.
     """
 
     label: str
@@ -40,7 +40,7 @@ class PreviewRow:
 
     @property
     def judged(self) -> np.ndarray | None:
-        """Where the error counts, None for everywhere."""
+        """(H, W) bool: texels whose error counts, None for all."""
         return self.covered if self.counted is None else self.counted
 
 
@@ -56,9 +56,9 @@ class Curves:
 
 
 def display_image(parameters: Sequence[Parameter], values: Sequence[np.ndarray]) -> np.ndarray:
-    """Return (H, W, 3) display values of one map: its parameters' channels in order, black where there is none.
+    """Return (H, W, 3) display values of one map: its parameters' channels in order, padded with black.
 
-    Normals are encoded, sRGB maps are encoded as sRGB, the others are shown as a fraction of their range.
+    Normals and sRGB maps are encoded as such, others as a fraction of their range.
     """
     channels = []
     for parameter, value in zip(parameters, values, strict=True):
@@ -106,7 +106,7 @@ def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth"
 def convergence(image: np.ndarray, marks: Sequence[tuple[int, int]], panels: Sequence[Curves]) -> np.ndarray:
     """Return (H, W, 3) display values: an image with marked texels, then their errors (Nagano et al. Fig. 4).
 
-    image: (H, W, 3) display values. marks: (x, y) texels counted from the lower left, in the order of the curves.
+    image: (H, W, 3) display values. marks: (x, y) texels from the lower left, in the order of the curves.
     """
     fit = _fit(image.shape[:2])
     height, width = _size(image.shape[:2], fit)
@@ -128,9 +128,9 @@ def convergence(image: np.ndarray, marks: Sequence[tuple[int, int]], panels: Seq
 
 
 def spread_marks(places: np.ndarray, count: int = 4) -> list[int]:
-    """Return the indices of points (N, 2) far from each other, for marks: the first nearest to the middle.
+    """Return the indices of at most ``count`` points (N, 2) far from each other, for marks, the most central first.
 
-    None lies at the rim, where a mark would hide what it marks. Fewer come back where there are fewer points.
+    None lies at the rim, where the mark would hide its texel.
     """
     places = np.asarray(places, np.float64)
     distance = np.linalg.norm(places - np.median(places, axis=0), axis=1)
@@ -145,7 +145,7 @@ def spread_marks(places: np.ndarray, count: int = 4) -> list[int]:
 def gallery(
     heading: str, images: Sequence[np.ndarray], labels: Sequence[str], covered: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return (H, W, 3) display values: maps beside one another under a heading.
+    """Return (H, W, 3) display values: maps side by side under a heading.
 
     images: (H, W, 3) display values each. labels: one above each. covered: (H, W) bool.
     """
@@ -171,8 +171,8 @@ def strip(
 ) -> np.ndarray:
     """Return (H, W, 3) display values: a map as it converges, above, and its error, below (Nagano et al. Fig. 1).
 
-    images: (H, W, 3) display values each. errors: (H, W) each, in ``unit``. labels: one a column. maximum: the error
-    painted red; by default the 99th percentile over all columns but the first, which is a random guess.
+    images: (H, W, 3) display values each. errors: (H, W) each, in ``unit``. labels: one per column. maximum: the error
+    shown as red, by default the 99th percentile over all columns except the first, which is a random guess.
     """
     fit = _fit(images[0].shape[:2])
     height, width = _size(images[0].shape[:2], fit)
@@ -193,7 +193,7 @@ def strip(
 
 
 def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, height: int) -> None:
-    """Draw one panel: axes, ticks, one line a marked texel."""
+    """Draw one panel: axes, ticks, one line per marked texel."""
     canvas.rectangle(left, top, width, height, PANEL)
     errors = np.asarray(curves.errors, np.float64)
     ticks, low, high = _error_axis(errors, curves.log)
@@ -207,7 +207,7 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
     for tick in ticks:
         y = top + height - (level(tick) - bottom_level) / span * height
         canvas.lines([[(left, y), (left + width, y)]], 1.0, GRID)
-        # "0.0001" would run into the axis's own label.
+        # "0.0001" would overlap the axis label.
         label = _number(tick) if tick == 0 or tick >= 0.01 else f"1e{round(math.log10(tick))}"
         canvas.text(left - 8, y + _SMALL / 2, label, _SMALL, FAINT, 1.0)
     for color, series in reversed(list(zip(MARK_COLORS, errors.T, strict=False))):
@@ -223,7 +223,7 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
 
 
 def _error_axis(errors: np.ndarray, log: bool) -> tuple[list[float], float, float]:
-    """Return ticks, lowest and highest value of an error axis that holds all the errors."""
+    """Return ticks, lowest and highest value of an axis for all the errors."""
     highest = float(np.nanmax(errors)) if np.isfinite(errors).any() and np.nanmax(errors) > 0 else 1.0
     if not log:
         ticks = _linear_ticks(highest * 1.05, 5)
@@ -236,7 +236,7 @@ def _error_axis(errors: np.ndarray, log: bool) -> tuple[list[float], float, floa
 
 
 def _legend(canvas: Canvas, x: int, y: int, height: int, maximum: float, unit: str) -> None:
-    """Draw the bar of false colours with its numbers, highest on top."""
+    """Draw the colour bar with its numbers, highest on top."""
     ramp = np.linspace(0, maximum, height)[:, None] * np.ones((1, _BAR))
     canvas.image(x, y, false_color(ramp, maximum))
     for part in (0.0, 0.25, 0.5, 0.75, 1.0):
@@ -267,7 +267,7 @@ def _number(value: float) -> str:
 
 
 def _linear_ticks(highest: float, about: int) -> list[float]:
-    """Return about so many round numbers (1, 2, 2.5, 5 times a power of ten) from 0 up to ``highest``."""
+    """Return about ``about`` round numbers (1, 2, 2.5, 5 times a power of ten) from 0 to ``highest``."""
     raw = highest / about
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(power * m for m in (1, 2, 2.5, 5, 10) if power * m >= raw * 0.999)
@@ -286,7 +286,7 @@ def default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) ->
 
 
 def _fit(shape: tuple[int, int]) -> float:
-    """Return the factor of enlargement: a whole number, or one over a whole number."""
+    """Return the scale: an integer, or 1 / an integer."""
     longest = max(shape[0], shape[1])
     return max(1, round(_SHOWN / longest)) if longest <= 1.5 * _SHOWN else 1 / math.ceil(longest / (1.5 * _SHOWN))
 

@@ -1,4 +1,4 @@
-"""Reading maps back: our own maps.exr, or pictures of other origin, as the parameters of a model."""
+"""Maps read from files: our own maps.exr, or pictures of other origin, as parameters of a model."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _VECTOR_NAMES = ("X", "Y", "Z")
 def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
     """Return parameter name → (H, W, components) of all the model's maps in an EXR, or in a result's folder.
 
-    A file of several parts holds a map in each part, by name (our maps.exr); one of a single part holds the map that
-    its name begins with, as in ``normal_gt.exr``. tiles: the UDIM tiles that are wanted, side by side from the left;
-    each has a file of its own, whose name holds its number, or <UDIM> in ``path``. Raises InputError where a file holds
-    none of the model's maps, is missing, or differs from the others in size or maps.
+    A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that its name
+    begins with, such as ``normal_gt.exr``. tiles: UDIM tiles, side by side from the left; each has its own file, with
+    its number in the name, or <UDIM> in ``path``. Raises InputError where a file has none of the model's maps, is
+    missing, or differs from the others in size or maps.
     """
     path = Path(path)
     if path.is_dir():
         one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
         path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
-    found = [_maps_of_file(file, model) for file in tile_files(path, tiles)]
-    if any(set(values) != set(found[0]) for values in found):
-        raise InputError(f"{path}: the files of its UDIM tiles hold different maps; write them all anew")
-    return {name: _side_by_side(path, [values[name] for values in found]) for name in found[0]}
+    maps = [_maps_of_file(file, model) for file in tile_files(path, tiles)]
+    if any(set(values) != set(maps[0]) for values in maps):
+        raise InputError(f"{path}: the files of its UDIM tiles hold different maps; write all of them again")
+    return {name: _side_by_side(path, [values[name] for values in maps]) for name in maps[0]}
 
 
 def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
@@ -71,13 +71,13 @@ def _parameter_of_file(path: Path, parameter: Parameter) -> np.ndarray:
 def _side_by_side(path: Path, values: list[np.ndarray]) -> np.ndarray:
     if len({value.shape for value in values}) > 1:
         sizes = ", ".join(sorted({f"{value.shape[1]} × {value.shape[0]}" for value in values}))
-        raise InputError(f"{path}: the files of its UDIM tiles differ in size ({sizes}); bring them to one")
+        raise InputError(f"{path}: the files of its UDIM tiles differ in size ({sizes}); scale them to one size")
     return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
 
 def _parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; give the path of an EXR with maps")
+        raise InputError(f"{path}: no such file; give the path of an EXR with maps")
     return read_exr(path)
 
 

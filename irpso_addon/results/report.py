@@ -1,4 +1,4 @@
-"""report.json: what was asked, with what, how long it took, how far off the result is."""
+"""report.json: settings, environment, time, and errors of the result."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def build_report(
 ) -> dict[str, Any]:
     """Return the report as plain data, ready for JSON.
 
-    gpu: the renderer's own name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
-    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, the texels that errors are taken over, by default
-    all covered ones; the excluded fraction is stated. noise: the domain's, stated in codes of 8 bits where it is known.
+    gpu: the renderer's name. seconds: phase → wall-clock seconds. ground_truth: parameter name → (H, W, C) in the
+    parameter's units, row 0 at the bottom. evaluated: (H, W) bool, texels whose errors count, by default the covered
+    ones; the report has the excluded fraction. noise: the domain's, reported in 8-bit codes where it is known.
     """
     texels = maps.covered if evaluated is None else maps.covered & evaluated
     covered = int(maps.covered.sum())
@@ -66,10 +66,10 @@ def build_report(
 
 
 def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
-    """Return a line for each linear weight, of those not ``given``, that is at its upper limit on many of the texels.
+    """Return one line per linear weight, not ``given``, that is at its upper limit on many texels.
 
-    Nothing reflects more than all light: a capture without intensities or with wrong ones is often brighter than a
-    white surface under them, and then normals bend to make up for it (37° in the mean at five times the brightness).
+    No surface reflects more than all light. A capture with missing or wrong intensities is often brighter than a white
+    surface, and normals bend to compensate (by 37° in the mean at five times the brightness).
     """
     lines = []
     for parameter in maps.model.parameters:
@@ -80,35 +80,35 @@ def limit_warnings(maps: Maps, given: Collection[str] = ()) -> list[str]:
         if share > _LIMIT_SHARE:
             lines.append(
                 f"{parameter.name} is at its limit {high:g} on {share:.0%} of the texels: the images are brighter than"
-                " the lights allow, and normals suffer; give the lights greater intensities"
+                " the lights allow, and normals suffer; give the lights higher intensities"
             )
     return lines
 
 
 def mode_shares(maps: Maps) -> dict[str, float]:
-    """Return, for each number that was asked, the share of the texels whose material leaves it two modes."""
+    """Return, for each tested number, the share of the texels whose material leaves it two modes."""
     return {name: round(float(there[maps.covered].mean()), 4) for name, there in maps.two_modes.items()}
 
 
 def mode_warnings(maps: Maps, priors: bool) -> list[str]:
-    """Return a line for each number that has two modes on many of the texels. priors: whether priors were believed."""
+    """Return one line per number with two modes on many texels. priors: priors were in use."""
     lines = []
     for name, share in mode_shares(maps).items():
         if share > _MODES_SHARE:
             decided = priors and maps.model.parameter(name).prior is not None
             lines.append(
-                f"{name} of {share:.0%} of the texels could as well be far from what the map holds: no photograph shows"
-                f" a highlight that tells, and {'the prior decided' if decided else 'the map has one of the two'}."
-                " Lamps from more directions would tell"
+                f"{name} of {share:.0%} of the texels could as well be far from the map's value: no photograph shows a"
+                f" highlight that decides, and {'the prior decided' if decided else 'the map has one of the two'}."
+                " Add lamps from more directions"
             )
     return lines
 
 
 def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
-    """Return, for each parameter with a prior that is not ``given``, the share of the texels where that decided.
+    """Return, for each parameter with a prior that is not ``given``, the share of the texels where the prior decided.
 
-    There it says more than the samples do. The variance of the maps is that of the samples, with a normal prior's
-    precision in it already: such a one decides where more than half of its own variance is left.
+    It decides where its precision exceeds that of the samples. The maps' variance already contains a normal prior's
+    precision: such a prior decides where more than half of its own variance remains.
     """
     model, shares = maps.model, {}
     for p in model.parameters:
@@ -119,14 +119,14 @@ def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
             other = model.parameter(p.prior.vanishes_with)
             place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
         variance = p.prior.variance(maps.values[p.name][maps.covered], p.range[1] - p.range[0], place)
-        told = np.square(maps.confidence[p.name][maps.covered])
-        decided = (2 * told if p.prior.kind == "normal" else told) > variance
+        measured = np.square(maps.confidence[p.name][maps.covered])
+        decided = (2 * measured if p.prior.kind == "normal" else measured) > variance
         shares[p.name] = round(float(decided.mean()), 4)
     return shares
 
 
 def ground_truth_errors(maps: Maps, truth: Mapping[str, np.ndarray], texels: np.ndarray) -> dict[str, Any]:
-    """Return for each known parameter the unit and quantiles of its error: degrees, or per cent of the range."""
+    """Return, for each parameter of the truth, the unit and quantiles of its error: degrees, or % of the range."""
     result = {}
     for parameter in maps.model.parameters:
         if parameter.name not in truth or parameter.name not in maps.values:
@@ -144,7 +144,7 @@ def error_unit(parameter: Parameter) -> str:
 def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return (H, W) float64: the angle between normals in degrees, or the mean absolute difference in % of the range.
 
-    NaN where the truth says nothing: a normal that is not a vector of about unit length, or a number that is none.
+    NaN where the truth is undefined: a normal not of about unit length, or a number that is not finite.
     """
     values = np.asarray(values, np.float64)
     truth = np.asarray(truth, np.float64).reshape(values.shape)
@@ -152,14 +152,14 @@ def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray)
         low, high = parameter.range
         return np.abs(values - truth).mean(axis=-1) * (100 / (high - low))
     length = np.linalg.norm(truth, axis=-1)
-    # atan2 of cross and dot keeps its precision at small angles, where arccos of a rounded dot has none.
+    # atan2 of cross and dot is precise at small angles, arccos of a rounded dot is not.
     cross = np.linalg.norm(np.cross(values, truth), axis=-1)
     angle = np.degrees(np.arctan2(cross, (values * truth).sum(axis=-1)))
     return np.where(np.abs(length - 1) < 0.1, angle, np.nan)
 
 
 def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
-    """Return mean, median, 90th and 99th percentile and maximum of the numbers that are finite, and how many."""
+    """Return mean, median, 90th and 99th percentile, maximum and count of the finite numbers."""
     values = np.asarray(values, np.float64).ravel()
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -171,21 +171,26 @@ def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of IRPSO and of what it stands on; Blender's is absent outside Blender."""
+    """Return the versions of IRPSO and its libraries; Blender's is absent outside Blender."""
     import OpenEXR
 
     with open(ROOT / "blender_manifest.toml", "rb") as file:
         own = tomllib.load(file)["version"]
-    found = {"irpso": own, "python": platform.python_version(), "numpy": np.__version__, "openexr": OpenEXR.__version__}
+    numbers = {
+        "irpso": own,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "openexr": OpenEXR.__version__,
+    }
     try:
         import bpy
     except ImportError:
-        return found
-    return found | {"blender": bpy.app.version_string}
+        return numbers
+    return numbers | {"blender": bpy.app.version_string}
 
 
 def plain(value: Any) -> Any:
-    """Return a value that JSON can hold: arrays become lists, what is not a finite number null, other objects text."""
+    """Return a value for JSON: arrays become lists, non-finite numbers null, other objects text."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Writing a result into a folder: every file under a temporary name first, then renamed."""
+"""Writing a result to a folder: every file gets a temporary name first, then its own."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from .report import plain
 REPORT = "report.json"
 BLEND = "material.blend"
 _OWN_FILE = re.compile(r"[A-Za-z0-9_-]+(\.[12]\d\d\d)?\.(png|exr)$")
-_PARTIAL = ".irpso-result-"  # before the name of a folder in which a result is written
+_PARTIAL = ".irpso-result-"  # prefix of a folder with a result being written
 
 
 def check_output_folder(folder: str | Path) -> Path:
-    """Return the folder as a Path if a result can be written there, made now or later; else raise InputError.
+    """Return the folder as a Path. Raises InputError where a result cannot be written there.
 
-    Nothing is left behind: the trial file has no name or is removed at once.
+    The trial file has no name or is removed at once.
     """
     if not str(folder):
-        raise InputError("the output folder's name is empty; give one")
+        raise InputError("the output folder has an empty name; give a name")
     folder = Path(folder)
     place = folder
     while not place.exists() and place != place.parent:
@@ -56,14 +56,14 @@ def write_maps(
     pictures: Mapping[str, np.ndarray] | None = None,
     derived: Sequence[DerivedMap] = (),
 ) -> list[Path]:
-    """Write maps, residual, confidence, report and pictures into ``folder`` and return the paths written.
+    """Write maps, residual, confidence, report and pictures into ``folder``; return the written paths.
 
-    Each map is a 16-bit PNG and a 32-bit EXR; normal.exr holds the unit vector; maps.exr holds everything, a part each.
-    Of UDIM tiles each has files of its own: normal.1001.exr, normal.1002.exr, and so on.
-    pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. extras: maps that
-    are not the model's, in files of their own. report: plain
-    data, to which "maps" and "files" are added. A former result's files that this one does not have are removed, by
-    the list in its report. Raises InputError where the folder or the model's table of maps cannot be used.
+    Each map is a 16-bit PNG and a 32-bit EXR; normal.exr has the unit vector; maps.exr has every map as a part. Each
+    UDIM tile has its own files: normal.1001.exr, normal.1002.exr, and so on.
+    pictures: file stem → (H, W, 3) display values in 0…1, row 0 at the bottom, written as 8-bit PNG. derived: maps that
+    are not the model's, each in its own files. report: plain data; "maps" and "files" are added. Files of a former
+    result, listed in its report, are removed where this one lacks them. Raises InputError where the folder or the
+    model's table of maps is unusable.
     """
     tables = map_tables(maps.model)
     if taken := {extra.name for extra in derived} & {table.name for table in tables}:
@@ -72,14 +72,14 @@ def write_maps(
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed while it wrote
+        for left in folder.glob(f"{_PARTIAL}*"):  # of a process that was killed
             shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
             names = _write_all(maps, tables, Path(temporary), dict(pictures or {}))
             names += _write_derived(derived, maps.tiles, Path(temporary))
             _write_report(Path(temporary), report, tables, derived, names)
             former = _former_files(folder)
-            # The report goes last: a folder whose report lists a file holds that file.
+            # The report is last: every file that a report lists exists.
             for name in (*names, REPORT):
                 synced(Path(temporary) / name)
             for name in (*names, REPORT):
@@ -95,7 +95,7 @@ def write_maps(
 
 
 def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[str, np.ndarray]) -> list[str]:
-    """Write every file but the report, and return the names."""
+    """Write every file except the report; return the names."""
     names = []
     for number, part in split_maps(maps):
         names += _write_tile(part, tables, folder, lambda stem, number=number: tile_stem(stem, number, maps.tiles))
@@ -106,7 +106,7 @@ def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[
 
 
 def _write_tile(maps: Maps, tables: list[MapTable], folder: Path, stem_of: Callable[[str], str]) -> list[str]:
-    """Write the maps, residual, confidence and all of them together, and return the names."""
+    """Write maps, residual, confidence and maps.exr; return the names."""
     everything: dict[str, dict[str, np.ndarray]] = {}
     names = []
     for table in tables:
@@ -176,7 +176,7 @@ def _write_report(
 
 
 def _former_files(folder: Path) -> set[str]:
-    """Return the pictures that the report of a former result in this folder lists, if there is one."""
+    """Return the files listed in the report of a former result in this folder."""
     try:
         listed = json.loads((folder / REPORT).read_text(encoding="utf-8"))["files"]
     except (FileNotFoundError, ValueError, KeyError, TypeError):
@@ -185,7 +185,7 @@ def _former_files(folder: Path) -> set[str]:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove the folders this call made, deepest first, as far as they are empty."""
+    """Remove the empty ones of the folders that this call made, deepest first."""
     for folder in folders:
         if not folder.is_dir() or any(folder.iterdir()):
             return

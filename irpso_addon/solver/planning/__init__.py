@@ -1,1 +1,1 @@
-"""Costs and budgets: bytes and evaluations of a texel, memory of the machine, the plan of tiles."""
+"""Costs and budgets: bytes and evaluations per texel, the machine's memory, the plan of tiles."""

@@ -1,4 +1,4 @@
-"""What a recovery asks for at every texel: bytes, renders, and looks at neighbours."""
+"""Per-texel cost of a recovery: memory, evaluations, neighbour reads."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from ..settings.schedule import Schedule
 from ..state.textures import plan_atlas
 
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
-# What iterations cost beside each other, measured on llvmpipe with 24 lights; a sample's render is 1.
-STEP = 1.7  # of a render for Levenberg–Marquardt, which adds up normal equations
+# Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
+STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
 MOVING, CALM = (
     0.75,
     0.2,
-)  # of a refinement step: what is left of its cost after another one, and when nearly all are done
-LOOKS = 10.0  # all that a prior makes of one neighbour
-_SIDE = 16384  # of a texture: how an atlas is laid out depends on it only where it does not fit at all
+)  # of a refinement step: cost relative to the previous step, and its lower limit
+LOOKS = 10.0  # of a prior, per neighbour
+_SIDE = 16384  # of a texture: the layout of an atlas depends on it only where it does not fit at all
 
 
 @dataclass(frozen=True)
 class PhaseCost:
-    """Bytes a texel of one phase of a recovery, beside the domain's and the estimates', and what it does.
+    """Per-texel cost of one phase, without the domain and the estimates.
 
-    atlas: how many W×H tiles its largest textures have, which hold all particles. textures: bytes of all textures.
-    kept: bytes of those that outlive an iteration, which a tile that leaves the device takes along. reach: how many
-    texels away it looks, at most; exchanges: how many of its iterations look. evaluations: renders of all observations.
+    atlas: W×H tiles of its largest textures, which hold all particles. textures: bytes of all textures. kept: bytes of
+    the textures that outlive an iteration, which move with a tile that leaves the device. reach: largest distance, in
+    texels, of neighbour reads. exchanges: iterations that read neighbours. evaluations: renders of all observations.
     """
 
     atlas: int
@@ -52,10 +52,10 @@ class PhaseCost:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a recovery asks for at every texel.
+    """Per-texel cost of a recovery.
 
-    observations: that are fitted; observed: with those held out. components: of the model. compute: whether passes are
-    compute dispatches, which are read back through copies. alternatives: RGBA textures of the alternatives, at most.
+    observations: fitted ones. observed: with those held out. components: of the model. compute: passes are compute
+    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives.
     """
 
     observations: int
@@ -67,32 +67,32 @@ class Cost:
 
     @property
     def estimates(self) -> int:
-        """How many RGBA textures hold the model's components."""
+        """Number of RGBA textures with the model's components."""
         return -(-self.components // 4)
 
     @property
     def reach(self) -> int:
-        """How many texels beyond its own any phase looks: the halo of a tile."""
+        """Largest distance of neighbour reads of any phase: the halo of a tile."""
         return max(phase.reach for phase in self.phases)
 
     @property
     def exchanges(self) -> int:
-        """How many iterations look at neighbours."""
+        """Number of iterations that read neighbours."""
         return sum(phase.exchanges for phase in self.phases)
 
     @property
     def evaluations(self) -> int:
-        """Renders of all observations at one texel, in all phases."""
+        """Renders of all observations per texel, in all phases."""
         return sum(phase.evaluations for phase in self.phases)
 
     @property
     def kept(self) -> int:
-        """Bytes a texel of what a tile that leaves the device takes along."""
+        """Bytes per texel that move with a tile that leaves the device."""
         return max(phase.kept for phase in self.phases) + FLOAT4 * self.estimates
 
     @property
     def device(self) -> int:
-        """Bytes a texel of all textures but those of the domain's rectangle."""
+        """Bytes per texel of all textures except those of the domain's rectangle."""
         # Position, normal, tangent, place; estimates before and after a stage, their deviations; the residual.
         each = FLOAT4 * (self.observations + 4 + 3 * self.estimates + self.alternatives + 1)
         copies = FLOAT4 * (1 + max(phase.atlas for phase in self.phases)) if self.compute else 0
@@ -107,7 +107,7 @@ def recovery_cost(
     held_out: int = 0,
     compute: bool = False,
 ) -> Cost:
-    """Return what a recovery of ``observations``, of which ``held_out`` are not fitted, asks for. Raises InputError."""
+    """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError."""
     stages = resolve(schedule, model, set(fixed), observations - held_out)
     phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
     free = model.without_priors({p.name for p in model.parameters})
@@ -116,7 +116,7 @@ def recovery_cost(
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:
-    """Return what one resolved stage asks for."""
+    """Return the cost of one resolved phase."""
     if isinstance(resolved, ResolvedSwarm):
         return _swarm_cost(resolved, schedule)
     if isinstance(resolved, ResolvedPrefit):
@@ -127,9 +127,9 @@ def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) 
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
-    """Return the work of each iteration of a stage at a texel, those that place swarms first; in renders of a sample.
+    """Return the work of each iteration of a phase at a texel, in renders of a sample; placing swarms comes first.
 
-    What a recovery's progress counts: as long as it takes, about, and known before it begins.
+    Progress counts it: it is roughly proportional to time, and known in advance.
     """
     if isinstance(resolved, ResolvedPrefit):
         own = prefit_model()
@@ -155,7 +155,7 @@ def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> 
 def _refinement_work(
     resolved: ResolvedRefinement, model: ReflectanceModel, observations: int, cost: float
 ) -> tuple[float, ...]:
-    """Every texel moves while it is refined from starts; from the best so far, and after offers, ever fewer do."""
+    """Return the work of a refinement. From starts all texels move; from the best or after offers, ever fewer do."""
     settings, (step, spread) = resolved.refinement, (cost * n * observations for n in renders(model, resolved))
     starts = resolved.iterations - settings.iterations - settings.rounds * settings.round_iterations
     from_best = [step * max(CALM, MOVING**i) for i in range(settings.iterations)]
@@ -164,7 +164,7 @@ def _refinement_work(
 
 
 def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:
-    """Return of how many W×H tiles, one after another, the atlas of a stage's particles is; 1 where it has none."""
+    """Return the number of W×H tiles in the atlas of a phase's particles; 1 without particles."""
     if isinstance(resolved, ResolvedPrefit):
         resolved = resolved.stage
     if not isinstance(resolved, ResolvedSwarm):
@@ -174,7 +174,7 @@ def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:
 
 
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
-    """Return the need of a prefit: of the larger of its two phases, and of its own model's estimates."""
+    """Return the cost of a prefit: of the larger of its two phases, and of its own model's estimates."""
     model = prefit_model()
     swarm, refinement = _swarm_cost(resolved.stage, schedule), _refinement_cost(resolved.refinement, model)
     own = FLOAT4 * -(-model.components // 4)
@@ -193,12 +193,12 @@ def _refinement_cost(resolved: ResolvedRefinement, model: ReflectanceModel) -> P
     settings, held = resolved.refinement, FLOAT4 * (-(-model.components // 4) + 1)
     step, spread = renders(model, resolved)
     evaluations = resolved.iterations * step + settings.rounds * spread
-    textures = 3 * held + 2 * FLOAT4  # one that shows, one to begin with
+    textures = 3 * held + 2 * FLOAT4  # one for display, one for the start
     return PhaseCost(1, textures, 2 * held, SPREAD_REACH * int(settings.rounds > 0), settings.rounds, evaluations)
 
 
 def _prior_cost(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseCost:
-    """Return the need of a prior, whose textures are those of PriorTextures."""
+    """Return the cost of a prior, with the textures of PriorTextures."""
     held = -(-model.components // 4)
     textures = FLOAT4 * (2 + 5 * held + 2 * (held + 1)) + FLOAT
     kept = FLOAT4 * (1 + 3 * held + held + 1) + FLOAT
@@ -207,12 +207,12 @@ def _prior_cost(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseCost:
 
 
 def _swarm_cost(stage: ResolvedSwarm, schedule: Schedule) -> PhaseCost:
-    """Return the need of a swarm's stage, whose textures are those of SwarmTextures or SynchronousSwarmTextures."""
+    """Return the cost of a swarm phase, with the textures of SwarmTextures or SynchronousSwarmTextures."""
     particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
     blocks = 1 if dimensions <= 4 else 2
     linear = -(-sum(p.components for p in stage.solved) // 4)
     atlas = plan_atlas(1, 1, particle_tiles(stage, schedule), _SIDE)
-    tiles = atlas.across * atlas.down  # with those that stay empty
+    tiles = atlas.across * atlas.down  # including empty ones
     state = (3 * FLOAT4 + FLOAT) * tiles  # position, velocity, best; fitness
     bests = FLOAT4 * (blocks + linear) + FLOAT
     reaches = [reach_at(schedule, i, stage.iterations) for i in range(stage.iterations)]

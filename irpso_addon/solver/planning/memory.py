@@ -1,4 +1,4 @@
-"""Budgets of memory: what a person allows, what the machine has."""
+"""Memory budgets: of the user, of the machine."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from ...core.errors import InputError
 from ...gpu.context import is_software
 
-ASSUMED_DEVICE = 4 << 30  # Blender tells no GPU's memory; less than this few GPUs have
-_SPARE = 0.8  # of what the machine has free: other programs want some, and arrays are not all that a process holds
+ASSUMED_DEVICE = 4 << 30  # Blender does not report GPU memory; few GPUs have less
+_SPARE = 0.8  # of the free memory: other programs need some, and a process holds more than arrays
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _AMOUNT = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([KMGT]?)(?:I?B)?", re.IGNORECASE)
 _MEMINFO = Path("/proc/meminfo")
@@ -21,7 +21,7 @@ _MEMINFO = Path("/proc/meminfo")
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes that a recovery may take on the device and on the host, and in words where each figure comes from."""
+    """Bytes that a recovery may use on the device and on the host, and the origin of each figure in words."""
 
     device: int
     host: int
@@ -30,16 +30,16 @@ class Memory:
 
 
 def parse_memory(text: str) -> dict[str, int]:
-    """Return {"device": bytes, "host": bytes}, or one of them, of "4G" (both) or "device=4G,host=8G".
+    """Parse "4G" (both) or "device=4G,host=8G" to {"device": bytes, "host": bytes}, or one of them.
 
-    K, M, G and T are powers of 1024. Raises InputError naming --memory.
+    K, M, G and T are powers of 1024. Raises InputError that names --memory.
     """
     wanted: dict[str, int] = {}
     for part in text.split(","):
         name, equals, amount = (piece.strip() for piece in part.rpartition("="))
         names = ("device", "host") if not equals else (name.lower(),)
-        found = _AMOUNT.fullmatch(amount)
-        size = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
+        match = _AMOUNT.fullmatch(amount)
+        size = int(float(match[1]) * _UNITS[match[2].upper()]) if match else 0
         if size <= 0 or not set(names) <= {"device", "host"} or set(names) & set(wanted):
             raise InputError(f"--memory {text}: write an amount, as in 4G, or device=4G,host=8G (units K, M, G, T)")
         wanted |= dict.fromkeys(names, size)
@@ -47,7 +47,7 @@ def parse_memory(text: str) -> dict[str, int]:
 
 
 def amount(size: int) -> str:
-    """Return bytes as people write them: "1.5 GiB"."""
+    """Return bytes as text: "1.5 GiB"."""
     for unit in ("T", "G", "M", "K"):
         if size >= _UNITS[unit]:
             return f"{size / _UNITS[unit]:.{0 if size >= 100 * _UNITS[unit] else 1}f} {unit}iB"
@@ -55,13 +55,13 @@ def amount(size: int) -> str:
 
 
 def machine_memory(text: str | None, renderer: str) -> Memory:
-    """Return the budget of --memory, completed by what the machine has. renderer: the GPU's name.
+    """Return the budget of --memory, completed from the machine's memory. renderer: the GPU's name.
 
-    A software renderer's textures lie in the host's memory, which the two then share evenly.
+    A software renderer's textures are in host memory; device and host then share it evenly.
     """
     given = parse_memory(text) if text else {}
-    host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of what is free"
-    device, device_from = ASSUMED_DEVICE, "assumed: no GPU tells; say with --memory device=…"
+    host, host_from = int(_SPARE * free_memory()), f"{100 * _SPARE:.0f} % of the free memory"
+    device, device_from = ASSUMED_DEVICE, "assumed: Blender does not report it; set it with --memory device=…"
     if is_software(renderer):
         host //= 2
         host_from = f"half of {host_from}"
@@ -73,7 +73,7 @@ def machine_memory(text: str | None, renderer: str) -> Memory:
 
 
 def free_memory() -> int:
-    """Return the bytes of main memory that programs may still take; all there is where the system does not tell."""
+    """Return the free bytes of main memory, or the total where the system does not report them."""
     if _MEMINFO.is_file():
         for line in _MEMINFO.read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -86,7 +86,7 @@ def free_memory() -> int:
 
 def _windows_free() -> int:
     if sys.platform != "win32":
-        raise InputError("this system does not tell how much memory it has; say so with --memory")
+        raise InputError("this system does not report its memory; set it with --memory")
 
     class Status(ctypes.Structure):
         _fields_ = [("length", ctypes.c_ulong), ("load", ctypes.c_ulong)] + [

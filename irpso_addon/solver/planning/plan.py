@@ -1,4 +1,4 @@
-"""The plan of a recovery: how a domain is cut so that it fits the textures and the memory there are."""
+"""The plan of a recovery: the tiles of a domain that fit the texture limits and the memory."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from .memory import Memory, amount
 
 _BAKE = 65  # on the host: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
 _PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 12
-_PREPARING = 512 << 20  # on the host, whatever the domain: chunks of the preparation, Blender itself
-_SMALLEST = 8  # texels along the longer side from which on a tile is not cut again
+_PREPARING = 512 << 20  # on the host, for every domain: chunks of the preparation, Blender itself
+_SMALLEST = 8  # texels along the longer side: a tile this small is not cut
 
 Box = tuple[int, int, int, int]  # x0, y0, width, height
 
 
 @dataclass(frozen=True)
 class Borders:
-    """Where a UV map's islands end at seams. middle: (E, 2) of every border edge, length: (E,), in texels."""
+    """Border edges of a UV map's islands. middle: (E, 2), length: (E,), in texels."""
 
     middle: np.ndarray
     length: np.ndarray
 
     def beside(self, box: Box, halo: int) -> float:
-        """Return how long they are together in a box and up to ``halo`` texels around it."""
+        """Return their total length in a box and up to ``halo`` texels around it."""
         x0, y0, width, height = box
         low, high = (x0 - halo, y0 - halo), (x0 + width + halo, y0 + height + halo)
         return float(self.length[((self.middle >= low) & (self.middle <= high)).all(axis=1)].sum())
@@ -37,19 +37,19 @@ class Borders:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the device takes: the side and the layers of a texture, and the bytes of a single one."""
+    """Device limits: side and layers of a texture, and the bytes of a single one."""
 
     side: int = 16384
     layers: int = 2048
-    texture: int = 1 << 30  # software GL was seen to refuse more
+    texture: int = 1 << 30  # software GL refuses more
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Texels [x0, x0 + width) × [y0, y0 + height) of the domain: how many are covered, and the bytes they take.
+    """Texels [x0, x0 + width) × [y0, y0 + height) of the domain, with their number and bytes.
 
-    texels: covered, its own; device, host: bytes while it is solved, halo included. restored: bytes of its state, which
-    lies on the device twice for a moment when its turn comes.
+    texels: its own covered ones. device, host: bytes while it is solved, halo included. restored: bytes of its state,
+    which is on the device twice for a moment when its turn starts.
     """
 
     x0: int
@@ -64,12 +64,12 @@ class Tile:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a recovery is done within a budget of memory.
+    """A recovery within a memory budget.
 
-    shape: (H, W) of the domain. texels: covered. tiles: rectangles that together hold all of them, with ``halo``
-    texels around each. on_device: how many of them lie on the device at once; fewer than all take turns. stack_on,
-    state_on: where the sample stack, and the state of tiles that are not on the device, lie: "memory" or "scratch" (a
-    file). passes: how often every tile is gone over: 1 + exchanges. device, host, scratch: bytes at the most.
+    shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain all of them, with ``halo`` texels
+    around each. on_device: tiles on the device at once; where not all fit, tiles take turns. stack_on, state_on: place
+    of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file). passes: turns of each tile,
+    1 + exchanges. device, host, scratch: largest bytes.
     """
 
     shape: tuple[int, int]
@@ -102,7 +102,7 @@ class Plan:
         return asdict(self) | {"resident": self.resident}
 
     def lines(self) -> list[str]:
-        """Return the plan for people."""
+        """Return the plan as lines for display."""
         height, width = self.shape
         count = len(self.tiles)
         share = [t.texels for t in self.tiles]
@@ -135,11 +135,10 @@ def plan_recovery(
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
 
-    The domain is cut across its longer side by the number of covered texels, and the parts again, into as many as are
-    needed for each to fit the device. Where the host has no room for it the sample stack goes into a scratch file, then
-    the state of tiles that wait. stack_on: where the stack lies already, if it does. boxes: the tiles, where they are
-    given. borders: of a mesh, whose seams take memory too. Raises InputError, naming the setting, where even small
-    tiles do not fit, and where no texel is covered.
+    The domain is halved across its longer side by the number of covered texels, recursively, until each tile fits the
+    device. Where the host has no room, the sample stack goes into a scratch file, then the state of waiting tiles.
+    stack_on: the stack's place where it exists. boxes: given tiles. borders: of a mesh, whose seams need memory too.
+    Raises InputError, with the setting's name, where even small tiles do not fit or no texel is covered.
     """
     if cost.observations > limits.layers:
         raise InputError(
@@ -166,24 +165,24 @@ def plan_recovery(
 
 
 def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
-    """Return the bytes of all textures of a recovery of so many packed texels in a rectangle of so many."""
+    """Return the bytes of all textures of a recovery of ``texels`` packed texels in a rectangle of ``rectangle``."""
     table = 3 * FLOAT4 * cost.observations
     return _places_of(texels) * cost.device + FLOAT2 * rectangle + table
 
 
 def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:
-    """Return the bytes on the host while a tile is put on the device or taken off: its stack, geometry and state."""
+    """Return the host bytes while a tile moves to or from the device: its stack, geometry and state."""
     geometry = 4 * FLOAT4
     return _places_of(texels) * (FLOAT4 * cost.observations + geometry + cost.kept) + FLOAT2 * rectangle
 
 
 def restored_bytes(texels: int, cost: Cost) -> int:
-    """Return the bytes of what a tile that comes back to the device has taken along."""
+    """Return the bytes that move with a tile back to the device."""
     return _places_of(texels) * cost.kept
 
 
 def _places_of(texels: int) -> int:
-    """Return the places of the packed grid of so many texels, as near a square as Packing makes it."""
+    """Return the places of the packed grid of ``texels`` texels, as square as Packing makes it."""
     side = int(np.ceil(np.sqrt(max(texels, 1))))
     return side * -(-max(texels, 1) // side)
 
@@ -214,7 +213,7 @@ def _amounts(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None
         ghosts = int(beside * (cost.reach if cost.reach <= LOOKED_FOR else SEAM_REACH))
         texels += min(ghosts, _texels(coverage) - texels)
         bordered = (part.shape[0] + 2 * SEAM_REACH) * (part.shape[1] + 2 * SEAM_REACH)
-        # What lies past borders has four channels; what is seen there fills whole layers of the geometry.
+        # Places past borders have four channels; ghosts fill complete layers of the geometry.
         places = _places_of(texels)
         layers = -(-int(beside * SEAM_REACH) // places)
         seams = FLOAT4 * (bordered + layers * places) - FLOAT2 * part.size
@@ -222,7 +221,7 @@ def _amounts(coverage: np.ndarray, box: Box, cost: Cost, borders: Borders | None
 
 
 def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borders: Borders | None = None) -> list[Box]:
-    """Return the fewest boxes that all fit, each the bounds of its covered texels; about even in those."""
+    """Return the fewest boxes that all fit, each the bounds of its covered texels; about equal in their number."""
     count = 1
     while True:
         boxes = list(divided(coverage, (0, 0, coverage.shape[1], coverage.shape[0]), count))
@@ -230,19 +229,19 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            found = tile_of(coverage, small[0], cost, borders)
+            smallest = tile_of(coverage, small[0], cost, borders)
             raise InputError(
-                f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {found.width} ×"
-                f" {found.height} texels with a halo of {cost.reach} takes {amount(found.device)}; allow more, or lower"
-                " the number of observations or the number of particles"
+                f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {smallest.width} ×"
+                f" {smallest.height} texels with a halo of {cost.reach} takes {amount(smallest.device)}; allow more, or"
+                " lower the number of observations or the number of particles"
             )
         count = max(count + 1, int(1.1 * count))
 
 
 def divided(coverage: np.ndarray, box: Box, count: int) -> Iterator[Box]:
-    """Yield ``count`` boxes of a box, cut in two across the longer side by the number of covered texels, and so on.
+    """Yield ``count`` boxes of a box by recursive halving across the longer side, by the number of covered texels.
 
-    They are fewer where a box would be too small to be cut.
+    There are fewer where a box would be too small.
     """
     x0, y0, _, _ = box
     part = coverage[_around(box, 0, coverage.shape)]
@@ -282,7 +281,7 @@ def _fits(
 
 
 def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
-    """Return whether no single texture is larger than the device takes one."""
+    """Return whether every texture is within the device's limits."""
     places = _places_of(texels)
     side = int(np.ceil(np.sqrt(places)))
     tiles = max(phase.atlas for phase in cost.phases)
@@ -298,7 +297,7 @@ def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limi
 def _places(
     texels: int, tiles: Sequence[Tile], cost: Cost, memory: Memory, resident: bool, stack_on: str | None
 ) -> tuple[int, int, str, str]:
-    """Return (host, scratch, stack_on, state_on): in memory what it has room for, the sample stack first.
+    """Return (host, scratch, stack_on, state_on): as much as possible in memory, the sample stack first.
 
     texels: of the domain, covered or not.
     """
@@ -312,6 +311,6 @@ def _places(
         if least + stack + state - scratch <= memory.host:
             return least + stack + state - scratch, scratch, *where
     raise InputError(
-        f"--memory host={amount(memory.host)} ({memory.host_from}): {amount(least)} are needed even with the images in"
-        " a scratch file; allow more, or choose a smaller --resolution"
+        f"--memory host={amount(memory.host)} ({memory.host_from}): the recovery needs {amount(least)} even with the"
+        " images in a scratch file; allow more, or choose a smaller --resolution"
     )

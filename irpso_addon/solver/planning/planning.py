@@ -1,4 +1,4 @@
-"""Planning a recovery before anything large is read: what is covered, what that asks for, what there is."""
+"""Planning of a recovery before large reads: coverage, cost, memory."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ AnyRecovery = Recovery | Pyramid | TiledRecovery
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
-    """Return (H, W) bool: the texels of the domain that is to come, by its mask or its mesh alone."""
+    """Return (H, W) bool: the domain's covered texels, from its mask or mesh alone."""
     return check_card(capture) if mesh is None else uv_coverage(mesh, *resolution)
 
 
@@ -51,9 +51,9 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
 
-    memory: what may be used, as in "4G" or "device=4G,host=8G"; else what is free. entry: as for a Recovery. stack_on:
-    where the sample stack lies already. resumed: the checkpoint of a run that goes on, which keeps its tiles. mesh: the
-    texels', whose seams take memory too.
+    memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on: the
+    sample stack's place where it exists. resumed: the checkpoint of a resumed run, which keeps its tiles. mesh: of the
+    texels; its seams need memory too.
     """
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
@@ -71,7 +71,7 @@ def make_plan(
 
 
 def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
-    """Return where the islands of a mesh's UV map end at seams, on (H, W) texels."""
+    """Return the border edges of a mesh's UV islands on (H, W) texels."""
     edges, _ = seam_edges(mesh, shape[1], shape[0])
     edges = edges.some(edges.other >= 0)
     return Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
@@ -91,7 +91,7 @@ def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:
 
 
 def scratch_folder(output: Path) -> Path:
-    """Return where scratch files go: TMPDIR where it is set, else beside the output folder."""
+    """Return the folder of scratch files: TMPDIR where it is set, else beside the output folder."""
     if folder := os.environ.get("TMPDIR"):
         return Path(folder)
     folder = output.resolve().parent
@@ -111,10 +111,10 @@ def planned_recovery(
     scratch: Path,
     prepared: Prepared | None = None,
 ) -> AnyRecovery:
-    """Return the recovery that the plan and the schedule ask for.
+    """Return the recovery of the plan and the schedule.
 
-    scratch: the folder for scratch files. prepared: of ``prepare``, packed where the domain is solved as one; a domain
-    of several levels is prepared level by level.
+    scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of
+    several levels is prepared level by level.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
     if untiled(plan):
@@ -125,5 +125,5 @@ def planned_recovery(
 
 
 def untiled(plan: Plan) -> bool:
-    """Return whether the domain is solved as one."""
+    """Return whether the domain is one tile."""
     return plan.boxes == [(0, 0, plan.shape[1], plan.shape[0])]

@@ -291,7 +291,7 @@ OPTIONS = {
     "an output into the capture": (lambda f: recover("-o", f / "card")(f), r"card: holds the capture"),
     "an output beside a list of lights": (
         lambda f: recover("-o", f / "lists", capture="lists/filenames.txt")(f), r"lists: holds the capture"),
-    "an output without a name": (recover("-o", ""), r"output folder's name is empty"),
+    "an output without a name": (recover("-o", ""), r"output folder has an empty name"),
     "nothing to resume": (recover("--resume"), r"out holds no checkpoint"),
     "a damaged checkpoint": (prepared(damaged_checkpoint, recover("--resume")), r"checkpoint.npz: is no checkpoint"),
     "an unknown colour space": (recover("--colour-space", "acescg"), r"--colour-space.*acescg"),

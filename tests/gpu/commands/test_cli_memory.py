@@ -118,7 +118,7 @@ def test_tiles_that_are_interrupted_go_on_to_the_same_files(capture, whole, tmp_
     [
         ("lots", "--memory lots: write an amount"),
         ("device=1K,host=1G", r"--memory device=1.0 KiB \(--memory\): a tile of .* allow more"),
-        ("device=1M,host=10M", r"--memory host=10.0 MiB \(--memory\): .* are needed even"),
+        ("device=1M,host=10M", r"--memory host=10.0 MiB \(--memory\): the recovery needs .* even"),
     ],
 )
 def test_memory_that_will_not_do_is_refused_in_one_line(capture, memory, words, tmp_path):

@@ -228,7 +228,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line_with_nothing_written(fol
 
 def test_an_unknown_normal_map_is_refused_before_anything_is_read(tmp_path):
     code, _, err = run_cli("recover", tmp_path, "--normals", "object,tangant", "-o", tmp_path / "out")
-    assert code == 2 and "'tangant' is no normal map; choose some of object, world, directx" in err
+    assert code == 2 and "'tangant' is not a normal map; choose some of object, world, directx" in err
 
 
 def test_recover_writes_what_is_asked_for_besides(tmp_path):

@@ -76,7 +76,7 @@ def test_triangles_across_borders_or_where_there_are_no_tiles_are_counted_and_re
 def test_a_set_wider_than_random_numbers_are_keyed_is_refused_with_the_remedy():
     assert layout_size((1001, 1002), 32, 8) == (64, 8)
     assert layout_size(tuple(range(1001, 1016)), 4096, 4096) == (61440, 4096)
-    with pytest.raises(InputError, match="16 UDIM tiles of 4096 texels are 65536 side by side, at most 65535"):
+    with pytest.raises(InputError, match="16 UDIM tiles of 4096 texels are 65536 side by side; the limit is 65535"):
         layout_size(tuple(range(1001, 1017)), 4096, 4096)
 
 

@@ -127,7 +127,7 @@ def test_a_device_that_is_too_small_for_the_smallest_tile_is_named_with_the_reme
 
 
 def test_a_host_that_is_too_small_is_named_with_the_remedy():
-    with pytest.raises(InputError, match=r"--memory host=100 MiB .* are needed even with the images in a scratch file"):
+    with pytest.raises(InputError, match=r"--memory host=100 MiB .* needs .* even with the images in a scratch file"):
         plan_recovery(disc(64, 30), cost_of(), Memory(G, 100 * M))
 
 
