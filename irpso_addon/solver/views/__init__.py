@@ -1,1 +1,1 @@
-"""Looking at a recovery: renders, live pictures on the GPU, single texels, held-out photographs, convergence."""
+"""Views of a recovery: renders, live pictures on the GPU, single texels, held-out photographs, convergence."""

@@ -1,4 +1,4 @@
-"""The live maps as pictures on the GPU, for a window to draw: nothing is read back."""
+"""Live maps as pictures on the GPU, for a window to draw, without read-back."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from ..state.packing import level_size
 from ..state.textures import kernel_defines
 
-KEPT = 4  # pictures: two areas, each with two beside one another
-_SHARE = 0.2  # of the time that measuring anew may take while the recovery goes on
+KEPT = 4  # pictures: two areas, each with two side by side
+_SHARE = 0.2  # of the time that measurements may take while the recovery runs
 _UNMEASURED = -1.0
 _ENCODINGS = defined("view/show_parameter.glsl", "ENCODING_")
 _PARAMETER = {"u_at": "INT", "u_components": "INT", "u_encoding": "INT", "u_low": "FLOAT", "u_width": "FLOAT",
@@ -36,12 +36,11 @@ _MEASURE = {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}
 
 @dataclass(frozen=True)
 class Shown:
-    """What a picture shows.
+    """Content of a picture.
 
-    parameter: of kinds "parameter" and "confidence". observation: of "render" and "reference". limit: the error or
-    standard deviation that is red, in radiance or the parameter's own unit (radians of a normal). exposure: a factor
-    on radiance. unknown: the deviation from which on a parameter of one number is not known, which alpha then says; 0
-    where that is not asked.
+    parameter: for kinds "parameter" and "confidence". observation: for "render" and "reference". limit: the error or
+    standard deviation shown as red, in radiance or the parameter's unit (radians of a normal). exposure: factor on
+    radiance. unknown: the deviation from which a parameter of one number is unknown, shown in alpha; 0 for never.
     """
 
     kind: Literal["parameter", "error", "render", "reference", "confidence"]
@@ -53,17 +52,16 @@ class Shown:
 
     @property
     def measured(self) -> str:
-        """What has to be measured for it: "error", "confidence", or "" for nothing."""
+        """The measurement that it needs: "error", "confidence", or ""."""
         if self.kind in ("error", "confidence"):
             return self.kind
         return "confidence" if self.unknown else ""
 
 
 class Display:
-    """Pictures of a recovery as it is now. Make it anew where the recovery is another; ``close`` before that is closed.
+    """Pictures of a running recovery. ``close`` it before the recovery; make a new one for another recovery.
 
-    known: names of the parameters that were given, of which the confidence need not be told. Raises InputError for a
-    recovery in tiles, which has no picture of the whole.
+    fixed: names of fixed parameters, which have no confidence. Raises InputError for a recovery in tiles.
     """
 
     def __init__(self, recovery: Recovery | Pyramid, fixed: Collection[str] = ()):
@@ -76,16 +74,15 @@ class Display:
         self._begin()
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
-        """Return a texture of the domain's size (a coarse level's at that level), RGBA16F; others take its place.
+        """Return an RGBA16F texture of the domain's size (or the coarse level's); later pictures may overwrite it.
 
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
-        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 where a texel is solved;
-        of a parameter 0.5 where it is unknown, if that is asked; of a reference 0.5 where the sample has no weight, and
-        0 where nothing was photographed.
+        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 for solved texels, 0.5 for
+        an unknown parameter (see ``Shown.unknown``) or a reference's sample without weight, 0 without a photograph.
 
-        time_budget_s: about how long measuring errors or deviations may take now; the last that were measured are
-        shown until newer ones are whole, and only the first time is it shown as far as it has come. Without a budget
-        they are of this moment. Raises InputError for a parameter or an observation that there is not.
+        time_budget_s: about the time for measuring errors or deviations now. Until a measurement is complete the last
+        complete one is shown; the first one is shown as it grows. Without a budget the measurement is current. Raises
+        InputError for a missing parameter or observation.
         """
         self._check(shown)
         with self._recovery.view() as lent:
@@ -101,7 +98,7 @@ class Display:
             return picture
 
     def pending(self, shown: Shown) -> bool:
-        """Return whether the picture lags behind the recovery: draw again soon, though nothing else changes."""
+        """Return whether the picture lags behind the recovery and should be drawn again soon."""
         if shown.measured:
             return self._measure(shown.measured).measured != self._recovery.progress
         kept = self._pictures.get(shown)
@@ -127,18 +124,18 @@ class Display:
             raise InputError(f"observation {shown.observation}: there are {count}, from 0; choose one of them")
 
     def _follow(self, lent: Mapping[str, Any]) -> None:
-        """Begin anew where the recovery has come to another level, whose textures have other sizes."""
+        """Restart where the recovery has reached another level, whose textures have other sizes."""
         size = level_size(lent, self._defines)
         if size != self._size:
             self.close()
             self._size = size
 
     def _kept(self, shown: Shown) -> tuple[Any, Any]:
-        """Return the picture's texture and what it was drawn of, None where it has not been."""
+        """Return the picture's texture and the state that it was drawn from, or None."""
         if shown not in self._pictures:
             if len(self._pictures) < KEPT:
                 self._pictures[shown] = textures.empty(*self._size, "RGBA16F"), None
-            else:  # passes hold on to the frame buffers of their targets, so these are used again
+            else:  # passes keep the frame buffers of their targets, so textures are reused
                 _, (oldest, _) = self._pictures.popitem(last=False)
                 self._pictures[shown] = oldest, None
         self._pictures.move_to_end(shown)
@@ -152,7 +149,7 @@ class Display:
         elif shown.kind in ("render", "reference"):
             constants = {"u_observation": shown.observation, "u_exposure": shown.exposure}
         else:
-            constants = {"u_at": 0, "u_components": 1, "u_limit": max(shown.limit, 1e-9)}  # red from 0 on, if need be
+            constants = {"u_at": 0, "u_components": 1, "u_limit": max(shown.limit, 1e-9)}  # a limit of 0: all red
             if shown.kind == "confidence":
                 parameter = model.parameter(shown.parameter)
                 components = 1 if parameter.is_normal else parameter.components
@@ -185,7 +182,7 @@ class Display:
 
 
 class _Measure:
-    """What takes long to tell of all texels, measured a few rows at a time; the last whole one is kept meanwhile."""
+    """A slow measurement of all texels, a few rows at a time; the last complete one stays available."""
 
     def __init__(self, made: Pass, count: int, texture_format: str, constants: dict[str, int | float]):
         self._pass, self._count, self._format = made, count, texture_format
@@ -195,13 +192,13 @@ class _Measure:
         self._coming: list[Any] = []
         self._work: Iterator[None] | None = None
         self._inputs: Mapping[str, Any] = {}
-        self._progress: Progress | None = None  # of the recovery when the one that is coming was begun
-        self.measured: Progress | None = None  # and of the whole one
+        self._progress: Progress | None = None  # of the recovery at the start of the current measurement
+        self.measured: Progress | None = None  # and of the complete one
         self._version = 0
         self._seconds = self._ended = 0.0
 
     def update(self, lent: Mapping[str, Any], progress: Progress, time_budget_s: float | None) -> int:
-        """Measure on for about so long, or all where there is no budget; return a number that changes with it."""
+        """Continue for about ``time_budget_s``, to the end where None; return a version number of the result."""
         now = time.perf_counter()
         deadline = None if time_budget_s is None else now + time_budget_s
         if deadline is None and self._progress != progress:
@@ -215,14 +212,14 @@ class _Measure:
             if next(self._work, self) is self:
                 self._finish()
             if self.measured is None:
-                self._version += 1  # shown as far as it has come
+                self._version += 1  # shown as it grows
             if deadline is not None and time.perf_counter() >= deadline:
                 break
         self._seconds += time.perf_counter() - now
         return self._version
 
     def bindings(self) -> dict[str, Any]:
-        """Return what has been measured by sampler name."""
+        """Return sampler name → measured texture."""
         return {f"u_measure_{i}": texture for i, texture in enumerate(self._whole or self._coming)}
 
     def close(self) -> None:
@@ -241,9 +238,9 @@ class _Measure:
         self._work = self._measuring(self._coming, budget)
 
     def _measuring(self, targets: list[Any], budget: float | None) -> Iterator[None]:
-        """Measure into ``targets``. The recovery may go on between bands: each reads what it has found by then."""
+        """Measure into ``targets``. The recovery may run between bands: each band reads its current state."""
         self._pass.compile()
-        yield  # the first band has a compiler of its own to wait for
+        yield  # the first band waits for the compiler
         yield from self._bands.run(
             "measure",
             targets[0].height,
@@ -272,7 +269,7 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
 
 
 def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, int]) -> Pass:
-    """Compile the pass that draws a kind of picture."""
+    """Return the pass that draws a kind of picture."""
     packed = kernels.packed(model)
     measured = Packed({"error": 1, "confidence": packed.textures, "unknown": packed.textures}.get(kind, 0))
     samplers = {"u_estimate": packed, "u_measure": measured, "u_ramp": kernels.FLOAT_2D}

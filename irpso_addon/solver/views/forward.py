@@ -1,4 +1,4 @@
-"""The forward renderer, R(p̂) = ĉ of the paper: maps, geometry and lights to images."""
+"""The forward renderer, R(p̂) = ĉ of the paper: images from maps, geometry and lights."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ..state.textures import Estimates, geometry_layers, observation_defines, up
 
 
 class Renderer:
-    """Renders one material under many lights, without cast shadows or light between surfaces.
+    """Renders one material under many lights, without cast shadows and interreflection.
 
-    bake: what each pixel or texel shows. values: parameter name → (H, W, components) there. lights: (K, 4),
-    intensities: (K, 3) and views: (K, 4) as in Domain. The shaders are those that the solver inverts.
+    bake: the surface at each pixel or texel. values: parameter name → (H, W, components). lights: (K, 4), intensities:
+    (K, 3) and views: (K, 4) as in Domain. The solver inverts the same shaders.
     """
 
     def __init__(
@@ -40,14 +40,14 @@ class Renderer:
             ),
             **Estimates(model, dict(values)).bindings(),
             "u_observation_table": upload_observations(lights, intensities, views),
-            # Never read; but what a shader declares Vulkan wants bound.
+            # Never read; Vulkan requires a binding for every declared sampler.
             "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
         }
         self._pass = render_pass(model, observation_defines(lights, views, card))
         self._target = textures.empty(state.shape[1], state.shape[0])
 
     def render(self, observation: int) -> np.ndarray:
-        """Return (H, W, 4) float32 linear radiance under one light; alpha is 1 where something is seen."""
+        """Return (H, W, 4) float32 linear radiance under one light; alpha is 1 on the surface."""
         self._pass.run([self._target], self._inputs, {"u_observation": observation})
         return textures.download(self._target)
 
@@ -64,7 +64,7 @@ def camera_renderer(
     camera: Camera,
     lights: Sequence[Light],
 ) -> Renderer:
-    """Return the renderer of what a camera sees: ``bake`` and ``values`` per pixel of it."""
+    """Return the renderer of a camera's image: ``bake`` and ``values`` are per pixel."""
     table = np.array([[*light.vector, 0.0 if light.distant else 1.0] for light in lights])
     intensities = np.array([light.intensity for light in lights])
     return Renderer(bake, model, values, table, intensities, np.tile(camera.view, (len(lights), 1)))
@@ -73,9 +73,9 @@ def camera_renderer(
 def render_domain(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
 ) -> list[np.ndarray]:
-    """Return (H, W, 4) what maps render to in a domain's texels, for each of some observations, as a Renderer does.
+    """Return the renders (H, W, 4) of maps in a domain's texels, one per observation.
 
-    A domain wider or higher than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
+    A domain larger than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
     """
     return list(rendered(domain, model, values, observations))
 
@@ -83,7 +83,7 @@ def render_domain(
 def rendered(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
 ) -> Iterator[np.ndarray]:
-    """Yield the images of ``render_domain`` one by one. Blocks, where they are needed, are rendered all at once."""
+    """Yield the images of ``render_domain`` one by one; a domain in blocks is rendered at once."""
     context.ensure()
     if max(domain.shape) > context.max_texture_size():
         yield from _rendered_in_blocks(domain, model, values, observations)
@@ -107,15 +107,15 @@ def _rendered_in_blocks(
             part = tile(domain, x, y, min(side, width - x), min(side, height - y))
             block = slice(y, y + side), slice(x, x + side)
             held = {name: value[block] for name, value in values.items()}
-            for image, found in zip(images, rendered(part, model, held, observations), strict=True):
-                image[block] = found
+            for image, render in zip(images, rendered(part, model, held, observations), strict=True):
+                image[block] = render
     return images
 
 
 def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:
-    """Return maps (h, w, components) read bilinearly at texture coordinates (H, W, 2); normals are unit again.
+    """Return maps (h, w, components) sampled bilinearly at texture coordinates (H, W, 2); normals are normalised.
 
-    Texel centres lie at (i + ½) / w; beyond the outermost ones a map continues as it ends.
+    Texel centres lie at (i + ½) / w; outside the outermost ones the border value continues.
     """
     height, width = next(iter(values.values())).shape[:2]
     x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
@@ -143,9 +143,9 @@ def rendered_capture(
     lights: Sequence[Light],
     report: Callable[[float], None] = lambda fraction: None,
 ) -> Capture:
-    """Return the capture of every camera under every light; an image is rendered when it is read.
+    """Return the capture of every camera under every light; reading an image renders it.
 
-    renderers, masks: one a camera, with all the lights. report: called at each image with the fraction rendered.
+    renderers, masks: one per camera, with all lights. report: called at each image with the fraction rendered.
     """
     count = len(cameras) * len(lights)
 
@@ -167,7 +167,7 @@ def rendered_capture(
 
 
 def dome(latitudes: int, longitudes: int) -> np.ndarray:
-    """Return (latitudes · longitudes, 3) unit directions: rings halfway between equal steps of latitude, pole +Z."""
+    """Return (latitudes · longitudes, 3) unit directions on rings at the midpoints of equal latitude steps, pole +Z."""
     polar = (np.arange(latitudes) + 0.5) * np.pi / latitudes
     around = np.arange(longitudes) * 2 * np.pi / longitudes
     polar, around = (grid.ravel() for grid in np.meshgrid(polar, around, indexing="ij"))

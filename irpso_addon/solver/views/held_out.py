@@ -1,4 +1,4 @@
-"""Observations held out of the fit: which ones, their place in the stack, and how well the maps relight them."""
+"""Observations held out of the fit: their choice, their order in the stack, and the maps' error on them."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from .forward import rendered
 from .pictures import SHOWN_WHITE, image_psnr, image_row
 
 _STEP, _MOST = 8, 6  # of the automatic choice
-FEWEST_SPARING = _STEP // 2 + 1  # observations of which one can be spared
+FEWEST_SPARING = _STEP // 2 + 1  # least observations of a capture that spares one
 HIGHLIGHT = 1.5  # a highlight's sample is brighter than the diffuse reflection by this factor …
-_DARK = 0.02  # … and by so much of what is shown as white, which is more than noise
+_DARK = 0.02  # … and by this fraction of display white, which is above noise
 
 
 def spared(count: int) -> list[int]:
     """Return the indices that the automatic choice holds out of ``count`` observations, [] below ``FEWEST_SPARING``.
 
-    One in eight, evenly spaced, and six at most: each is a photograph less for the fit.
+    One in eight, evenly spaced, at most six: the fit loses each of them.
     """
     step = max(_STEP, math.ceil(count / _MOST))
     return list(range(step // 2, count, step))
 
 
 def held_out_last(capture: Capture, held_out: Sequence[int]) -> tuple[Capture, list[int]]:
-    """Return the capture with the observations held out at its end: what is fitted is then one piece of the stack."""
+    """Return the capture with the held-out observations last: the fitted ones are then contiguous in the stack."""
     order = order_of(len(capture.observations), held_out)
     count = len(order) - len(held_out)
     observations = tuple(capture.observations[k] for k in order)
@@ -47,8 +47,8 @@ def order_of(count: int, held_out: Sequence[int]) -> list[int]:
 
 
 def preview_names(capture: Capture, held_out: Sequence[int]) -> list[str]:
-    """Return the observations' names for pictures, which tell those that were held out."""
-    return [one.name + " (held out)" * (k in held_out) for k, one in enumerate(capture.observations)]
+    """Return the observations' names for pictures, with a mark on those held out."""
+    return [shot.name + " (held out)" * (k in held_out) for k, shot in enumerate(capture.observations)]
 
 
 def relit_steps(
@@ -58,11 +58,11 @@ def relit_steps(
     capture: Capture,
     threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = here,
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
-    """Yield often, and return pictures and figures: for callers that must not wait. Both are {} without observations.
+    """Yield often; return pictures and figures, both {} without observations.
 
-    domain: of all observations. threaded: runs a function of numpy elsewhere, yielding meanwhile. The figures are the
-    PSNR of each observation, and that of its highlights alone, in dB; their means; and the factor above the diffuse
-    reflection from which a sample counts as a highlight. None stands where there is nothing to compare.
+    domain: of all observations. threaded: runs a numpy function elsewhere and yields meanwhile. The figures are the
+    PSNR in dB of each observation and of its highlights alone, their means, and the factor over the diffuse reflection
+    that defines a highlight; None where there is nothing to compare.
     """
     if not held_out:
         return {}, {}
@@ -80,18 +80,18 @@ def relit_steps(
 
 
 def relit_line(figures: Mapping[str, Any]) -> str:
-    """Return the means of a report's figures in one line for people, "" where nothing was held out."""
+    """Return the means of a report's figures as one line for display, "" where nothing was held out."""
     if "relighting_mean_psnr_db" not in figures:
         return ""
     psnr, highlights = figures["relighting_mean_psnr_db"], figures["relighting_highlights_mean_psnr_db"]
-    told = "nothing to compare" if psnr is None else f"{psnr:.1f} dB"
-    return f"Unseen photographs: {told}" + (f", highlights {highlights:.1f} dB" if highlights is not None else "")
+    mean = "nothing to compare" if psnr is None else f"{psnr:.1f} dB"
+    return f"Unseen photographs: {mean}" + (f", highlights {highlights:.1f} dB" if highlights is not None else "")
 
 
 def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: where a photograph is far above what the maps reflect diffusely, (H, W, 4).
+    """Return (H, W) bool: texels of a photograph far above the maps' diffuse reflection ``diffuse`` (H, W, 4).
 
-    No highlight that the fit has missed is left out for being missed.
+    This includes highlights that the fit has missed.
     """
     seen = np.nan_to_num(domain.stack.layer(k)[..., :3]).mean(axis=-1)
     floor = _DARK * np.percentile(seen[maps.covered], SHOWN_WHITE)
@@ -99,7 +99,7 @@ def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.n
 
 
 def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np.ndarray]]:
-    """Return Lambert's law, and its values for the base colours as far as they are no metal's."""
+    """Return Lambert's law, and its values: the base colours times 1 − metallic."""
     normal = next(p.name for p in maps.model.parameters if p.is_normal)
     diffuse = np.zeros((*domain.shape, 3), np.float32)
     for parameter in maps.model.parameters:

@@ -1,4 +1,4 @@
-"""How a recovery converged: the errors of four texels, looked at now and then while it runs."""
+"""Convergence of a recovery: errors of four texels, measured at intervals while it runs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
 
 _ITERATIONS = "iterations"
-_LOOKS = 40  # in a whole run: each costs a render and a read-back, as much as one or two iterations
+_LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
 
 
 class History:
-    """Looks at a recovery about 40 times and keeps the errors of four texels.
+    """Measures the errors of four texels about 40 times per recovery.
 
-    truth: parameter name → (H, W, components), or None; without it the error is the residual, in % of white. show: is
-    called with the maps of each look.
+    truth: parameter name → (H, W, components), or None; then the error is the residual, in % of white. show: called
+    with the maps at each measurement.
     """
 
     def __init__(
@@ -35,18 +35,20 @@ class History:
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
         self._iterations: list[int] = []
-        self._seen = 0  # the iteration of the last look: tiles may stop at one of theirs, all of them still at that
+        self._seen = (
+            0  # iteration of the last measurement: tiles may stop at one of their own, before the next common one
+        )
         self._errors: dict[str, list[np.ndarray]] = {}
 
     @property
     def until_next(self) -> int:
-        """How many iterations may be made before the next look: looks come at the same ones however a run is sliced."""
+        """Return the iterations until the next measurement: independent of how the run is sliced."""
         progress = self._recovery.progress
         every = max(1, progress.iterations_in_all // _LOOKS)
         return every - progress.iteration_in_all % every
 
     def look(self) -> None:
-        """Note the errors, if it is time to."""
+        """Record the errors where a measurement is due."""
         progress = self._recovery.progress
         every = max(1, progress.iterations_in_all // _LOOKS)
         if progress.iteration_in_all == self._seen or (progress.iteration_in_all % every and not progress.done):
@@ -61,11 +63,11 @@ class History:
 
     @property
     def notes(self) -> dict[str, np.ndarray]:
-        """What has been noted, for a checkpoint."""
+        """Return the record, for a checkpoint."""
         return {_ITERATIONS: np.array(self._iterations), **{n: np.stack(e) for n, e in self._errors.items()}}
 
     def take(self, notes: Mapping[str, np.ndarray]) -> None:
-        """Take up what a checkpoint's notes hold."""
+        """Restore the record from a checkpoint."""
         self._iterations = [int(n) for n in notes.get(_ITERATIONS, ())]
         self._seen = self._recovery.progress.iteration_in_all
         self._errors = {name: list(errors) for name, errors in notes.items() if name != _ITERATIONS}

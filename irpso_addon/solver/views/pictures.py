@@ -15,22 +15,22 @@ from ...results.preview import PreviewRow, default_maximum, display_image, galle
 from ...results.report import error_unit, parameter_error
 from .forward import render_domain
 
-_SHOWN = 3  # observations in a preview, the median one among them
+_SHOWN = 3  # observations in a preview, with the median one
 _STRIPE = (0.93, 0.45, 0.12)
-SHOWN_WHITE = 99.5  # percentile of the reference that is shown as white
+SHOWN_WHITE = 99.5  # percentile of the reference: display white
 
 
 def error_preview(
     domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str]
 ) -> np.ndarray:
-    """Return (H, W, 3) display values: reference | recovered | error, of maps that are known, then of images.
+    """Return (H, W, 3) display values: reference | recovered | error, of maps with a truth, then of images.
 
     names: of all observations.
     """
     rows = map_rows(maps, truth, maps.covered) if truth else []
     counted = (layer[layer[..., 3] > 0] for layer in domain.stack.layers())
     order = np.argsort([samples[:, :3].mean() if len(samples) else 0.0 for samples in counted])[::-1]
-    # The brightest fifth and the middle: frames that show something, under unlike lights.
+    # The brightest fifth and the middle: bright frames under different lights.
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
     if rows:
         chosen = chosen[:1]
@@ -39,9 +39,9 @@ def error_preview(
 
 
 def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
-    """Return the picture "confidence": each searched number, striped where the photographs do not tell it, and its σ.
+    """Return the picture "confidence": each searched number, striped where it is unknown, and its σ.
 
-    Nothing where the maps have no confidence, or the model no such number.
+    {} without confidence, or without such a number in the model.
     """
     images, labels = [], []
     for name, unknown in maps.unknown().items():
@@ -55,12 +55,12 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
         labels += [_title(name), f"± one sigma (red: {red:.2g})"]
     if not images:
         return {}
-    heading = "Striped: the photographs do not tell, and what the model believes stands"
+    heading = "Striped: the photographs do not determine it; the value is the model's prior"
     return {"confidence": gallery(heading, images, labels, maps.covered)}
 
 
 def _striped(image: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Return an image (H, W, 3) with diagonal stripes over some texels, of a colour that no grey map has."""
+    """Return an image (H, W, 3) with diagonal stripes over some texels, in a colour absent from grey maps."""
     rows, columns = np.indices(where.shape)
     period = max(4, max(where.shape) // 40)
     stripe = where & ((rows + columns) % period < (period + 1) // 2)
@@ -81,7 +81,7 @@ def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
 
 
 def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -> list[PreviewRow]:
-    """Return a row for each map that the truth holds."""
+    """Return one row per map in the truth."""
     rows = []
     for table in map_tables(maps.model):
         if not all(p.name in truth for p in table.parameters):
@@ -96,21 +96,21 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
-    """Return a row for each observation: of ``image_row``."""
+    """Return the ``image_row`` of each observation."""
     renders = render_domain(domain, maps.model, maps.values, observations)
-    found = zip(observations, labels, renders, strict=True)
-    return [image_row(domain, maps, k, label, render) for k, label, render in found]
+    rows = zip(observations, labels, renders, strict=True)
+    return [image_row(domain, maps, k, label, render) for k, label, render in rows]
 
 
 def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
     """Return the photograph of an observation, its render (H, W, 4), and the difference in % of white.
 
-    Samples without weight are shown as they were photographed; their difference is not. Clipped ones differ where the
-    render is darker: both pictures end at white.
+    Samples of weight 0 show the photograph, without a difference. Clipped samples differ where the render is darker:
+    both pictures end at white.
     """
     layer = domain.stack.layer(k)
     seen, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
-    # Texels that no light told anything of, as a black background, have no material to be rendered.
+    # Texels without a usable sample, such as a black background, have no material to render.
     rendered = np.where(maps.covered[..., None], render[..., :3], 0)
     white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0
     images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
@@ -124,6 +124,6 @@ def _title(name: str) -> str:
 
 
 def image_psnr(row: PreviewRow) -> float:
-    """Return the peak signal-to-noise ratio in dB of sRGB-encoded values, white the peak, where the error counts."""
+    """Return the PSNR in dB of sRGB-encoded values, with white as peak, over the texels whose error counts."""
     difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -1,4 +1,4 @@
-"""One texel of a running recovery: its estimate, its error and its swarm, read back a few hundred numbers at a time."""
+"""One texel of a running recovery: estimate, error and swarm, read back as a few hundred numbers."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _COLORS = "rgba"
 class Particles:
     """The swarm of a texel, in the parameters' own units.
 
-    names: of the n components that are searched, as "roughness", "base_color.r" or "normal.x"; a normal is a unit
-    vector however it is searched. positions, bests: (m, n) where the m particles are, and have been best. fitness: (m,)
-    of their bests, infinite where nothing is known. global_best: (n,).
+    names: of the n searched components, such as "roughness", "base_color.r" or "normal.x"; normals are unit vectors in
+    every encoding. positions, bests: (m, n) of the m particles. fitness: (m,) of the bests, infinite where unknown.
+    global_best: (n,).
     """
 
     names: tuple[str, ...]
@@ -46,10 +46,10 @@ class Particles:
 
 @dataclass(frozen=True)
 class TexelState:
-    """What has been found of a texel so far.
+    """The current state of a texel.
 
     error: mean absolute difference between render and reference over channels and weighted observations. values:
-    parameter name → (components,). particles: None where no swarm searches, or where it is being placed.
+    parameter name → (components,). particles: None without a searching swarm, or while it is being placed.
     """
 
     error: float
@@ -58,7 +58,7 @@ class TexelState:
 
 
 class TexelProbe:
-    """Reads texels of one recovery again and again. Close it before the recovery."""
+    """Reads texels of one recovery repeatedly. Close it before the recovery."""
 
     def __init__(self, recovery: Recovery | Pyramid):
         if not hasattr(recovery, "view"):
@@ -71,9 +71,9 @@ class TexelProbe:
         self._swarm: _SwarmProbe | None = None
 
     def read(self, row: int, column: int) -> TexelState | None:
-        """Return the state of a texel of the domain, row 0 at the bottom; None where nothing is solved.
+        """Return the state of a texel of the domain, row 0 at the bottom, or None where it is not solved.
 
-        While a coarser level is being solved it is that of the texel of it that lies there.
+        During a coarser level it is the state of that level's texel.
         """
         with self._recovery.view() as lent:
             at = self._constants(lent, row, column)
@@ -102,7 +102,7 @@ class TexelProbe:
         return {"u_column": column * level[0] // width, "u_row": row * level[1] // height}
 
     def _read_texel(self, lent: Mapping[str, Any], at: dict[str, int]) -> np.ndarray | None:
-        """Return the components of the estimate, padded to whole texels, then the error and three more numbers."""
+        """Return the components of the estimate, padded to RGBA texels, then the error and three more numbers."""
         if self._texel is None:
             model = self._recovery.model
             packed = kernels.packed(model)
@@ -133,13 +133,13 @@ class TexelProbe:
 def running_swarm(
     recovery: Recovery | Pyramid,
 ) -> tuple[SwarmPhase, ReflectanceModel] | None:
-    """Return the phase whose swarms are searching and the model that they search, None where none are."""
+    """Return the phase whose swarms are searching and their model, or None."""
     live = recovery._live if isinstance(recovery, Pyramid) else recovery
     phase, model = live._phase, live.model
     if isinstance(phase, PrefitPhase):
         phase, model = phase._inner, prefit_model()
     searches = isinstance(phase, SwarmPhase) and phase.encoding.dimensions > 0
-    # Between two stages the first one's textures are gone already.
+    # Between two phases the textures of the first one are already freed.
     return (phase, model) if searches and phase.textures is not None else None
 
 
@@ -172,7 +172,7 @@ class _SwarmProbe:
         self._target = textures.empty(max(phase.particles, 3), _ROWS)
 
     def read(self, lent: Mapping[str, Any], at: dict[str, int]) -> Particles:
-        """Return the swarm of a texel that is solved."""
+        """Return the swarm of a solved texel."""
         phase = self.phase
         inputs = {**lent, **self._held.read_bindings(), **phase._estimates.bindings()}
         self._pass.run([self._target], inputs, {**at, "u_width": phase.width, "u_height": phase.height})
@@ -199,14 +199,14 @@ class _SwarmProbe:
 
 
 def component_names(parameter: Parameter) -> list[str]:
-    """Return what the components of a parameter are called among particles: "roughness", or "base_color.r"."""
+    """Return the names of a parameter's components: "roughness", or "base_color.r"."""
     parts = _COLORS if parameter.color_space == "sRGB" else _PARTS
     several = parameter.components > 1
     return [f"{parameter.name}.{parts[i]}" if several else parameter.name for i in range(parameter.components)]
 
 
 def _searched(phase: SwarmPhase, model: ReflectanceModel) -> tuple[list[int], tuple[str, ...]]:
-    """Return the places and names of the components that a phase searches."""
+    """Return the indices and names of the components that a phase searches."""
     chosen: list[int] = []
     names: list[str] = []
     for p in phase.stage.parameters:

@@ -1,4 +1,4 @@
-"""Pictures and single texels of any recovery, in tiles or as a whole: what a window shows while it goes on."""
+"""Pictures and single texels of a running recovery, tiled or not, for a window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..planning.planning import AnyRecovery
 from .display import KEPT, Display, Shown
 from .texel_probe import TexelProbe, TexelState
 
-_SIDE = 2048  # of a picture made of tiles: more than a window shows, and little where memory is short
+_SIDE = 2048  # of a picture made of tiles: more than a window shows, with little memory
 _PLACE = {
     **{f"u_{name}": "INT" for name in ("x", "y", "left", "bottom", "right", "top")},
     **{f"u_{name}": "FLOAT" for name in ("across", "up")},
@@ -24,22 +24,22 @@ _PLACE = {
 
 
 def display_of(recovery: AnyRecovery, fixed: Collection[str] = ()) -> Display | TiledDisplay:
-    """Return what makes pictures of a recovery. known: as for a Display."""
+    """Return the Display of a recovery. fixed: as for a Display."""
     if isinstance(recovery, TiledRecovery):
         return TiledDisplay(recovery, fixed)
     return Display(recovery, fixed)
 
 
 def texel_probe_of(recovery: AnyRecovery) -> TexelProbe | TiledTexelProbe:
-    """Return what reads single texels of a recovery."""
+    """Return the texel probe of a recovery."""
     return TiledTexelProbe(recovery) if isinstance(recovery, TiledRecovery) else TexelProbe(recovery)
 
 
 class TiledDisplay:
-    """Pictures of a recovery in tiles, as Display has them of a whole one; ``close`` before that is closed.
+    """Pictures of a recovery in tiles, with the interface of Display; ``close`` it before the recovery.
 
-    A picture has the domain's size, or 2048 texels along a side that is longer. It is made of those of the tiles on the
-    device; where tiles take turns, one shows what it had found when it was there last, and nothing before that.
+    A picture has the domain's size, with sides of at most 2048 texels. It is composed of the pictures of the tiles on
+    the device; a tile that waits shows its last state there, or nothing before its first turn.
     """
 
     def __init__(self, recovery: TiledRecovery, fixed: Collection[str] = ()):
@@ -51,7 +51,7 @@ class TiledDisplay:
         )
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
-        """Return a texture as Display.picture; the budget is for all tiles together."""
+        """Return a texture like Display.picture; the budget is for all tiles together."""
         live = self._recovery.live
         share = None if time_budget_s is None else time_budget_s / len(live)
         _follow(self._displays, live, self._display)
@@ -62,7 +62,7 @@ class TiledDisplay:
         return target
 
     def pending(self, shown: Shown) -> bool:
-        """Return whether the picture lags behind the recovery, as Display.pending."""
+        """Return whether the picture lags behind the recovery, like Display.pending."""
         tiles = [tile for _, tile in self._recovery.live]
         return shown not in self._pictures or any(
             tile not in self._displays or self._displays[tile].pending(shown) for tile in tiles
@@ -80,7 +80,7 @@ class TiledDisplay:
     def _kept(self, shown: Shown) -> Any:
         if shown not in self._pictures:
             height, width = (min(side, _SIDE) for side in self._recovery.domain.shape)
-            # A pass holds on to the frame buffers of its targets, so that textures are used again.
+            # A pass keeps the frame buffers of its targets, so textures are reused.
             texture = self._pictures.popitem(last=False)[1] if len(self._pictures) == KEPT else None
             texture = textures.empty(width, height, "RGBA16F") if texture is None else texture
             texture.clear(format="FLOAT", value=(0.0, 0.0, 0.0, 0.0))
@@ -98,14 +98,14 @@ class TiledDisplay:
 
 
 class TiledTexelProbe:
-    """Reads texels of a recovery in tiles, as TexelProbe of a whole one; ``close`` before that is closed."""
+    """Reads texels of a recovery in tiles, with the interface of TexelProbe; ``close`` it before the recovery."""
 
     def __init__(self, recovery: TiledRecovery):
         self._recovery = recovery
         self._probes: dict[TileRecovery, TexelProbe] = {}
 
     def read(self, row: int, column: int) -> TexelState | None:
-        """Return the state of a texel of the domain; None where nothing is solved or its tile waits for its turn."""
+        """Return the state of a texel of the domain; None where it is not solved or its tile waits for its turn."""
         live = self._recovery.live
         _follow(self._probes, live, TexelProbe)
         for (left, bottom, width, height), tile in live:
@@ -120,7 +120,7 @@ class TiledTexelProbe:
 
 
 def _corner(whole: Domain, tile: TileRecovery) -> tuple[int, int]:
-    """Return the texel of the whole domain at which a tile with its halo begins."""
+    """Return the texel of the domain at the corner of a tile with its halo."""
     (x, y), (x0, y0) = tile.domain.origin, whole.origin
     return x - x0, y - y0
 
@@ -128,7 +128,7 @@ def _corner(whole: Domain, tile: TileRecovery) -> tuple[int, int]:
 def _follow(
     made: dict[TileRecovery, Any], live: list[tuple[Box, TileRecovery]], make: Callable[[TileRecovery], Any]
 ) -> None:
-    """Make in place what each tile on the device has, and close what those had that have left it."""
+    """Update ``made`` in place: make one for each tile on the device, close those of tiles that have left."""
     tiles = [tile for _, tile in live]
     for tile in [tile for tile in made if tile not in tiles]:
         made.pop(tile).close()
