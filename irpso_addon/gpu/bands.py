@@ -1,23 +1,23 @@
-"""Cutting a long draw into bands of rows: drivers kill what runs too long, and a window must not stall."""
+"""Long draws in bands of rows: drivers kill long draws, and a window must not stall."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 
-_FIRST_BANDS = 64  # into how many bands a pass that has never been timed is cut
+_FIRST_BANDS = 64  # bands of a pass without a measured rate
 _GRAIN = 4  # rows that cost the same as one: software renderers shade blocks of 4 × 4
-_GROWTH = 2  # times the rows of one band that the next may have
-_FORGET = 0.8  # of a rate that is left after a faster band: the next region of a picture may be dear again
-_TIMED_BANDS = 3  # of each kind, before its rate is believed where nobody waits
+_GROWTH = 2  # largest ratio of the rows of successive bands
+_FORGET = 0.8  # of a rate kept after a faster band: the next region of a picture may be slow again
+_TIMED_BANDS = 3  # per kind, before unpaced runs use its rate
 _TIME_AGAIN = 64  # runs of a pass between later timings
 
 
 class Bands:
-    """Rows per band of every pass, from its time measured with a fence. Never changes what a pass computes.
+    """Rows per band of every pass, from times measured with a fence. The result of a pass does not depend on it.
 
-    paced: whether every band is waited for, so that whoever looks at the clock between them sees what they cost.
-    part: how much of the pass that was ``counted`` last is drawn, 0 to 1.
+    paced: wait for every band, so that a clock read between bands shows their cost. part: fraction drawn, 0…1, of the
+    last ``counted`` pass.
     """
 
     def __init__(self, paced: bool = False) -> None:
@@ -39,8 +39,8 @@ class Bands:
     ) -> Iterator[None]:
         """Draw all rows in bands of about ``seconds`` each; yields after every band.
 
-        The first band of all is the smallest, in which drivers compile; its time tells nothing. counted: whether
-        ``part`` follows this pass.
+        The very first band is the smallest: drivers compile in it, so its time is ignored. counted: ``part`` follows
+        this pass.
         """
         runs = self._runs[name] = self._runs.get(name, 0) + 1
         row = 0
@@ -49,7 +49,7 @@ class Bands:
             row = min(_GRAIN, height)
             yield from self.once(lambda: draw((0, row)), fence)
         if self.paced and row < height:
-            fence()  # what was ordered before is none of this pass
+            fence()  # earlier work is not part of this pass
         while row < height:
             rows = self._next(name, height, seconds)
             stop = min(height, row + rows)
@@ -67,7 +67,7 @@ class Bands:
             yield
 
     def once(self, draw: Callable[[], None], fence: Callable[[], None]) -> Iterator[None]:
-        """Draw something short as a whole, then yield."""
+        """Draw a short pass at once, then yield."""
         draw()
         if self.paced:
             fence()
@@ -81,8 +81,8 @@ class Bands:
     def _learn(self, name: str, rows: int, seconds_per_row: float) -> None:
         self._timed[name] += 1
         self._rows[name] = rows
-        # 1e-7: a clock that did not advance must not make a band of endless rows.
-        found = max(1e-7, seconds_per_row)
-        before = self._seconds_per_row.get(name, found)
-        # Slower is believed at once, faster little by little: a band too many costs less than a stall.
-        self._seconds_per_row[name] = max(found, _FORGET * before)
+        # 1e-7: a clock that did not advance must not give an endless band.
+        rate = max(1e-7, seconds_per_row)
+        before = self._seconds_per_row.get(name, rate)
+        # Slower rates apply at once, faster ones gradually: an extra band costs less than a stall.
+        self._seconds_per_row[name] = max(rate, _FORGET * before)

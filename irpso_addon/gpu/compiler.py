@@ -1,4 +1,4 @@
-"""Compiling shaders, with errors that name file and line whatever the driver and the version of Blender write."""
+"""Shader compilation, with errors that name file and line on every driver and Blender version."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from ..core.errors import ShaderError
 from .output import caught_output
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # Blender colours its log where the process has a terminal
-_PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | behind its row
+_PLACED = re.compile(r"[^|]+?:\d+:(?:\d+:)?\s*\S")  # echoed code has a | after its row
 _ECHO = re.compile(r"[\s|]*?(\d+) \|")
-# A place before the message is where Blender takes the row to be among its own files, which 4.2 does wrongly.
+# A place before the message is Blender's own mapping of the row to files, which is wrong in 4.2.
 _SAID = re.compile(r"[\s|]*(?:\S+:\d+:\d+: )?((?:\w+ )?(?:error|warning|note): .*)", re.IGNORECASE)
 _STAGE = re.compile(r"(?:(Vert|Frag|Compute)Shader|Linking):\s*$")
 _STAGES = {"Vert": "vertex", "Frag": "fragment", "Compute": "compute"}
 _MARK = re.compile(r'#line 1 "([^"]+)"')
-_NUMBERED = "#line 1 0\n"  # without it 4.5 finds no row; 4.2 counts rows from it, 4.5 from the top of what it adds
-_PADDING = "\n" * 8  # Blender echoes no row that is near the end of the source
+_NUMBERED = "#line 1 0\n"  # 4.5 needs it; 4.2 counts rows from it, 4.5 from the top of its own additions
+_PADDING = "\n" * 8  # Blender does not echo rows near the end of the source
 _WRONG = "irpso_first_row;\n"
 
 
 def compile_shader(name: str, make_info: Callable[[], Any], sources: Mapping[str, str]) -> Any:
-    """Return the GPUShader of a create info and its sources; ShaderError with file and line where it does not compile.
+    """Return the GPUShader of a create info and its sources. Raises ShaderError with file and line.
 
-    make_info: returns a new GPUShaderCreateInfo that has no source yet. sources: stage (vertex, fragment, compute) →
-    GLSL text with the marks ``#line 1 "file"`` of ``library.read_source``.
+    make_info: returns a new GPUShaderCreateInfo without sources. sources: stage (vertex, fragment, compute) → GLSL text
+    with the marks ``#line 1 "file"`` of ``library.read_source``.
     """
     shader, log = _attempt(make_info, {stage: _MARK.sub("", text) for stage, text in sources.items()})
     if shader is not None:
         return shader
-    # Only some drivers and versions take marks with a file's name: those say it all themselves.
+    # Some drivers and versions accept marks with a file name; their log is complete.
     shader, named = _attempt(make_info, sources)
     if shader is None and any(f"{label}:" in named for text in sources.values() for label in _MARK.findall(text)):
         said = messages_of(named)
@@ -43,7 +43,7 @@ def compile_shader(name: str, make_info: Callable[[], Any], sources: Mapping[str
 def messages_of(log: str) -> str:
     """Return the lines ``file:line:column: message`` of Blender's log, without gutters and echoed code.
 
-    Where there is none (a linker's log, say), the log itself. Each message stands once.
+    A log without such lines (a linker's) is returned unchanged. Messages are unique.
     """
     log = _COLOUR.sub("", log)
     lines = [line.strip(" |\t") for line in log.splitlines()]
@@ -51,7 +51,7 @@ def messages_of(log: str) -> str:
 
 
 def rows_of(log: str) -> Iterator[tuple[str | None, int | None, str]]:
-    """Yield the stage, the row of the code that is echoed above (None where none is) and the text of every message."""
+    """Yield stage, row of the code echoed above (or None) and text of every message."""
     stage = row = None
     gutter = False
     for line in _COLOUR.sub("", log).splitlines():
@@ -60,7 +60,7 @@ def rows_of(log: str) -> Iterator[tuple[str | None, int | None, str]]:
         elif echo := _ECHO.match(line):
             row = int(echo[1])
         elif said := _SAID.match(line):
-            # Messages of one place follow one another; a new place begins with an empty line, then its code.
+            # Messages of one place are consecutive; a new place begins with an empty line, then its code.
             row = None if gutter else row
             yield stage, row, said[1].strip()
         gutter = not line.strip(" |\t")
@@ -77,7 +77,7 @@ def places_of(source: str) -> list[tuple[str, int]]:
 
 
 def _mapped(make_info: Callable[[], Any], sources: Mapping[str, str]) -> str:
-    """Return the messages of a compiler that counts rows over the whole source, brought to files and lines."""
+    """Return the messages of a compiler that counts rows over the full source, mapped to files and lines."""
     texts = {stage: _NUMBERED + _MARK.sub("", text) + _PADDING for stage, text in sources.items()}
     places = {stage: places_of(text) for stage, text in sources.items()}
     before: dict[str, int | None] = {}
@@ -93,22 +93,22 @@ def _mapped(make_info: Callable[[], Any], sources: Mapping[str, str]) -> str:
 
 
 def _rows_before(make_info: Callable[[], Any], texts: Mapping[str, str], stage: str) -> int | None:
-    """Return how many rows the log counts before a source's first: measured, with a row that is known to be wrong."""
+    """Return the offset of the log's row numbers, measured with a deliberately wrong row, or None."""
     wrong = {**texts, stage: _NUMBERED + _WRONG + texts[stage].removeprefix(_NUMBERED)}
     rows = [row for where, row, _ in rows_of(_attempt(make_info, wrong)[1]) if where == stage and row is not None]
     return rows[0] - 1 if rows else None
 
 
 def _errors(lines: list[str]) -> str:
-    """Return the errors among messages, or all where there is no error, each once."""
-    found = dict.fromkeys(lines)
-    return "\n".join([line for line in found if "error:" in line.lower()] or found)
+    """Return the unique errors among messages, or all messages where there is no error."""
+    unique = dict.fromkeys(lines)
+    return "\n".join([line for line in unique if "error:" in line.lower()] or unique)
 
 
 def _attempt(make_info: Callable[[], Any], sources: Mapping[str, str]) -> tuple[Any, str]:
     """Compile; return the shader, or None and the log.
 
-    Blender writes the log from C to the process's own output, so that is caught for as long as the compiler runs.
+    Blender writes the log from C to the process's output, so this captures the output during compilation.
     """
     import gpu
 

@@ -1,4 +1,4 @@
-"""Getting a GPU context with or without a window, and ending the process cleanly afterwards."""
+"""GPU context, with or without a window, and a clean end of the process."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _ready = False
 def ensure(quiet: bool = True) -> None:
     """Make a GPU context in this process, once. Raises GpuUnavailableError where bpy or the context is missing.
 
-    quiet: whether to drop what EGL says meanwhile; it complains of configurations that it then does without.
+    quiet: discard EGL's messages, which complain about optional configurations.
 
-    A machine without a usable EGL kills the process inside Blender, which Python cannot catch: where that may be, ask
-    ``probe.probe()`` first, which tries it in a child process.
+    Without a usable EGL Blender kills the process, which Python cannot catch: call ``probe.probe()`` first, which tries
+    it in a child process.
     """
     global _ready
     if _ready:
@@ -40,7 +40,7 @@ def ensure(quiet: bool = True) -> None:
     try:
         gpu.platform.renderer_get()
     except SystemError as error:
-        raise GpuUnavailableError(f"no GPU context could be made ({error}); run 'make doctor'") from error
+        raise GpuUnavailableError(f"no GPU context could be created ({error}); run 'make doctor'") from error
     _ready = True
 
 
@@ -60,23 +60,23 @@ def describe() -> dict[str, str | int]:
 
 
 def is_software(renderer: str) -> bool:
-    """Return whether the renderer of that name is a program on the host's own processor and memory."""
+    """Return whether the renderer of that name is software on the host's processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 
 def is_software_vulkan(renderer: str, backend: str) -> bool:
-    """Return whether the device is Mesa's software Vulkan, on which Blender ends by SIGSEGV after some 65 000 draws.
+    """Return whether the device is Mesa's software Vulkan, on which Blender crashes (SIGSEGV) after about 65 000 draws.
 
-    Blender makes a descriptor set for each draw and recycles their pool once the driver calls it full. lavapipe never
-    does, and gives every set a mapping of its own, of which Linux allows a process 65 530 (vm.max_map_count). Measured
-    with Blender 5.2.2 and Mesa 26.2.6: 264 sets for one redraw of the default window, the end in the 248th, without
-    any add-on (tests/gui/software_vulkan.py).
+    Blender allocates a descriptor set per draw and recycles their pool when the driver reports it full. lavapipe never
+    does, and maps memory for every set; Linux allows a process 65 530 mappings (vm.max_map_count). Measured with
+    Blender 5.2.2 and Mesa 26.2.6, without any add-on: 264 sets per redraw of the default window, a crash in the 248th
+    redraw (tests/gui/software_vulkan.py).
     """
     return backend == "VULKAN" and is_software(renderer)
 
 
 def on_software_vulkan() -> bool:
-    """Return whether the current context is one of ``is_software_vulkan``."""
+    """Return whether the current context is ``is_software_vulkan``."""
     import gpu
 
     return is_software_vulkan(gpu.platform.renderer_get(), gpu.platform.backend_type_get())
@@ -90,22 +90,21 @@ def max_texture_size() -> int:
 
 
 def max_samplers() -> int:
-    """Return how many textures one shader can read."""
+    """Return the number of textures that one shader can read."""
     import gpu
 
     return gpu.capabilities.max_textures_frag_get()
 
 
 def exit_process(code: int) -> None:
-    """End the process now with ``code``, buffers flushed.
+    """End the process now with ``code``, with flushed buffers.
 
-    Interpreter shutdown is skipped on purpose: bpy 4.5 never returns from it once a GPU context exists, and 4.2
-    crashes in it when GPU objects outlive the context. What it would tidy up, Blender's folder for temporary files, is
-    removed here.
+    This skips the interpreter's shutdown: bpy 4.5 never returns from it once a GPU context exists, and 4.2 crashes in
+    it when GPU objects outlive the context. It removes Blender's folder of temporary files.
     """
     if bpy := sys.modules.get("bpy"):
         temporary = Path(bpy.app.tempdir)
-        if temporary.name.startswith("blender_"):  # else Blender could make none and uses the system's own
+        if temporary.name.startswith("blender_"):  # else it is the system's own folder
             shutil.rmtree(temporary, ignore_errors=True)
     sys.stdout.flush()
     sys.stderr.flush()
@@ -113,7 +112,7 @@ def exit_process(code: int) -> None:
 
 
 def _render_once() -> None:
-    """Render an empty scene with an engine that asks for a GPU context: it stays current afterwards (before 5.2)."""
+    """Render an empty scene with an engine that requests a GPU context, which stays current (before 5.2)."""
     import bpy
 
     class ContextEngine(bpy.types.RenderEngine):
@@ -122,7 +121,7 @@ def _render_once() -> None:
         bl_use_gpu_context = True
 
         def render(self, depsgraph):
-            """Draw nothing: only the context is wanted."""
+            """Draw nothing: only the context is needed."""
 
     bpy.utils.register_class(ContextEngine)
     scene = bpy.data.scenes.new("IRPSO context")

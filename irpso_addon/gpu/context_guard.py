@@ -1,4 +1,4 @@
-"""Whether the GPU context that is current is the one in which something was made."""
+"""A guard against use of frame buffers in another GPU context."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from typing import Any
 
 
 class ContextGuard:
-    """Remembers the context that is current, outside of any drawing.
+    """Remembers the current context, outside of draw callbacks.
 
-    Textures are shared by all contexts of Blender, frame buffers belong to one: bound in another, OpenGL goes on
-    drawing into whatever was bound before, without an error (measured on 4.3.2). A modal operator's events come in the
-    context of its window, draw callbacks all in one of their own, bpy.app.timers in that of the window drawn last.
+    All contexts of Blender share textures, but a frame buffer belongs to one: bound in another, OpenGL keeps drawing
+    into the previous target, without an error (measured on 4.3.2). Events of a modal operator run in the context of its
+    window, all draw callbacks in one of their own, bpy.app.timers in that of the window drawn last.
     """
 
     def __init__(self) -> None:
         self._window = active()
 
     def holds(self) -> bool:
-        """Return whether the same context is current, outside of any drawing."""
+        """Return whether the same context is current, outside of draw callbacks."""
         return self._window is not None and active() is self._window
 
 
 def active() -> Any:
-    """Return the frame buffer of the window whose context is current: Blender hands out one object for each.
+    """Return the frame buffer of the window whose context is current: one object per window.
 
-    None where no context is current, as for timers once a window has been closed, until the next one is drawn.
+    None where no context is current, as in timers between the closing of a window and the next draw.
     """
     import gpu
 
     try:
-        gpu.types.GPUFrameBuffer()  # it asks for a context; asked without one, the state below kills the process
+        gpu.types.GPUFrameBuffer()  # requires a context; without one, the state below kills the process
     except RuntimeError:
         return None
     return gpu.state.active_framebuffer_get()

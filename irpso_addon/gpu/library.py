@@ -1,4 +1,4 @@
-"""The shader library: GLSL files with includes, each line of which can be traced to its file."""
+"""The shader library: GLSL files with includes; every line stays traceable to its file."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 def read_source(path: str | Path, given: Mapping[str, str | Path] = {}) -> str:
     """Return a GLSL file after the files it includes, each file once and whole, with #line marks.
 
-    An include is as if it stood at the top of its file, wherever it stands: Blender's error messages look for the
-    last ``#line 1 "file"``, so every file has to be one piece. Names are looked for in ``given`` (name → text, or the
-    path of another file), then beside the including file, then in the shipped shaders/.
-    Raises ShaderError naming file and line where a name is not found.
+    An include acts at the top of its file, wherever it stands: Blender's error messages use the last
+    ``#line 1 "file"``, so every file must be one piece. The search order of names is ``given`` (name → text, or the
+    path of another file), the including file's folder, the shipped shaders/.
+    Raises ShaderError with file and line where a name is not found.
     """
     return "\n".join(_expand(_find(str(path), None, given, "shader library", 0), given, set())) + "\n"
 
@@ -32,7 +32,7 @@ def defined(path: str, prefix: str = "") -> dict[str, int | float]:
 def _expand(found: Path | tuple[str, str], given: Mapping[str, str | Path], seen: set) -> list[str]:
     seen.add(found)
     if isinstance(found, Path):
-        # Names stay short and free of quotes and backslashes, which #line would not survive.
+        # Names are short, without quotes and backslashes, which break #line.
         label = found.relative_to(SHADERS).as_posix() if found.is_relative_to(SHADERS) else found.name
         text, beside = found.read_text(encoding="utf-8"), found.parent
     else:

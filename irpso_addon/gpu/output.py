@@ -1,4 +1,4 @@
-"""What Blender and drivers write from C past Python: catching it, for as long as something runs."""
+"""Capture of the output that Blender and drivers write from C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def caught_output() -> Iterator[Callable[[], str]]:
-    """Send the process's own standard output and error to a file meanwhile; yields what reads the text so far."""
+    """Redirect the process's standard output and error to a file; yields a function that reads the text so far."""
     sys.stdout.flush()
     sys.stderr.flush()
     with tempfile.TemporaryFile() as log:

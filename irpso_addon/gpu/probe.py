@@ -1,4 +1,4 @@
-"""Asking what a machine's GPU can do, with real kernels rather than capability flags."""
+"""Probe of a machine's GPU with real kernels, not capability flags."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..core.paths import ROOT
 from . import context, textures
 from .passes import Entry, Kernel, Output, Pass
 
-COMPUTE_WORTHWHILE = 1.5  # times faster before the compute entry is chosen over the paper's fragment passes
+COMPUTE_WORTHWHILE = 1.5  # least speed-up of the compute entry over the paper's fragment passes
 _SIZE = 256
 _ROUNDS = 400
-_TOLERANCE = 1e-4  # of the probe's values, which are of order 1, after 400 float32 steps
+_TOLERANCE = 1e-4  # of the probe's values, of order 1, after 400 float32 steps
 _PROBE_SECONDS = 120
 
 
 def probe() -> dict:
     """Try a context and the probe kernel in a child process; return its description. Raises GpuUnavailableError.
 
-    A child, because a machine without a usable EGL kills the process that asks.
+    Without a usable EGL the process that creates a context dies.
     """
     code = "import sys; sys.path.insert(0, sys.argv[-1]); from irpso_addon.gpu.probe import main; main()"
     if _inside_blender():
@@ -65,9 +65,9 @@ def probe() -> dict:
 
 
 def main() -> None:
-    """Answer a parent's probe on standard output, then end the process."""
+    """Write the probe's result to standard output for the parent, then end the process."""
     try:
-        context.ensure(quiet=False)  # should it die here, the parent reads why
+        context.ensure(quiet=False)  # if it dies, the parent reads the reason
         answer = {**context.describe(), **check()}
     except GpuUnavailableError as error:
         answer = {"error": str(error)}
@@ -89,18 +89,18 @@ def check() -> dict[str, float]:
 
 @functools.cache
 def faster_entry() -> Entry:
-    """Return "compute" where it is worth it on this device, else "fragment"."""
+    """Return "compute" where it is sufficiently faster on this device, else "fragment"."""
     return chosen_entry({**context.describe(), **check()})
 
 
-def chosen_entry(found: Mapping[str, Any]) -> Entry:
-    """Return the entry that what ``probe`` found speaks for.
+def chosen_entry(probed: Mapping[str, Any]) -> Entry:
+    """Return the entry chosen by the result of ``probe``.
 
-    A software renderer runs both on the same cores: what it measures apart is noise, and so would be the choice.
+    A software renderer runs both on the same cores: the difference of their times is noise.
     """
-    if context.is_software(str(found["renderer"])):
+    if context.is_software(str(probed["renderer"])):
         return "fragment"
-    seconds = found["fragment_seconds"], found["compute_seconds"]
+    seconds = probed["fragment_seconds"], probed["compute_seconds"]
     return "compute" if seconds[0] > COMPUTE_WORTHWHILE * seconds[1] else "fragment"
 
 
@@ -132,10 +132,10 @@ def _expected() -> np.ndarray:
 
 
 def _inside_blender() -> bool:
-    """Whether Python runs inside the Blender program rather than Blender inside Python (the bpy wheel)."""
+    """Whether Python runs inside the Blender program, not Blender inside Python (the bpy wheel)."""
     try:
         import bpy
     except ImportError:
         return False
-    # bpy.app.module came after 4.2; the wheel has no binary, unless a script has named one.
+    # bpy.app.module is newer than 4.2; the wheel has no binary, unless a script has set one.
     return not getattr(bpy.app, "module", not bpy.app.binary_path)

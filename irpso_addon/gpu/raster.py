@@ -1,4 +1,4 @@
-"""Drawing triangles: what surface each pixel's centre sees."""
+"""Rasterization of triangles: the surface at each pixel's centre."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from .compiler import compile_shader
 from .library import read_source
 
 SURFACE = ("position", "normal", "tangent", "uv", "face")
-_TRIANGLES_A_ROW = 1024  # 3072 texels: narrower than the narrowest limit, and 16 million triangles fit 16384 rows
+_TRIANGLES_A_ROW = 1024  # 3072 texels: below every device's limit, and 16 million triangles fit 16384 rows
 
 
 def rasterize(
     places: np.ndarray, corners: dict[str, np.ndarray], width: int, height: int, nearest: bool
 ) -> dict[str, np.ndarray]:
-    """Draw T triangles and return for every pixel the surface at its centre, as (height, width, 4) float32 arrays.
+    """Draw T triangles; return the surface at every pixel's centre as (height, width, 4) float32 arrays.
 
     places: (T, 3, 4) float64 x·w, y·w in pixels from the picture's lower left corner, depth·w with depth in −1…1 (near
-    to far), w. What has w ≤ 0 or a depth outside is cut away. corners: positions (T, 3, 3), normals (T, 3, 3), tangents
-    (T, 3, 4) with the sign, uvs (T, 3, 2). nearest: whether the nearest triangle is kept, else the last.
+    to far), w. Parts with w ≤ 0 or a depth outside are clipped. corners: positions (T, 3, 3), normals (T, 3, 3),
+    tangents (T, 3, 4) with the sign, uvs (T, 3, 2). nearest: keep the nearest triangle, else the last.
 
-    position: xyz, coverage 0 or 1. normal: xyz unit. tangent: xyz unit, at right angles to the normal, sign. uv: u, v.
-    face: xyz unit normal of the triangle itself, on the normal's side; the triangle's number, from 1.
+    position: xyz, coverage 0 or 1. normal: xyz unit. tangent: xyz unit, perpendicular to the normal, sign. uv: u, v.
+    face: xyz unit normal of the flat triangle, on the normal's side; triangle number, from 1.
     """
     context.ensure()
     middle = places[..., :2] - places[..., 3:] * np.array([width / 2, height / 2])
@@ -73,7 +73,7 @@ def _clip(places: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def _rows(array: np.ndarray) -> np.ndarray:
-    """Return (T, 3, C) as a picture (rows, columns, C) that no texture limit refuses."""
+    """Return (T, 3, C) as a picture (rows, columns, C) within every texture limit."""
     count = len(array)
     columns = min(count, _TRIANGLES_A_ROW)
     rows = -(-count // columns)
@@ -117,7 +117,7 @@ def _shader(source: str, outputs: list[tuple[str, str]], samplers: list[str]) ->
 
 
 def _draw(shader: Any, batch: Any, targets: list[Any], nearest: bool, bound: dict[str, Any]) -> None:
-    """Draw the batch into cleared targets, with nothing culled, and leave the drawing state as Blender has it."""
+    """Draw the batch into cleared targets, without culling, and restore Blender's drawing state."""
     import gpu
 
     size = (targets[0].width, targets[0].height)

@@ -1,4 +1,4 @@
-"""numpy arrays to GPU textures and back, exactly."""
+"""Exact transfer between numpy arrays and GPU textures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def upload_layers(array: np.ndarray, texture_format: str = "RGBA32F") -> Any:
 
 
 def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float | None = None) -> Any:
-    """Return a texture, cleared to ``value`` where one is given, else with undefined contents."""
+    """Return a texture cleared to ``value``, or with undefined contents for None."""
     texture = _texture(width, height, format=texture_format)
     if value is not None:
         texture.clear(format="FLOAT", value=(value,) * CHANNELS[texture_format])
@@ -41,7 +41,7 @@ def download(texture: Any) -> np.ndarray:
 
 
 def _texture(width: int, height: int, layers: int = 0, **properties: Any) -> Any:
-    """Return a new texture. Raises InputError where the GPU refuses it: settings can ask for more than it has."""
+    """Return a new texture. Raises InputError where the GPU refuses it, as settings may exceed its memory."""
     import gpu
 
     try:

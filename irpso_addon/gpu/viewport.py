@@ -1,4 +1,4 @@
-"""Drawing in Blender's windows: lines, points, triangles and pictures, from draw callbacks."""
+"""Drawing in Blender's windows, from draw callbacks: lines, points, triangles and pictures."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .library import read_source
 
 Color = Sequence[float] | np.ndarray  # (4,) or (N, 4) display values and alpha
 Size = tuple[float, float]
-_PULL = 1e-3  # of the way to the eye: a thousandth moves no pixel, and clears the rounding of two transformations
+_PULL = 1e-3  # of the distance to the eye: moves no pixel, and exceeds the rounding of two transformations
 _UNSPLIT = 1e9  # a column right of every window
-# Of a line's rectangle, two triangles: x along it, y across.
+# Two triangles of a line's rectangle: x along it, y across.
 _CORNERS = np.array([[0, -1], [1, -1], [1, 1], [0, -1], [1, 1], [0, 1]], np.float32)
 
 
 class Surface:
-    """Triangles with a picture on them, kept on the GPU; ``close`` frees them.
+    """Textured triangles on the GPU; ``close`` frees them.
 
     positions: (T, 3, 3). uvs: (T, 3, 2), 0…1 over the picture.
     """
@@ -44,12 +44,12 @@ class Surface:
         depth: bool = True,
         stripes: float = 0.0,
     ) -> None:
-        """Draw it with a picture on it, in a POST_VIEW callback or wherever a frame buffer is bound.
+        """Draw it with a picture, in a POST_VIEW callback or with a bound frame buffer.
 
-        picture: a texture of display values, nothing being drawn where its alpha is 0. view_projection, model: (4, 4).
-        second: another picture, right of ``split``, a fraction of the region's width. region_size: in pixels, by
-        default of what is drawn into. depth: whether what the scene has in front hides it, and its near side its far
-        side. stripes: how many pixels apart stripes are over texels of alpha below 1, 0 for none.
+        picture: a texture of display values; alpha 0 is not drawn. view_projection, model: (4, 4). second: another
+        picture, right of ``split``, a fraction of the region's width. region_size: in pixels, by default of the bound
+        frame buffer. depth: the scene in front and its own near side hide it. stripes: distance, in pixels, of stripes
+        over texels of alpha below 1, 0 for none.
         """
         matrix = np.asarray(view_projection, np.float64) @ np.asarray(model, np.float64)
         column = _UNSPLIT if second is None else split * (region_size or viewport_size())[0]
@@ -60,7 +60,7 @@ class Surface:
             "u_stripes": stripes,
         }
         bound = {"u_picture": picture, "u_second": picture if second is None else second}
-        # Its own depth too: engines that are still compiling draw no scene that would hide its far side.
+        # It writes its own depth too: an engine that is still compiling draws no scene to hide its far side.
         _draw(self._shader, self._batch, matrix, constants, bound, depth, write=depth)
 
     def close(self) -> None:
@@ -69,17 +69,16 @@ class Surface:
 
 
 class Drawing:
-    """What draws lines, points, triangles and flat pictures in a window; ``close`` frees its shaders.
+    """Draws lines, points, triangles and flat pictures in a window; ``close`` frees its shaders.
 
     Colours are display values, (4,) for all or (N, 4). Without a matrix, points are (N, 2) pixels from the lower left
-    corner of what is drawn into; with one, (4, 4) to clip coordinates, they are (N, 3). The drawing state is left as it
-    was found.
+    corner of the target; with one, (4, 4) to clip coordinates, they are (N, 3). The drawing state is restored.
     """
 
     def __init__(self) -> None:
         context.ensure()
         self._line = self._plain = None
-        self._squares: dict[tuple[float, float], Surface] = {}  # by the part of the picture that is on it
+        self._squares: dict[tuple[float, float], Surface] = {}  # by the part of the picture on it
 
     def draw_flat(
         self,
@@ -92,9 +91,9 @@ class Drawing:
         part: tuple[float, float] = (0.0, 1.0),
         stripes: float = 0.0,
     ) -> None:
-        """Draw a picture in a rectangle of the region, and ``second`` right of a fraction of the region's width.
+        """Draw a picture in a rectangle of the region, and ``second`` right of ``split`` of the region's width.
 
-        part: from where to where of the picture's width is drawn, 0…1. stripes: as of a Surface.
+        part: drawn range of the picture's width, 0…1. stripes: as in Surface.
         """
         if part not in self._squares:
             corners = np.array([[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]], np.float32).reshape(2, 3, 2)
@@ -113,9 +112,9 @@ class Drawing:
         depth: bool = False,
         strip: bool = False,
     ) -> None:
-        """Draw lines with round ends: points 0–1, 2–3, …, or, with ``strip``, one through all of them.
+        """Draw lines with round ends: points 0–1, 2–3, …, or with ``strip`` one line through all of them.
 
-        width: in pixels. depth: whether what the scene has in front hides them.
+        width: in pixels. depth: the scene in front hides them.
         """
         points, colors = _points(points), _colors(colors, len(points))
         step = 1 if strip else 2
@@ -125,7 +124,7 @@ class Drawing:
     def draw_points(
         self, points: np.ndarray, colors: Color, size: float, matrix: np.ndarray | None = None, depth: bool = False
     ) -> None:
-        """Draw discs ``size`` pixels across. depth: whether what the scene has in front hides them."""
+        """Draw discs of ``size`` pixels diameter. depth: the scene in front hides them."""
         points = _points(points)
         colors = _colors(colors, len(points))
         self._draw_strokes(points, points, colors, colors, size, matrix, depth)
@@ -173,27 +172,27 @@ class Drawing:
 
 
 def viewport_size() -> Size:
-    """Return the width and height in pixels of what is being drawn into."""
+    """Return the width and height of the target in pixels."""
     import gpu
 
     return tuple(float(side) for side in gpu.state.viewport_get()[2:])
 
 
 def toward_viewer(view_projection: np.ndarray) -> float:
-    """Return what to add to clip z so that a surface passes for one a thousandth of the way nearer to the eye.
+    """Return the offset of clip z that moves a surface nearer to the eye by a thousandth of its distance.
 
-    Of an orthographic view (4, 4): nearer by a thousandth of half its width.
+    In an orthographic view: by a thousandth of half its width. view_projection: (4, 4).
     """
     m = np.asarray(view_projection, np.float64)
     if np.any(m[3, :3]):
-        # Depth is a + b / distance: b is what clip z has besides a times the distance.
+        # Depth is a + b / distance: b is clip z minus a times the distance.
         a = m[2, :3] @ m[3, :3] / (m[3, :3] @ m[3, :3])
         return float(_PULL * (m[2, 3] - a * m[3, 3]))
     return -float(_PULL * np.linalg.norm(m[2, :3]) / np.linalg.norm(m[0, :3]))
 
 
 def _pixels() -> np.ndarray:
-    """The matrix from pixels of what is drawn into to clip coordinates."""
+    """Return the matrix from the target's pixels to clip coordinates."""
     width, height = viewport_size()
     return np.array([[2 / width, 0, 0, -1], [0, 2 / height, 0, -1], [0, 0, 0, 0], [0, 0, 0, 1]])
 
@@ -209,7 +208,7 @@ def _colors(colors: Color, count: int) -> np.ndarray:
 
 
 def _batch(columns: dict[str, np.ndarray]) -> Any:
-    """Return triangles of vertices with float attributes, (N, 2) to (N, 4) by name."""
+    """Return a batch of triangles from float vertex attributes, name → (N, 2) to (N, 4)."""
     import gpu
 
     layout = gpu.types.GPUVertFormat()
@@ -248,9 +247,9 @@ def _shader(
     smooth: bool = False,
     place: bool = False,
 ) -> Any:
-    """Compile window/NAME_vertex.glsl and window/NAME.glsl. between: from one to the other, flat unless smooth.
+    """Compile window/NAME_vertex.glsl and window/NAME.glsl. between: varyings, flat unless ``smooth``.
 
-    place: whether v_place, which is interpolated, comes on top.
+    place: add the interpolated v_place.
     """
     import gpu
 
@@ -302,7 +301,7 @@ def _draw(
 
 @contextmanager
 def _state(depth: bool, write: bool) -> Iterator[None]:
-    """Blend over what is there, behind what is nearer or not, and leave the drawing state as it was."""
+    """Set alpha blending and the depth test, and restore the drawing state afterwards."""
     import gpu
 
     before = gpu.state.depth_test_get(), gpu.state.depth_mask_get(), gpu.state.blend_get()
