@@ -33,3 +33,17 @@ float layered_diffuse(float NoL, float NoV, float roughness, float F0)
 {
     return Fd_Lambert(NoL) * (1.0 - E_SpecularLayer(NoV, roughness, F0));
 }
+
+// A dielectric of this F0, diffuse under a layer, mixed with a metal whose lobe has the base colour. x: what one unit of
+// base colour reflects; y: what is reflected whatever the colour.
+vec2 base_and_fixed(vec3 normal, float roughness, float F0, float metallic, vec3 l, vec3 v)
+{
+    if (!above_horizon(dot(normal, l), dot(normal, v))) {
+        return vec2(0.0);
+    }
+    Angles a = angles_of(normal, l, v);
+    float lobe = ggx_lobe(a, roughness);
+    float edge = grazing(l, v, a.VoH);
+    float base = mix(layered_diffuse(a.NoL, a.NoV, roughness, F0), lobe * (1.0 - edge), metallic);
+    return vec2(base, lobe * mix(F_Dielectric(a.VoH, ior_from_F0(F0)), edge, metallic));
+}

@@ -10,27 +10,16 @@
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {
-    float NoL = dot(s.normal, l);
-    float NoV = dot(s.normal, v);
-    if (!above_horizon(NoL, NoV)) {
-        return vec3(0.0);
-    }
-    Angles a = angles_of(s.normal, l, v);
-    float diffuse = layered_diffuse(NoL, NoV, s.roughness, DIELECTRIC_F0);
-    return vec3(mix(diffuse, ggx_lobe(a, s.roughness) * (1.0 - grazing(l, v, a.VoH)), s.metallic));
+    return vec3(base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v).x);
 }
 
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
 {
-    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
-        return vec3(0.0);
-    }
-    Angles a = angles_of(s.normal, l, v);
-    float F = mix(F_Dielectric(a.VoH, ior_from_F0(DIELECTRIC_F0)), grazing(l, v, a.VoH), s.metallic);
-    return vec3(ggx_lobe(a, s.roughness) * F);
+    return vec3(base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v).y);
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)
 {
-    return s.base_color * basis_base_color(s, l, v) + basis_fixed(s, l, v);
+    vec2 parts = base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v);
+    return s.base_color * parts.x + parts.y;
 }
