@@ -83,7 +83,7 @@ def test_arrays_in_and_out_recovers_the_ball(tmp_path):
     names = {}
     with contextlib.redirect_stdout(said):
         exec(example, names)
-    assert re.match(r"normals are 0\.\d{3}° off in the mean, base colour \[0\.", said.getvalue())
+    assert re.match(r"normals are 0\.\d{3}° off on average, base colour \[0\.", said.getvalue())
     inside = names["mask"]
     assert angle(names["maps"].values["normal"], names["truth"])[inside].mean() < 0.1
     assert np.allclose(names["maps"].values["base_color"][inside].mean(axis=0), (0.7, 0.4, 0.2), atol=0.002)
