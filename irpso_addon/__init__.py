@@ -23,8 +23,6 @@ _HOMES = {
 }
 __all__ = ["register", "unregister", *_HOMES]
 
-_commands: list = []  # handles of what register() added; empty while unregistered
-
 
 def __getattr__(name: str):
     if name not in _HOMES:
@@ -38,23 +36,16 @@ def __dir__() -> list[str]:
 
 def register() -> None:
     """Add the program to Blender: the command ``irpso`` and the user interface. Blender calls it on enabling."""
-    import bpy
-
     from .ui import registration
 
-    registration.register()
-    _commands.append(bpy.utils.register_cli_command("irpso", _run_command))
+    registration.register(_run_command)
 
 
 def unregister() -> None:
     """Take out of Blender all that ``register`` added."""
-    import bpy
-
     from .ui import registration
 
     registration.unregister()
-    while _commands:
-        bpy.utils.unregister_cli_command(_commands.pop())
 
 
 def _run_command(argv: list[str]) -> int:

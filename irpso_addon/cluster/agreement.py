@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import platform
 import sys
 import traceback
 from argparse import Namespace
@@ -18,6 +17,7 @@ import numpy as np
 from ..capture.types import Capture
 from ..core.errors import InputError, IrpsoError
 from ..core.paths import ROOT
+from ..gpu.versions import versions
 from .transport import Agreed, Ranks
 
 _NODES = Path("/dev/dri/by-path")  # Linux's names of devices that render, by where they are plugged in
@@ -93,23 +93,15 @@ def going_down_together(ranks: Ranks, busy: Any) -> Iterator[None]:
 
 def _about(options: Namespace, capture: Capture) -> dict[str, tuple[str, str]]:
     """Return what must be the same on all ranks: what it is, in words and as a digest."""
-    import bpy
-
-    packages = f"Blender {bpy.app.version_string}, numpy {np.__version__}, Python {platform.python_version()}"
+    found = versions()
+    packages = f"Blender {found['blender']}, numpy {found['numpy']}, Python {found['python']}"
     given = {name: str(value) for name, value in sorted(vars(options).items())}
     return {
-        "program": (f"version {_version()}", _digest_of_files()),
+        "program": (f"version {found['irpso']}", _digest_of_files()),
         "Python packages": (packages, packages),
         "options": (f"{len(given)} of them", repr(given)),
         "capture": (f"'{capture.name}', {len(capture.observations)} observations", _digest_of_capture(capture)),
     }
-
-
-def _version() -> str:
-    for line in (ROOT / "blender_manifest.toml").read_text(encoding="utf-8").splitlines():
-        if line.startswith("version"):
-            return line.partition("=")[2].strip().strip('"')
-    return "unknown"
 
 
 def _digest_of_files() -> str:

@@ -11,9 +11,10 @@ from pathlib import Path
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
 from ..blender.mesh import extract_mesh
+from ..blender.scenes import head
 from ..capture.types import Light
 from ..core.progress_bar import ProgressBar
-from ..demo import experiment, pictures, subject
+from ..demo import experiment, pictures
 from ..gpu import context, probe
 from ..results.maps import Maps
 from ..results.report import build_report, ground_truth_errors, quantiles
@@ -38,8 +39,8 @@ def run(options: Namespace) -> dict:
     def report(phase: str, fraction: float) -> None:
         bar.show((_PHASES.index(phase) + fraction) / len(_PHASES), phase)
 
-    head = subject.build_scene()
-    found = experiment.photograph(extract_mesh(head), subject.scene_camera(size.camera), size, report)
+    subject = head.build_scene()
+    found = experiment.photograph(extract_mesh(subject), head.scene_camera(size.camera), size, report)
     photographed = time.perf_counter() - started
     marks = experiment.choose_marks(found)
     runs = {}
@@ -55,7 +56,7 @@ def run(options: Namespace) -> dict:
             found, schedule, "normal", size.strip[-1], options.seed, options.entry, report, strip=size.strip
         )
     bar.close()
-    result = _write(options, folder, found, runs, joint, history, marks, photographed, head)
+    result = _write(options, folder, found, runs, joint, history, marks, photographed, subject)
     result["seconds_in_all"] = round(time.perf_counter() - started, 1)
     if not silent(options):
         sys.stdout.write(_summary(result, folder))
@@ -71,12 +72,12 @@ def _write(
     history: experiment.Run,
     marks: tuple[tuple[int, int], ...],
     photographed: float,
-    head: object,
+    subject: object,
 ) -> dict:
     lights = [Light(tuple(float(v) for v in light[:3])) for light in found.domain.lights]
     light = pictures.shown_light(lights)
-    view = pictures.View(found, subject.scene_camera(_VIEW_HEIGHT))
-    large = pictures.View(found, subject.scene_camera(2 * _VIEW_HEIGHT))
+    view = pictures.View(found, head.scene_camera(_VIEW_HEIGHT))
+    large = pictures.View(found, head.scene_camera(2 * _VIEW_HEIGHT))
     staged = pictures.staged_maps(runs)
     everything = {**runs, experiment.JOINT: joint}
     errors = {name: _errors(found, done) for name, done in everything.items()}
@@ -100,7 +101,7 @@ def _write(
     write_maps(
         _turned(found, joint.maps), folder / "joint", {**report, "runs": {"joint": errors["joint"]}}, joint_figures
     )
-    material.apply_material(head, material.build_material(_turned(found, joint.maps), head.name))
+    material.apply_material(subject, material.build_material(_turned(found, joint.maps), subject.name))
     material.save_blend(folder / BLEND)
     return {"output": str(folder), "excluded_fraction": report["excluded_fraction"], "texels": report["texels"],
             "runs": errors, "seconds": report["seconds"]}  # fmt: skip

@@ -6,7 +6,7 @@ import sys
 from argparse import Namespace
 
 from ..gpu import probe
-from ..results.report import versions
+from ..gpu.versions import versions
 from ..solver.planning.machine import fact_lines, machine_facts
 
 

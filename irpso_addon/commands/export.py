@@ -6,10 +6,10 @@ import sys
 from argparse import Namespace
 from typing import Any
 
+from ..blender.materials.gltf import result_object
 from ..blender.scenes.scene import open_blend
 from ..core.errors import InputError
 from ..exports.formats import export
-from ..exports.gltf import result_object
 from ..exports.result import Result, read_result
 from ..gpu import context, probe
 from .options.values import silent

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..blender.materials.tangent_frames import from_blender, turned_normals
 from ..blender.mesh import extract_mesh
-from ..blender.scenes.scene import camera_from_object, mesh_object, open_blend
-from ..capture.camera import Camera
+from ..blender.scenes.scene import mesh_object, open_blend, scene_cameras
 from ..capture.formats.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
@@ -36,7 +35,7 @@ def run(options: Namespace) -> dict:
     open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
-    cameras = _cameras(options.camera, size)
+    cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers = [
@@ -78,16 +77,3 @@ def _lights(options: Namespace) -> list[Light]:
     else:
         directions = dome(*size_option("--dome", options.dome))
     return [Light(tuple(float(v) for v in direction)) for direction in directions]
-
-
-def _cameras(names: list[str], size: tuple[int, int]) -> list[Camera]:
-    import bpy
-
-    scene = bpy.context.scene
-    if not names:
-        if scene.camera is None:
-            raise InputError(f"scene '{scene.name}' has no active camera; name one with --camera")
-        return [camera_from_object(scene.camera, *size)]
-    if missing := [name for name in names if name not in scene.objects]:
-        raise InputError(f"--camera {missing[0]}: there is no such object in scene '{scene.name}'")
-    return [camera_from_object(scene.objects[name], *size) for name in names]

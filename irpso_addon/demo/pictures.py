@@ -15,7 +15,6 @@ from ..results.preview import Curves, PreviewRow, convergence, display_image, pr
 from ..results.report import error_unit, parameter_error
 from ..solver.views.forward import camera_renderer
 from .experiment import STAGES, Run, Subject, world_normals
-from .subject import in_camera_space
 from .truth import material_at
 
 _TITLES = {"diffuse": "Diffuse color", "normal": "Normal", "specular": "Two-lobe roughness"}
@@ -46,7 +45,7 @@ class View:
     def normals(self, tangent_space: np.ndarray) -> np.ndarray:
         """Return (H, W, 3) display values of tangent-space normals per texel, in the camera's axes."""
         world = world_normals(self.subject.bake, tangent_space)
-        return self.show(encode_normal(in_camera_space(self.camera, world)))
+        return self.show(encode_normal(world @ self.camera.matrix[:3, :3]))
 
     def stage(self, stage: str, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return (H, W, 3) display values of a stage's maps."""

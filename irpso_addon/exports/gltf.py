@@ -1,28 +1,18 @@
-"""glTF 2.0, by Blender's own exporter: the mesh in triangles, and the maps in the textures that the format has.
+"""glTF 2.0: the mesh in triangles, and the maps in the textures that the format has.
 
 Roughness and metallic go into green and blue of one picture, with an occlusion of 1 in red. The specular level is
-KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's index as well. A texture at Specular IOR
-Level Blender's exporter takes for that factor as it is, half of what it means, unless a node halves it: as here.
+KHR_materials_specular's factor, and where it is above 0.5, KHR_materials_ior's index as well.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
-import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..blender.materials.displacement import DIVISION
-from ..blender.materials.material import TAG
-from ..core.errors import InputError
-from ..core.files import replacing_file
-from ..core.png import encode_png
-from ..core.udim import tile_place, tile_stem
+from ..blender.materials.gltf import Surface, write_glb
+from ..core.udim import tile_stem
 from ..results.maps import Maps, split_maps
 from ..results.report import plain, quantiles
 from . import pixels
@@ -31,263 +21,45 @@ from .place import file_stem
 from .result import Result
 from .surface import surface_of
 
-_SETTINGS = {
-    "export_format": "GLB", "use_selection": True, "export_tangents": True, "export_apply": False,
-    "export_animations": False, "export_extras": False, "export_yup": True, "export_cameras": False,
-    "export_lights": False, "export_image_format": "AUTO", "will_save_settings": False,
-}  # fmt: skip
-_UNEQUAL = 1e-3  # relative
-
-
-@dataclass
-class _Made:
-    """What is put into the open file for the exporter, and taken out again."""
-
-    objects: list[Any] = field(default_factory=list)
-    meshes: list[Any] = field(default_factory=list)
-    materials: list[Any] = field(default_factory=list)
-    images: list[Any] = field(default_factory=list)
-
 
 def write_gltf(result: Result, path: str | Path, obj: Any) -> dict[str, Any]:
     """Write an object of the open file with a result's maps as .glb, and return what the format could not hold.
 
-    Pictures have 8 bits. The slots that have a recovered material get these maps, the others keep what they have. A
-    model of two lobes is given the one GGX lobe nearest to them. The open file is left as it was. Raises InputError.
+    A model of two lobes is given the one GGX lobe nearest to them. Raises InputError as ``write_glb`` does.
     """
-    import bpy
-
-    path = Path(path)
-    properties = bpy.ops.export_scene.gltf.get_rna_type().properties if _has_exporter() else None
-    if properties is None:
-        raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
+    path, surfaces = Path(path), {}
     report: dict[str, Any] = {"output": str(path), "object": obj.name}
-    scale = np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0)
-    if np.ptp(scale) > _UNEQUAL * scale.max():
-        report["warnings"] = [
-            f"object '{obj.name}' has an unequal scale, which bends normals otherwise in glTF than in Blender; apply"
-            " it and recover again"
-        ]
-    with _kept_selection(), _removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        materials = {}
-        for number, maps in split_maps(result.maps):
-            stem = tile_stem(file_stem(result.name), number, result.maps.tiles)
-            # Of a card nothing lies past its borders; a mesh's UV map may go all around.
-            extension = "EXTEND" if TAG in obj else "REPEAT"
-            materials[number], error = _material(made, maps, stem, Path(temporary), extension)
-            if error is not None:
-                report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
-        with _undivided(obj):
-            copy = _triangles(made, obj, result.name, materials)
-        for other in bpy.context.view_layer.objects:
-            other.select_set(other == copy)
-        bpy.context.view_layer.objects.active = copy
-        with replacing_file(path.with_suffix(".glb")) as partial, contextlib.redirect_stdout(io.StringIO()):
-            accepted = {name: value for name, value in _SETTINGS.items() if name in properties}
-            try:
-                bpy.ops.export_scene.gltf(filepath=str(partial), **accepted)
-            except RuntimeError as error:
-                raise InputError(f"{path}: Blender's glTF exporter says: {str(error).strip()}") from error
+    for number, maps in split_maps(result.maps):
+        stem = tile_stem(file_stem(result.name), number, result.maps.tiles)
+        surfaces[number], error = _surface(maps, stem)
+        if error is not None:
+            report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
+    if warnings := write_glb(path.with_suffix(".glb"), obj, result.name, surfaces):
+        report["warnings"] = warnings
     return report
 
 
-def result_object(name: str | None) -> Any:
-    """Return the object of the open file that has a recovered material: the one of this name, or the only one there is.
-
-    Raises InputError where there is none, or several and no name.
-    """
-    import bpy
-
-    if name is not None:
-        obj = bpy.data.objects.get(name)
-        if obj is None or obj.type != "MESH":
-            meshes = ", ".join(f"'{o.name}'" for o in bpy.data.objects if o.type == "MESH")
-            raise InputError(f"--object {name}: the result's .blend has no such mesh; it has {meshes or 'none'}")
-        return obj
-    found = [o for o in bpy.data.objects if o.type == "MESH" and any(_recovered(slot) for slot in o.material_slots)]
-    if len(found) != 1:
-        names = ", ".join(f"'{o.name}'" for o in found)
-        what = f"{len(found)} objects have recovered materials ({names}); name one with --object"
-        raise InputError(
-            what if found else "no object of the result's .blend has the recovered material; recover again"
-        )
-    return found[0]
-
-
-def _recovered(slot: Any) -> bool:
-    return slot.material is not None and TAG in slot.material
-
-
-def _has_exporter() -> bool:
-    import bpy
-
-    return hasattr(bpy.types, "EXPORT_SCENE_OT_gltf")
-
-
-@contextlib.contextmanager
-def _kept_selection() -> Iterator[None]:
-    """Bring selection and active object back afterwards."""
-    import bpy
-
-    layer = bpy.context.view_layer
-    selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
-    try:
-        yield
-    finally:
-        layer.update()  # else it still counts what has been removed
-        for obj in layer.objects:
-            obj.select_set(obj in selected)
-        layer.objects.active = active
-
-
-@contextlib.contextmanager
-def _undivided(obj: Any) -> Iterator[None]:
-    """Leave a card flat: what it is divided for, displacement, the format has not."""
-    modifier = obj.modifiers.get(DIVISION)
-    shown = modifier is not None and modifier.show_viewport
-    if shown:
-        modifier.show_viewport = False
-    try:
-        yield
-    finally:
-        if shown:
-            modifier.show_viewport = True
-
-
-@contextlib.contextmanager
-def _removed_afterwards() -> Iterator[_Made]:
-    import bpy
-
-    made = _Made()
-    try:
-        yield made
-    finally:
-        bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images])
-
-
-def _material(made: _Made, maps: Maps, stem: str, folder: Path, extension: str) -> tuple[Any, np.ndarray | None]:
-    """Make the material that the exporter understands; return it, and what is lost of two lobes in one.
-
-    extension: of the image nodes, which becomes the textures' wrap mode.
-    """
-    import bpy
-
+def _surface(maps: Maps, name: str) -> tuple[Surface, np.ndarray | None]:
+    """Return the pictures of maps, and what is lost of two lobes in one."""
     surface = surface_of(maps)
     fit = fit_ggx(surface)
     f0 = surface.f0 * fit.scale
     # Above 4 % the index of refraction has to rise: the factor is at most 1.
     highest = max(0.04, float(f0[maps.covered].max(initial=0)))
-    material = bpy.data.materials.new(stem)
-    made.materials.append(material)
-    if material.node_tree is None:  # since Blender 5.0 every material has one
-        material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader, output = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
-    shader.inputs["IOR"].default_value = (1 + highest**0.5) / (1 - highest**0.5)
-
-    def texture(suffix: str, image: np.ndarray, space: str = "Non-Color", output: str = "Color") -> Any:
-        file = folder / f"{stem}{suffix}.png"
-        encode_png(file, image, bits=8)
-        made.images.append(loaded := bpy.data.images.load(str(file)))
-        loaded.colorspace_settings.name = space
-        loaded.alpha_mode = "CHANNEL_PACKED"
-        loaded.pack()
-        node = tree.nodes.new("ShaderNodeTexImage")
-        node.image, node.extension = loaded, extension
-        return node.outputs[output]
-
-    tree.links.new(texture("_BaseColor", pixels.colour(surface.base_color, maps), "sRGB"), shader.inputs["Base Color"])
-    split = tree.nodes.new("ShaderNodeSeparateColor")
-    orm = pixels.packed(maps, 1.0, np.sqrt(fit.alpha), surface.metallic)
-    tree.links.new(texture("_ORM", orm), split.inputs["Color"])
-    tree.links.new(split.outputs["Green"], shader.inputs["Roughness"])
-    tree.links.new(split.outputs["Blue"], shader.inputs["Metallic"])
-    bend = tree.nodes.new("ShaderNodeNormalMap")
-    tree.links.new(texture("_Normal", pixels.normal(surface.normal, maps)), bend.inputs["Color"])
-    tree.links.new(bend.outputs["Normal"], shader.inputs["Normal"])
-    _specular(tree, shader, maps, f0 / highest, texture)
-    return material, fit.error[maps.covered] if len(surface.lobes) > 1 else None
+    found = Surface(
+        name=name,
+        base_color=pixels.colour(surface.base_color, maps),
+        orm=pixels.packed(maps, 1.0, np.sqrt(fit.alpha), surface.metallic),
+        normal=pixels.normal(surface.normal, maps),
+        specular=_specular(maps, f0 / highest),
+        ior=(1 + highest**0.5) / (1 - highest**0.5),
+    )
+    return found, fit.error[maps.covered] if len(surface.lobes) > 1 else None
 
 
-def _specular(tree: Any, shader: Any, maps: Maps, factor: np.ndarray, texture) -> None:
-    """Connect the specular factor, or set it where it is the same everywhere."""
-    level = shader.inputs["Specular IOR Level"]
+def _specular(maps: Maps, factor: np.ndarray) -> np.ndarray | float:
+    """Return the specular factor: a number where it is the same everywhere, else pixels with it in alpha."""
     inside = factor[maps.covered]
     if not inside.size or np.ptp(inside) < 1e-6:
-        level.default_value = 0.5 * float(inside.mean()) if inside.size else 0.5
-        return
-    half = tree.nodes.new("ShaderNodeMath")
-    half.operation = "MULTIPLY"
-    half.inputs[1].default_value = 0.5
-    # The format has the factor in alpha, and the exporter hands the picture on as it is.
-    tree.links.new(texture("_Specular", pixels.packed(maps, 1, 1, 1, factor), output="Alpha"), half.inputs[0])
-    tree.links.new(half.outputs[0], level)
-
-
-def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> Any:
-    """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
-
-    Tangents are those of the triangles in Blender and so in the maps; of quads the exporter would have others.
-    """
-    import bpy
-
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    source = bpy.data.meshes.new_from_object(
-        obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
-    )
-    made.meshes.append(source)
-    if source.uv_layers.active is None:
-        raise InputError(f"object '{obj.name}' has no UV map; the maps cannot be shown on it")
-    source.calc_loop_triangles()
-    count = len(source.loop_triangles)
-    loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
-    slots = _read(source.loop_triangles, "material_index", count, np.int32)
-    uvs = _read(source.uv_layers.active.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
-    normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
-    mesh = bpy.data.meshes.new(name)
-    made.meshes.append(mesh)
-    mesh.vertices.add(len(source.vertices))
-    mesh.vertices.foreach_set("co", _read(source.vertices, "co", 3 * len(source.vertices)))
-    mesh.loops.add(3 * count)
-    mesh.loops.foreach_set("vertex_index", vertices)
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-    mesh.update(calc_edges=True)
-    ours = [_recovered(slot) for slot in obj.material_slots]
-    ours = np.array(ours if any(ours) else [True] * max(len(ours), 1))
-    recovered = ours[np.minimum(slots, len(ours) - 1)]
-    kept = [slot.material for slot in obj.material_slots]
-    number, uvs = _tiles(uvs.reshape(-1, 3, 2), sorted(materials), recovered)
-    for material in (*(materials[n] for n in sorted(materials)), *kept):
-        mesh.materials.append(material)
-    mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
-    mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
-    mesh.normals_split_custom_set(normals)
-    mesh.update()
-    copy = bpy.data.objects.new(name, mesh)
-    made.objects.append(copy)
-    copy.matrix_world = obj.matrix_world
-    bpy.context.scene.collection.objects.link(copy)
-    bpy.context.view_layer.update()
-    return copy
-
-
-def _tiles(uvs: np.ndarray, numbers: list[int], recovered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each triangle's place among the tiles, and its texture coordinates within that: glTF knows no UDIM."""
-    index = np.zeros(len(uvs), int)
-    moved = uvs.copy()
-    for place, number in enumerate(numbers):
-        corner = np.array(tile_place(number))
-        centre = uvs.mean(axis=1) - corner
-        inside = recovered & ((centre >= 0) & (centre <= 1)).all(axis=1)
-        index[inside] = place
-        moved[inside] = uvs[inside] - corner
-    return index, moved
-
-
-def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
-    values = np.empty(size, kind)
-    collection.foreach_get(attribute, values)
-    return values
+        return float(inside.mean()) if inside.size else 1.0
+    return pixels.packed(maps, 1, 1, 1, factor)

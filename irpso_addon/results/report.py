@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import platform
-import tomllib
 from collections.abc import Collection, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from ..core.paths import ROOT
+from ..gpu.versions import versions
 from ..reflectance.model import Parameter
 from .maps import Maps
 
@@ -167,26 +164,6 @@ def quantiles(values: np.ndarray) -> dict[str, float | int | None]:
     median, p90, p99 = np.percentile(finite, (50, 90, 99))
     numbers = {"mean": finite.mean(), "median": median, "p90": p90, "p99": p99, "max": finite.max()}
     return {**{key: float(value) for key, value in numbers.items()}, "count": int(finite.size)}
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Return the versions of IRPSO and its libraries; Blender's is absent outside Blender."""
-    import OpenEXR
-
-    with open(ROOT / "blender_manifest.toml", "rb") as file:
-        own = tomllib.load(file)["version"]
-    numbers = {
-        "irpso": own,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "openexr": OpenEXR.__version__,
-    }
-    try:
-        import bpy
-    except ImportError:
-        return numbers
-    return numbers | {"blender": bpy.app.version_string}
 
 
 def plain(value: Any) -> Any:

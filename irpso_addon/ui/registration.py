@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 # In this order; each may have CLASSES, register() and unregister(). What a module's classes refer to comes before it.
 MODULES = (
@@ -32,8 +34,14 @@ MODULES = (
 )
 
 
-def register() -> None:
-    """Register every module's classes, then call its own register(). Where one fails, what was added is taken out."""
+_commands: list[Any] = []  # handles of commands of Blender's command line; empty while unregistered
+
+
+def register(command: Callable[[list[str]], int]) -> None:
+    """Register every module's classes, then call its own register(). Where one fails, what was added is taken out.
+
+    command: of the command line, ``irpso``: takes words, returns the exit code.
+    """
     import bpy
 
     done: list[ModuleType] = []
@@ -48,6 +56,7 @@ def register() -> None:
                 _unregister_classes(module)  # its own register() did not come to its end, so there is no undoing it
                 raise
             done.append(module)
+        _commands.append(bpy.utils.register_cli_command("irpso", command))
     except Exception:
         _unregister(done)
         raise
@@ -55,6 +64,10 @@ def register() -> None:
 
 def unregister() -> None:
     """Take out what ``register`` added, in the opposite order."""
+    import bpy
+
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
     _unregister([import_module(f".{name}", __package__) for name in MODULES])
 
 

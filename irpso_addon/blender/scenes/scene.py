@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,23 @@ def camera_from_object(obj: Any, width: int, height: int, pixel_aspect: tuple[fl
         perspective=data.type == "PERSP",
     )
     return _distorting(camera, obj)
+
+
+def scene_cameras(names: Sequence[str], size: tuple[int, int]) -> list[Camera]:
+    """Return the cameras of these names in the open scene at (width, height) pixels, the active one for none.
+
+    Raises InputError where there is none.
+    """
+    import bpy
+
+    scene = bpy.context.scene
+    if not names:
+        if scene.camera is None:
+            raise InputError(f"scene '{scene.name}' has no active camera; name one with --camera")
+        return [camera_from_object(scene.camera, *size)]
+    if missing := [name for name in names if name not in scene.objects]:
+        raise InputError(f"--camera {missing[0]}: there is no such object in scene '{scene.name}'")
+    return [camera_from_object(scene.objects[name], *size) for name in names]
 
 
 def _distorting(camera: Camera, obj: Any) -> Camera:

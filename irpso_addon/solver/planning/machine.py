@@ -7,8 +7,8 @@ from typing import Any
 
 from ...gpu.context import is_software_vulkan
 from ...gpu.probe import chosen_entry
+from ...gpu.versions import versions
 from ...reflectance.model import shipped_models
-from ...results.report import versions
 from ..settings.schedule import shipped_presets
 
 SOFTWARE_VULKAN = (

@@ -12,7 +12,7 @@ from ...core.errors import GpuUnavailableError, InputError
 from ...core.paths import BASE_PACKAGE
 from ...gpu import context as gpu_context
 from ...gpu import probe
-from ...results.report import versions
+from ...gpu.versions import versions
 from ...solver.planning.machine import fact_lines, machine_facts
 from ...solver.planning.memory import parse_memory
 from ..common.features import RELATIVE_PATH

@@ -6,6 +6,7 @@ import bpy
 import pytest
 
 import irpso_addon
+from irpso_addon.ui import registration
 
 pytestmark = pytest.mark.bpy_only
 
@@ -28,9 +29,9 @@ def test_registering_twice_leaves_nothing_behind():
     before = registered_names()
     for _ in range(2):
         irpso_addon.register()
-        assert len(irpso_addon._commands) == 1
+        assert len(registration._commands) == 1
         irpso_addon.unregister()
-        assert irpso_addon._commands == []
+        assert registration._commands == []
     assert registered_names() - before == set()
 
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from ..blender.scenes.scene import camera_from_object
-from ..capture.camera import Camera
+from ...capture.camera import Camera
+from .scene import camera_from_object
 
 NAME = "Suzanne"
 _SUBDIVISIONS = 3
@@ -56,8 +54,3 @@ def scene_camera(height: int) -> Camera:
     import bpy
 
     return camera_from_object(bpy.context.scene.camera, round(height * _ASPECT), height)
-
-
-def in_camera_space(camera: Camera, directions: np.ndarray) -> np.ndarray:
-    """Return world directions (…, 3) in the camera's axes."""
-    return directions @ camera.matrix[:3, :3]

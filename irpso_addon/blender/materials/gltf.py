@@ -1,0 +1,282 @@
+"""glTF 2.0 by Blender's own exporter: an object in triangles, with pictures that the exporter takes as they are.
+
+A texture at Specular IOR Level Blender's exporter takes for the specular factor as it is, half of what it means, unless
+a node halves it: as here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.files import replacing_file
+from ...core.png import encode_png
+from ...core.udim import tile_place
+from .displacement import DIVISION
+from .material import TAG
+
+_SETTINGS = {
+    "export_format": "GLB", "use_selection": True, "export_tangents": True, "export_apply": False,
+    "export_animations": False, "export_extras": False, "export_yup": True, "export_cameras": False,
+    "export_lights": False, "export_image_format": "AUTO", "will_save_settings": False,
+}  # fmt: skip
+_UNEQUAL = 1e-3  # relative
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A material as glTF has it. base_color, orm, normal: (H, W, 3) pixels in 0…1, colours sRGB-encoded.
+
+    specular: the factor, one number for all or (H, W, 4) pixels with it in alpha. ior: index of refraction.
+    """
+
+    name: str
+    base_color: np.ndarray
+    orm: np.ndarray
+    normal: np.ndarray
+    specular: np.ndarray | float
+    ior: float
+
+
+@dataclass
+class _Made:
+    """What is put into the open file for the exporter, and taken out again."""
+
+    objects: list[Any] = field(default_factory=list)
+    meshes: list[Any] = field(default_factory=list)
+    materials: list[Any] = field(default_factory=list)
+    images: list[Any] = field(default_factory=list)
+
+
+def write_glb(path: Path, obj: Any, name: str, surfaces: Mapping[int, Surface]) -> list[str]:
+    """Write an object of the open file as .glb, and return warnings. surfaces: by UDIM tile.
+
+    Pictures have 8 bits. The slots that have a recovered material get these surfaces, the others keep what they have.
+    The open file is left as it was. Raises InputError.
+    """
+    import bpy
+
+    properties = bpy.ops.export_scene.gltf.get_rna_type().properties if _has_exporter() else None
+    if properties is None:
+        raise InputError("Blender's glTF exporter is switched off; enable the add-on 'glTF 2.0 format'")
+    with _kept_selection(), _removed_afterwards() as made, tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
+        # Of a card nothing lies past its borders; a mesh's UV map may go all around.
+        extension = "EXTEND" if TAG in obj else "REPEAT"
+        materials = {n: _material(made, one, Path(temporary), extension) for n, one in surfaces.items()}
+        with _undivided(obj):
+            copy = _triangles(made, obj, name, materials)
+        for other in bpy.context.view_layer.objects:
+            other.select_set(other == copy)
+        bpy.context.view_layer.objects.active = copy
+        with replacing_file(path) as partial, contextlib.redirect_stdout(io.StringIO()):
+            accepted = {name: value for name, value in _SETTINGS.items() if name in properties}
+            try:
+                bpy.ops.export_scene.gltf(filepath=str(partial), **accepted)
+            except RuntimeError as error:
+                raise InputError(f"{path}: Blender's glTF exporter says: {str(error).strip()}") from error
+    return _scale_warnings(obj)
+
+
+def _scale_warnings(obj: Any) -> list[str]:
+    scale = np.linalg.norm(np.array(obj.matrix_world)[:3, :3], axis=0)
+    if np.ptp(scale) <= _UNEQUAL * scale.max():
+        return []
+    return [
+        f"object '{obj.name}' has an unequal scale, which bends normals otherwise in glTF than in Blender; apply it and"
+        " recover again"
+    ]
+
+
+def result_object(name: str | None) -> Any:
+    """Return the object of the open file that has a recovered material: the one of this name, or the only one there is.
+
+    Raises InputError where there is none, or several and no name.
+    """
+    import bpy
+
+    if name is not None:
+        obj = bpy.data.objects.get(name)
+        if obj is None or obj.type != "MESH":
+            meshes = ", ".join(f"'{o.name}'" for o in bpy.data.objects if o.type == "MESH")
+            raise InputError(f"--object {name}: the result's .blend has no such mesh; it has {meshes or 'none'}")
+        return obj
+    found = [o for o in bpy.data.objects if o.type == "MESH" and any(_recovered(slot) for slot in o.material_slots)]
+    if len(found) != 1:
+        names = ", ".join(f"'{o.name}'" for o in found)
+        what = f"{len(found)} objects have recovered materials ({names}); name one with --object"
+        raise InputError(
+            what if found else "no object of the result's .blend has the recovered material; recover again"
+        )
+    return found[0]
+
+
+def _recovered(slot: Any) -> bool:
+    return slot.material is not None and TAG in slot.material
+
+
+def _has_exporter() -> bool:
+    import bpy
+
+    return hasattr(bpy.types, "EXPORT_SCENE_OT_gltf")
+
+
+@contextlib.contextmanager
+def _kept_selection() -> Iterator[None]:
+    """Bring selection and active object back afterwards."""
+    import bpy
+
+    layer = bpy.context.view_layer
+    selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    try:
+        yield
+    finally:
+        layer.update()  # else it still counts what has been removed
+        for obj in layer.objects:
+            obj.select_set(obj in selected)
+        layer.objects.active = active
+
+
+@contextlib.contextmanager
+def _undivided(obj: Any) -> Iterator[None]:
+    """Leave a card flat: what it is divided for, displacement, the format has not."""
+    modifier = obj.modifiers.get(DIVISION)
+    shown = modifier is not None and modifier.show_viewport
+    if shown:
+        modifier.show_viewport = False
+    try:
+        yield
+    finally:
+        if shown:
+            modifier.show_viewport = True
+
+
+@contextlib.contextmanager
+def _removed_afterwards() -> Iterator[_Made]:
+    import bpy
+
+    made = _Made()
+    try:
+        yield made
+    finally:
+        bpy.data.batch_remove([*made.objects, *made.meshes, *made.materials, *made.images])
+
+
+def _material(made: _Made, surface: Surface, folder: Path, extension: str) -> Any:
+    """Make the material that the exporter understands. extension: of image nodes, which becomes the wrap mode."""
+    import bpy
+
+    material = bpy.data.materials.new(surface.name)
+    made.materials.append(material)
+    if material.node_tree is None:  # since Blender 5.0 every material has one
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    shader.inputs["IOR"].default_value = surface.ior
+
+    def texture(suffix: str, image: np.ndarray, space: str = "Non-Color", output: str = "Color") -> Any:
+        file = folder / f"{surface.name}{suffix}.png"
+        encode_png(file, image, bits=8)
+        made.images.append(loaded := bpy.data.images.load(str(file)))
+        loaded.colorspace_settings.name = space
+        loaded.alpha_mode = "CHANNEL_PACKED"
+        loaded.pack()
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image, node.extension = loaded, extension
+        return node.outputs[output]
+
+    tree.links.new(texture("_BaseColor", surface.base_color, "sRGB"), shader.inputs["Base Color"])
+    split = tree.nodes.new("ShaderNodeSeparateColor")
+    tree.links.new(texture("_ORM", surface.orm), split.inputs["Color"])
+    tree.links.new(split.outputs["Green"], shader.inputs["Roughness"])
+    tree.links.new(split.outputs["Blue"], shader.inputs["Metallic"])
+    bend = tree.nodes.new("ShaderNodeNormalMap")
+    tree.links.new(texture("_Normal", surface.normal), bend.inputs["Color"])
+    tree.links.new(bend.outputs["Normal"], shader.inputs["Normal"])
+    level = shader.inputs["Specular IOR Level"]
+    if isinstance(surface.specular, float):
+        level.default_value = 0.5 * surface.specular
+        return material
+    half = tree.nodes.new("ShaderNodeMath")
+    half.operation = "MULTIPLY"
+    half.inputs[1].default_value = 0.5
+    # The format has the factor in alpha, and the exporter hands the picture on as it is.
+    tree.links.new(texture("_Specular", surface.specular, output="Alpha"), half.inputs[0])
+    tree.links.new(half.outputs[0], level)
+    return material
+
+
+def _triangles(made: _Made, obj: Any, name: str, materials: dict[int, Any]) -> Any:
+    """Return a copy of an object, in triangles, with the materials of its UDIM tiles; other slots stay.
+
+    Tangents are those of the triangles in Blender and so in the maps; of quads the exporter would have others.
+    """
+    import bpy
+
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    source = bpy.data.meshes.new_from_object(
+        obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
+    )
+    made.meshes.append(source)
+    if source.uv_layers.active is None:
+        raise InputError(f"object '{obj.name}' has no UV map; the maps cannot be shown on it")
+    source.calc_loop_triangles()
+    count = len(source.loop_triangles)
+    loops, vertices = (_read(source.loop_triangles, name, 3 * count, np.int32) for name in ("loops", "vertices"))
+    slots = _read(source.loop_triangles, "material_index", count, np.int32)
+    uvs = _read(source.uv_layers.active.uv, "vector", 2 * len(source.loops)).reshape(-1, 2)[loops]
+    normals = _read(source.corner_normals, "vector", 3 * len(source.loops)).reshape(-1, 3)[loops]
+    mesh = bpy.data.meshes.new(name)
+    made.meshes.append(mesh)
+    mesh.vertices.add(len(source.vertices))
+    mesh.vertices.foreach_set("co", _read(source.vertices, "co", 3 * len(source.vertices)))
+    mesh.loops.add(3 * count)
+    mesh.loops.foreach_set("vertex_index", vertices)
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    ours = [_recovered(slot) for slot in obj.material_slots]
+    ours = np.array(ours if any(ours) else [True] * max(len(ours), 1))
+    recovered = ours[np.minimum(slots, len(ours) - 1)]
+    kept = [slot.material for slot in obj.material_slots]
+    number, uvs = _tiles(uvs.reshape(-1, 3, 2), sorted(materials), recovered)
+    for material in (*(materials[n] for n in sorted(materials)), *kept):
+        mesh.materials.append(material)
+    mesh.polygons.foreach_set("material_index", np.where(recovered, number, len(materials) + slots).astype(np.int32))
+    mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", uvs.astype(np.float32).ravel())
+    mesh.normals_split_custom_set(normals)
+    mesh.update()
+    copy = bpy.data.objects.new(name, mesh)
+    made.objects.append(copy)
+    copy.matrix_world = obj.matrix_world
+    bpy.context.scene.collection.objects.link(copy)
+    bpy.context.view_layer.update()
+    return copy
+
+
+def _tiles(uvs: np.ndarray, numbers: list[int], recovered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each triangle's place among the tiles, and its texture coordinates within that: glTF knows no UDIM."""
+    index = np.zeros(len(uvs), int)
+    moved = uvs.copy()
+    for place, number in enumerate(numbers):
+        corner = np.array(tile_place(number))
+        centre = uvs.mean(axis=1) - corner
+        inside = recovered & ((centre >= 0) & (centre <= 1)).all(axis=1)
+        index[inside] = place
+        moved[inside] = uvs[inside] - corner
+    return index, moved
+
+
+def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
+    values = np.empty(size, kind)
+    collection.foreach_get(attribute, values)
+    return values
