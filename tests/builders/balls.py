@@ -1,4 +1,4 @@
-"""Pictures of balls under known lights, ray traced in numpy and by Cycles: oracles for the calibration."""
+"""Pictures of balls under known lights, ray traced in numpy and by Cycles, for the calibration."""
 
 import numpy as np
 
@@ -47,9 +47,9 @@ def mirror_image(camera, balls, light, distant=True, width=4.0, fine=6, room=0.0
 
 
 def around(camera, centre, radius):
-    """The rows and columns that a ball is seen in, as slices."""
-    there = np.argwhere(trace(camera, centre, radius)[3])
-    low, high = np.maximum(there.min(axis=0) - 2, 0), there.max(axis=0) + 3
+    """The rows and columns of a ball, as slices."""
+    pixels = np.argwhere(trace(camera, centre, radius)[3])
+    low, high = np.maximum(pixels.min(axis=0) - 2, 0), pixels.max(axis=0) + 3
     return slice(low[0], min(high[0], camera.height)), slice(low[1], min(high[1], camera.width))
 
 
@@ -61,7 +61,7 @@ def part_of(camera, rows, columns):
 
 
 def matte_image(camera, balls, light, distant=True, albedo=(0.5, 0.5, 0.5), ambient=0.02, fine=2):
-    """(H, W, 3) of Lambertian balls: albedo · intensity · n·l, a position's intensity being that at distance 1."""
+    """(H, W, 3) of Lambertian balls: albedo · intensity · n·l; the intensity of a near light is at distance 1."""
     whole = np.full((camera.height, camera.width, 3), float(ambient))
     for centre, radius in balls:
         rows, columns = around(camera, centre, radius)
@@ -83,7 +83,7 @@ def coarse(image, fine):
 
 
 def photographed(image, rng, blur=0.0, noise=0.0, clip=None):
-    """(H, W, 4) as a reader returns it: blurred (Gaussian, pixels), with noise, clipped ones without weight."""
+    """(H, W, 4) like a reader's: blurred (Gaussian, pixels), with noise; clipped pixels have weight 0."""
     if blur:
         reach = int(np.ceil(4 * blur))
         kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / blur) ** 2)

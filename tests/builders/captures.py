@@ -1,4 +1,4 @@
-"""Small captures made on the spot, and a PNG reader and writer of zlib alone, for the tests of capture/."""
+"""Small captures, and a PNG reader and writer with zlib only, for the tests of capture/."""
 
 import struct
 import zlib
@@ -13,7 +13,7 @@ LIGHTS = np.array([[0, 0, 1], [0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, 
 
 
 def write_png(path, codes, bits=8, extra=b""):
-    """Write whole-number codes (H, W, C), top row first, unfiltered."""
+    """Write integer codes (H, W, C), top row first, unfiltered."""
     height, width, channels = codes.shape
     rows = codes.astype(">u2" if bits == 16 else "u1")
     raw = b"".join(b"\0" + row.tobytes() for row in rows)
@@ -51,7 +51,7 @@ def read_png(path):
 
 
 def decode_png(path):
-    """A decoder for read_capture that needs no Blender."""
+    """A decoder for read_capture without Blender."""
     codes, bits = read_png(path)
     return Picture((codes[::-1] / (2**bits - 1)).astype(np.float32), bits)
 

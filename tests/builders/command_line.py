@@ -1,4 +1,4 @@
-"""Small captures, meshes and .blend files for the tests of the command line, and the command line itself in process."""
+"""Small captures, meshes and .blend files for the tests of the command line, and the command line in process."""
 
 import contextlib
 import io
@@ -27,16 +27,16 @@ def run_cli(*arguments):
 
 
 def dome_lights(count=24, widest=55.0):
-    """Return (count, 3) unit directions on a spiral from straight above to ``widest`` degrees off it."""
+    """Return (count, 3) unit directions on a spiral from the zenith to ``widest`` degrees off it."""
     theta = np.radians(widest) * np.sqrt((np.arange(count) + 0.5) / count)
     phi = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def smooth_maps(shape, ranges, seed=0, tilt=25.0):
-    """Return maps without any symmetry: a normal, "base_color", and the scalars of ``ranges`` (name → (low, high)).
+    """Return asymmetric maps: a normal, "base_color", and the scalars of ``ranges`` (name → (low, high)).
 
-    Normals are up to about ``tilt`` degrees off the card's own. Row 0 is at the bottom.
+    Normals tilt up to about ``tilt`` degrees. Row 0 is at the bottom.
     """
     rng = np.random.default_rng(seed)
     y, x = np.meshgrid(np.linspace(0, 1, shape[0]), np.linspace(0, 1, shape[1]), indexing="ij")
@@ -48,7 +48,7 @@ def smooth_maps(shape, ranges, seed=0, tilt=25.0):
     slope = np.tan(np.radians(tilt)) / np.sqrt(2)
     normal = oracles.unit(np.stack([slope * (2 * wave() - 1), slope * (2 * wave() - 1), np.ones(shape)], axis=-1))
     values = {"base_color": np.stack([0.15 + 0.6 * wave() for _ in range(3)], axis=-1), "normal": normal}
-    # A corner of another colour tells every flip and transposition.
+    # A corner of another colour reveals every flip and transposition.
     values["base_color"][: shape[0] // 3, : shape[1] // 4] = (0.7, 0.1, 0.05)
     return values | {name: low + (high - low) * wave() for name, (low, high) in ranges.items()}
 
@@ -83,7 +83,7 @@ def read_map(path):
 
 
 def angle(a, b):
-    """Return the angle between unit vectors in degrees, precise where it is small."""
+    """Return the angle between unit vectors in degrees, precise for small angles."""
     return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(np.asarray(a, np.float64) - b, axis=-1) / 2, 0, 1)))
 
 
@@ -96,7 +96,7 @@ def listing(folder):
 
 
 def save_scene(path, build):
-    """Write a .blend file with what ``build(bpy)`` puts into an empty scene; return its path."""
+    """Write a .blend file of an empty scene after ``build(bpy)``; return its path."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -33,7 +33,7 @@ def make_domain(
     holes: bool = True,
     rng_seed: int = 1,
 ) -> Domain:
-    """Return a domain of random geometry, lights and radiances in [0, 1]; with holes, what has no weight is NaN."""
+    """Return a domain of random geometry, lights and radiances in [0, 1]; with holes, samples of weight 0 are NaN."""
     rng = np.random.default_rng(rng_seed)
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height)), axis=-1)
     position = np.concatenate([grid, 0.2 * rng.normal(size=(height, width, 1))], axis=-1)
@@ -81,7 +81,7 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 
 def with_radiance(domain: Domain, model: str, values: dict[str, np.ndarray]) -> Domain:
-    """Return the domain with the radiance that a material has; weights stay, what weighs nothing is NaN."""
+    """Return the domain with the radiance of a material; weights stay, samples of weight 0 are NaN."""
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
     stack = domain.stack.values.copy()
     for k in range(domain.observations):
@@ -104,7 +104,7 @@ def random_truth(rng, shape):
 
 
 def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
-    """Return (domain, truth) of a smooth subject with noise on it, as the oracle's model renders it."""
+    """Return (domain, truth) of a smooth subject with noise, rendered by the oracle's model."""
     rng = np.random.default_rng(rng_seed)
     shape = (height, width)
     truth = random_truth(rng, shape)
@@ -113,12 +113,12 @@ def subject(height=13, width=17, model="lambert", rng_seed=3, **options):
 
 
 def bits_of(maps):
-    """Return all values of maps as bytes, to be compared bit for bit."""
+    """Return all values of maps as bytes, for bitwise comparison."""
     return {name: np.ascontiguousarray(v[maps.covered]).tobytes() for name, v in maps.values.items()}
 
 
 def recoveries():
-    """Yield a maker of recoveries, which are closed at the end: what a fixture of a test module is made of."""
+    """Yield a maker of recoveries and close them at the end, for a fixture."""
     from irpso_addon.solver.engine.recovery import Recovery  # needs Blender
 
     made = []

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-# XYZ of D65 to linear sRGB (IEC 61966-2-1): the matrix of a camera that sees in Rec. 709.
+# XYZ of D65 to linear sRGB (IEC 61966-2-1): the matrix of a Rec. 709 camera.
 XYZ_TO_REC709 = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 ASCII, BYTE, SHORT, LONG, RATIONAL, SRATIONAL = 2, 1, 3, 4, 5, 10
 
@@ -27,7 +27,7 @@ def directory(tags, at, order="<"):
 
 
 def exif(seconds=None, f_number=None, iso=None, order="<", orientation=1):
-    """Return an EXIF block (a TIFF structure) with the exposure in a directory of its own; rationals as pairs."""
+    """Return an EXIF block (a TIFF structure) with the exposure in its own directory; rationals as pairs."""
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
     first = [(274, SHORT, [orientation]), (34665, LONG, [8 + 2 + 24 + 4])]
     tags = [(33434, RATIONAL, [seconds])] if seconds else []
@@ -63,7 +63,7 @@ def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, se
 
 
 def bayer(rgb):
-    """Return (H, W) of what the photosites red, green; green, blue see of (H, W, 3)."""
+    """Return the mosaic (H, W) of (H, W, 3) on photosites red, green; green, blue."""
     mosaic = rgb[..., 1].copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = rgb[::2, ::2, 0], rgb[1::2, 1::2, 2]
     return mosaic

@@ -1,4 +1,4 @@
-"""Results for the tests of exports, and readers of what is written, by hand."""
+"""Results for the tests of exports, and independent readers of the written files."""
 
 import json
 import struct
@@ -82,7 +82,7 @@ def image_of(table, binary, texture, folder):
 
 
 def bent_sheet(size=1.0):
-    """A sheet of 6 × 6 bent quads whose left half is mirrored in the UV square, turned and moved in the world."""
+    """A sheet of 6 × 6 bent quads, its left half mirrored in the UV square, rotated and moved in the world."""
     u, v = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7))
     points = np.stack([u, v, 0.3 * np.cos(1.5 * u) + 0.2 * np.sin(2 * v)], axis=-1).reshape(-1, 3) * size
     corner = np.arange(42).reshape(6, 7)[:, :-1].ravel()
@@ -102,7 +102,7 @@ def bent_sheet(size=1.0):
 
 
 def on_a_sheet(name, texels=192):
-    """Return a result whose normals lean off a bent sheet in the world by a known field, the object, and that field."""
+    """Return a result whose normals tilt off a bent sheet by a known world field, the object, and that field."""
     obj = bent_sheet()
     mesh = extract_mesh(obj)
     surface = bake.bake_uv(mesh, texels, texels)

@@ -1,4 +1,4 @@
-"""Subjects for the tests of lights: reliefs in float64 numpy under lights of all strengths, with shadow and noise."""
+"""Subjects for the tests of lights: reliefs in float64 numpy under uneven lights, with shadow and noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def relief(height: int, width: int, rng: np.random.Generator, slope: float = 0.5
 def subject(
     model: str, observations: int, shape=(24, 24), rng_seed=5, slope=0.5, **options
 ) -> tuple[Domain, dict[str, np.ndarray]]:
-    """Return (domain, truth) of a relief in patches of colour, as the oracle's model renders it.
+    """Return (domain, truth) of a relief with patches of colour, rendered by the oracle's model.
 
     options: of make_domain.
     """
@@ -41,7 +41,7 @@ def subject(
 
 
 def gains(observations: int, rng: np.random.Generator) -> np.ndarray:
-    """Return (K, 3) factors from 0.3 to 3, each light of its own tint."""
+    """Return (K, 3) factors from 0.3 to 3, with a tint per light."""
     strength = np.exp(rng.uniform(np.log(0.3), np.log(3), (observations, 1)))
     return strength * rng.uniform(0.9, 1.1, (observations, 3))
 
@@ -58,7 +58,7 @@ def photographed(domain: Domain, factors: np.ndarray, rng: np.random.Generator, 
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return (K, 3) relative errors of factors, each channel's mean logarithm taken out of both."""
+    """Return (K, 3) relative errors of factors, without the mean logarithm of each channel."""
     logs = np.log(found) - np.log(true)
     return np.abs(np.expm1(logs - logs.mean(axis=0)))
 

@@ -1,4 +1,4 @@
-"""Evaluates reflectance models on the GPU, one material, light and view a texel."""
+"""Evaluates reflectance models on the GPU: one material, light and view per texel."""
 
 import numpy as np
 
@@ -34,5 +34,5 @@ def evaluate(root, model, values, light, view, value="reflectance(s, l, v)", ent
 
 
 def single(a):
-    """Rounded to float32, held as float64."""
+    """Round to float32; return float64."""
     return np.asarray(a, np.float32).astype(np.float64)

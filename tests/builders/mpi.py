@@ -1,4 +1,4 @@
-"""Commands of several processes under mpirun, for the tests of runs over ranks."""
+"""Commands under mpirun, for the tests of runs over ranks."""
 
 import functools
 import importlib.util
@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SECONDS = 240  # of one job on a busy machine; a job that hangs is ended
+SECONDS = 240  # limit of one job on a busy machine
 
 
 @functools.cache
 def launcher():
-    """Return mpirun's path; skip the test where there is none that mpi4py can be started with."""
+    """Return the path of an mpirun that works with mpi4py, or None."""
     beside = Path(sys.executable).with_name("mpirun")
     found = str(beside) if beside.exists() else shutil.which("mpirun")
     if importlib.util.find_spec("mpi4py") is None or found is None:
@@ -33,7 +33,7 @@ def needs_mpi():
 
 
 def environment(**more):
-    """Return the environment of a job: as root Open MPI wants to be told twice."""
+    """Return the environment of a job: for root, Open MPI requires two variables."""
     allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "LP_NUM_THREADS": "1"}
     return {**os.environ, **allowed, **more}
 
@@ -48,7 +48,7 @@ def job(ranks, *arguments, before="", **more):
 
 
 def start(ranks, *command):
-    """Run another command on so many ranks to its end, which must be a good one."""
+    """Run a command on ``ranks`` ranks; it must succeed."""
     placed = [launcher(), "--oversubscribe", "--bind-to", "none", "-n", str(ranks)]
     done = subprocess.run(
         [*placed, *map(str, command)], cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=SECONDS

@@ -1,4 +1,4 @@
-"""What several ranks make of made-up subjects, and what one process makes of them: started under mpirun by a test.
+"""Recoveries of synthetic subjects by several ranks and by one process; a test starts it under mpirun.
 
 Usage: mpirun -n 7 python tests/builders/mpi_ranks.py OUT. Rank 0 writes all digests into OUT/digests.json.
 """
@@ -66,7 +66,7 @@ def cases():
 
 
 def digest(maps, progress):
-    """Return what tells one result from another."""
+    """Return a hash of maps and progress."""
     found = hashlib.sha256(repr(progress).encode())
     arrays = {**maps.values, "residual": maps.residual, "covered": maps.covered}
     for array in [*arrays.values(), *(maps.confidence or {}).values(), *(maps.alternatives or {}).values()]:
@@ -75,7 +75,7 @@ def digest(maps, progress):
 
 
 def worker_of(ranks, domain, model, schedule):
-    """Return this rank's share of a domain that every rank has as a whole."""
+    """Return this rank's worker; every rank has the complete domain."""
     halo = recovery_cost(model, schedule, (), domain.observations).reach
     height, width = domain.shape
     boxes = list(divided(domain.bake.coverage, (0, 0, width, height), ranks.size))
@@ -87,7 +87,7 @@ def worker_of(ranks, domain, model, schedule):
 
 
 def over(ranks, case, work):
-    """Return what ``work`` makes of a recovery over ranks, on the first of them; None on the others."""
+    """Return the result of ``work`` on a recovery over ranks, on the first rank; None on the others."""
     worker = worker_of(ranks, *case)
     if not ranks.leads:
         return serve(worker) and None
@@ -99,13 +99,13 @@ def over(ranks, case, work):
 
 
 def whole(case, work):
-    """Return what ``work`` makes of a recovery in one process."""
+    """Return the result of ``work`` on a recovery in one process."""
     with Recovery(*case, 1, entry="fragment") as recovery:
         return work(recovery)
 
 
 def to_the_end(recovery):
-    """Recover, looking in between, and return the digest."""
+    """Recover, reading maps in between; return the digest."""
     recovery.step(iterations=5)
     recovery.maps(confidence=False)
     recovery.step()
@@ -113,7 +113,7 @@ def to_the_end(recovery):
 
 
 def saved(path, iterations):
-    """Return what makes so many iterations and leaves a checkpoint."""
+    """Return a function that makes ``iterations`` iterations and writes a checkpoint."""
 
     def work(recovery):
         recovery.step(iterations=iterations)
@@ -123,7 +123,7 @@ def saved(path, iterations):
 
 
 def resumed(path):
-    """Return what goes on from a checkpoint to the end."""
+    """Return a function that resumes from a checkpoint to the end."""
 
     def work(recovery):
         recovery.step(iterations=1)
@@ -138,7 +138,7 @@ def main(folder):
     """Recover all cases over some sizes, some of them with a change of ranks midway; write the digests."""
     world = joined()
     context.ensure()
-    # Made once: who is not among the ranks of a case goes on to its next one and naps there.
+    # Made once: a rank outside a case goes on to its next case and sleeps there.
     groups = {size: world.among(world.rank < size) for size in (1, 2, 4, 7)}
     found = {}
 

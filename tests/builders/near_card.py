@@ -1,4 +1,4 @@
-"""A flat card under near lights before a perspective camera, in any unit of length."""
+"""A flat card under near lights and a perspective camera, in any unit of length."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.builders.command_line import dome_lights, smooth_maps
 from tests.oracles import reflectance as oracles
 
 SHAPE = (16, 24)  # rows, columns
-DISTANCE = 420.0  # millimetres, as are the lamps' places: 260 from the card's middle
+DISTANCE = 420.0  # millimetres, like the lamps' positions, 260 from the card's centre
 _LAMPS, _POWER = 260.0 * dome_lights(16, widest=60.0) - (0.0, 0.0, DISTANCE), 1.4 * 260.0**2
 
 
@@ -37,7 +37,7 @@ def near_card(unit=1.0, camera=None, values=None, **changes):
 
 
 def write_near_card(folder, **settings):
-    """Write the capture of ``near_card``, and its normals as ``truth.exr`` beside it; return its folder."""
+    """Write the capture of ``near_card`` and its normals as ``truth.exr``; return the folder."""
     folder = Path(folder)
     capture, values = near_card(**settings)
     write_capture(capture, folder)

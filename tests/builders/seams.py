@@ -1,4 +1,4 @@
-"""Meshes whose UV maps cut them in two, of which it is known which texels are neighbours on the surface."""
+"""Meshes with a UV cut and known neighbours of texels on the surface."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHAPE = (50, 62)  # rows, columns
 
 @dataclass(frozen=True)
 class Sheet:
-    """A bent sheet cut along s = 0 into a left part, whose texels are its units of length, and a right part.
+    """A bent sheet cut along s = 0 into a left part, whose texels are the unit of length, and a right part.
 
     turn: (2, 2) from (s, t) to texels of the right part; origin: (2,) its texel at s = t = 0.
     """
@@ -41,7 +41,7 @@ class Sheet:
     origin: np.ndarray
 
     def part_at(self, texel: tuple[int, int]) -> int | None:
-        """Return 0 for a texel (x, y) of the left part, 1 of the right one, None where there is none."""
+        """Return 0 for a texel (x, y) of the left part, 1 of the right one, None outside both."""
         middle = np.array(texel) + 0.5
         for part in (0, 1):
             if self._holds(part, self._sheet(part, middle)):
@@ -49,7 +49,7 @@ class Sheet:
         return None
 
     def neighbour(self, texel: tuple[int, int], by: tuple[int, int]) -> tuple[int, int] | None:
-        """Return the texel (x, y) that lies so far from another on the sheet, None past its borders."""
+        """Return the texel (x, y) at the offset ``by`` from another on the sheet, None past its borders."""
         part = self.part_at(texel)
         place = self._sheet(part, np.array(texel) + 0.5 + by)
         other = int(place[0] > 0)
@@ -59,7 +59,7 @@ class Sheet:
         return tuple(int(c) for c in np.floor(found + 1e-6))
 
     def outside(self, texel: tuple[int, int], by: tuple[int, int]) -> float:
-        """Return how many units of length past the sheet's borders the place lies, at most in either direction."""
+        """Return the distance of the place past the sheet's borders, the larger of both directions."""
         s, t = self._sheet(self.part_at(texel), np.array(texel) + 0.5 + by)
         return max(-LEFT - s, s - RIGHT, -t, t - HIGH)
 
@@ -84,7 +84,7 @@ class Sheet:
 
 @cache
 def sheet(turn: str, frames_seed: int = 1) -> Sheet:
-    """Return the sheet whose right part is turned so; every triangle has a tangent frame of its own."""
+    """Return the sheet with its right part turned; every triangle has its own tangent frame."""
     across, along, origin = (np.array(v, float) for v in TURNS[turn])
     linear = np.stack([across, along], axis=-1)
     outside = "edge" in turn  # the left part against the right border of the domain: places past it lie outside

@@ -1,4 +1,4 @@
-"""A stage of swarms that move as a whole on the GPU, beside the problem that its float64 oracle solves."""
+"""A phase of synchronous swarms on the GPU, with the problem of its float64 oracle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.oracles import synchronous_swarm as oracle
 
 @dataclass(frozen=True)
 class Case:
-    """A stage to compare: which model and parameters, what domain, which settings, what is known."""
+    """A phase to compare: model, parameters, domain, settings, fixed parameters."""
 
     name: str
     search: tuple[str, ...] = ("all",)
@@ -39,7 +39,7 @@ class Case:
 
 
 class Bench:
-    """Starts from estimates at random, or from those given. domain: in place of the case's own."""
+    """Starts from random or given estimates. domain: in place of the case's own."""
 
     def __init__(self, case: Case, entry: str = "fragment", seed: int = 7, domain=None, estimates=None):
         context.ensure()
@@ -63,10 +63,10 @@ class Bench:
         self.bands = Bands()
 
     def randomise(self) -> None:
-        """Give every particle a random place, speed and best, of which about half will be improved upon."""
+        """Give every particle a random place, velocity and best; about half of the bests will improve."""
         problem, rng = self.problem, self.rng
         shape = (problem.particles, *problem.domain.shape)
-        # Most keep clear of the walls, which are a normal's horizon.
+        # Most stay away from the walls, which are a normal's horizon.
         x, p = (rng.uniform(0.15, 0.85, size=(*shape, problem.columns)) for _ in range(2))
         v = rng.uniform(-0.25, 0.25, size=x.shape)
         x, v = swarm.ordered_lobes(problem, x, v)
@@ -80,7 +80,7 @@ class Bench:
         self.give(oracle.State(x, v, p, fits, g, typical * rng.uniform(0.2, 1, shape[1:]), w))
 
     def give(self, state: oracle.State) -> None:
-        """Make ``state`` the state on the GPU."""
+        """Write ``state`` to the GPU."""
         atlas, blocks = self.stage.textures.atlas, self.stage.encoding.blocks
         fits = np.concatenate([state.p_fitness] * blocks)[..., None]
         particles = {"position": state.x, "velocity": state.v, "best": state.p, "fitness": fits}
@@ -96,7 +96,7 @@ class Bench:
         self.stage.restore({**arrays, **{f"global_best_{i}": a for i, a in enumerate(best)}}, self.stage.iteration)
 
     def read(self) -> oracle.State:
-        """Return the state on the GPU; 0 where no texel is solved, and there a fitness of UNFIT."""
+        """Return the state on the GPU; 0, with a fitness of UNFIT, where no texel is solved."""
         stage, pack, problem = self.stage, self.packing, self.problem
         arrays = {name: array.astype(np.float64) for name, array in stage.state().items()}
         sizes = (problem.particles, pack.height, pack.width)
@@ -115,14 +115,14 @@ class Bench:
         return oracle.State(x, v, p, fitness, g, g_fitness, w[..., : len(problem.weights)])
 
     def found_fitness(self) -> np.ndarray:
-        """Return (m, H, W): the fitness of every particle where the last generation came to."""
+        """Return (m, H, W): the fitness of every particle after the last iteration."""
         stage = self.stage
         fours = [stage.reader.read(t).astype(np.float64) for t in stage.textures.found[: -(-stage.particles // 4)]]
         fits = np.moveaxis(np.concatenate(fours, axis=-1), -1, 0)[: stage.particles]
         return np.stack([self.packing.unpack(one, swarm.UNFIT) for one in fits])
 
     def found_weights(self) -> np.ndarray:
-        """Return (H, W, L): the linear weights of the best particle of the last generation."""
+        """Return (H, W, L): the linear weights of the best particle of the last iteration."""
         stage = self.stage
         parts = [stage.reader.read(t).astype(np.float64) for t in stage.textures.found[-(-stage.particles // 4) :]]
         return self.packing.unpack(np.concatenate(parts, axis=-1))[..., : len(self.problem.weights)]
@@ -133,7 +133,7 @@ class Bench:
             pass
 
     def close(self) -> None:
-        """Free what lies on the GPU."""
+        """Free the GPU resources."""
         self.stage.close()
 
 
@@ -148,7 +148,7 @@ def random_material(model, shape, rng) -> dict[str, np.ndarray]:
 
 
 def benches():
-    """Yield a maker of benches that are closed at the end: what a fixture of a test module is made of."""
+    """Yield a maker of benches and close them at the end, for a fixture."""
     made = []
 
     def make(*arguments, **options) -> Bench:

@@ -1,4 +1,4 @@
-"""Materials far from the estimates in float64: what the alternatives' maps are compared with."""
+"""Oracle of the alternatives' maps: materials far from the estimates, in float64."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ def worse(domain, model, values, schedule, scale, fixed=()):
     )
     own, counted = generation.fitness(problem, values), generation.sample_weights(problem, values)
     n = _independent(problem, values, len(confidence_oracle.unknowns(model, fixed)))
-    found = {}
+    result = {}
     for p in model.parameters:
-        given = p.name in fixed or p.is_normal or p.components > 1 or p.kind == "linear"
-        if given or p.prior is not None and p.prior.kind == "normal":
+        skipped = p.name in fixed or p.is_normal or p.components > 1 or p.kind == "linear"
+        if skipped or p.prior is not None and p.prior.kind == "normal":
             continue
         low, width = p.range[0], p.range[1] - p.range[0]
         lowest = np.full(domain.shape, np.inf)
         for fraction in _TRIED:
-            there = {**values, p.name: np.full((*domain.shape, 1), low + fraction * width)}
-            far = np.abs(there[p.name] - values[p.name])[..., 0] >= _FAR * width
+            trial = {**values, p.name: np.full((*domain.shape, 1), low + fraction * width)}
+            far = np.abs(trial[p.name] - values[p.name])[..., 0] >= _FAR * width
             if linear:
-                there = problem.with_weights(there, generation.solve(problem, there, counted))
-            lowest = np.where(far, np.minimum(lowest, generation.fitness(problem, there)), lowest)
-        found[p.name] = np.clip(n * np.log((lowest + _FLOOR) / (own + _FLOOR)), -_MOST, _MOST)[..., None]
-    return found
+                trial = problem.with_weights(trial, generation.solve(problem, trial, counted))
+            lowest = np.where(far, np.minimum(lowest, generation.fitness(problem, trial)), lowest)
+        result[p.name] = np.clip(n * np.log((lowest + _FLOOR) / (own + _FLOOR)), -_MOST, _MOST)[..., None]
+    return result
 
 
 def _independent(problem, values, unknowns):
-    """(H, W): the samples that are left when ``unknowns`` are determined, channels that err together counted once."""
+    """(H, W): samples minus the ``unknowns`` free parameters; correlated channels count once."""
     e, w = generation.error(problem, values), problem.domain.stack.values[..., 3].astype(np.float64)
     errors = (w[..., None] * e**2).sum(axis=(0, -1))
     alike = np.clip((w * e.sum(axis=-1) ** 2).sum(axis=0) / np.where(errors > 0, errors, 1), 1, 3)

@@ -1,4 +1,4 @@
-"""Standard deviations in float64: what the confidence maps are compared with."""
+"""Oracle of the confidence maps: standard deviations in float64."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import numpy as np
 from tests.oracles import reflectance as oracles
 from tests.oracles.swarm import direction_to, frames, turned
 
-_STEP = 1e-5  # of a range, in float64: differences are good to 1e-9
+_STEP = 1e-5  # of a range, in float64: differences are precise to 1e-9
 
 
 def tangents(normal):
-    """Two unit vectors (…, 3) at right angles to a normal and to each other, each at 45° to those that come to mind."""
+    """Two unit vectors (…, 3) perpendicular to a normal and to each other, at 45° to the usual choice."""
     first = np.cross(normal, np.where(np.abs(normal[..., 2:]) < 0.8, [0.0, 0, 1], [0.0, 1, 0]))
     second = np.cross(normal, oracles.unit(first))
     return oracles.unit(oracles.unit(first) + second), oracles.unit(oracles.unit(first) - second)
 
 
 def unknowns(model, fixed=()):
-    """[(parameter, component, width)]: the numbers to be found; a normal's are two angles with a range of π/2."""
-    found = []
+    """[(parameter, component, width)]: the free parameters; a normal has two angles with a range of π/2."""
+    free = []
     for p in model.parameters:
         if p.name not in fixed:
             width = np.pi / 2 if p.is_normal else p.range[1] - p.range[0]
-            found += [(p, i, width) for i in range(2 if p.is_normal else p.components)]
-    return found
+            free += [(p, i, width) for i in range(2 if p.is_normal else p.components)]
+    return free
 
 
 def moved(values, parameter, component, by):
@@ -51,7 +51,7 @@ def radiance(domain, model_name, values):
 
 
 def jacobian(domain, model, values, fixed=()):
-    """(n, K, H, W, 3) change of the radiance with every unknown, per range; inward at the ends of a range."""
+    """(n, K, H, W, 3) derivative of the radiance by every free parameter, per range; one-sided at a range's ends."""
     columns = []
     for p, i, width in unknowns(model, fixed):
         x = np.zeros(domain.shape) if p.is_normal else (values[p.name][..., i] - p.range[0]) / width
@@ -80,8 +80,8 @@ def deviations(model, matrix, variance, fixed=()):
     inverse = np.linalg.inv(np.where(regular[..., None, None], matrix, np.eye(matrix.shape[-1])))
     squared = np.where(regular, variance, np.nan)[..., None] * np.einsum("hwaa->hwa", inverse)
     sigma = {p.name: np.zeros((*variance.shape, 1 if p.is_normal else p.components)) for p in model.parameters}
-    for (p, i, width), one in zip(unknowns(model, fixed), np.moveaxis(squared, -1, 0), strict=True):
-        own = width * np.minimum(1, np.sqrt(one))
+    for (p, i, width), square in zip(unknowns(model, fixed), np.moveaxis(squared, -1, 0), strict=True):
+        own = width * np.minimum(1, np.sqrt(square))
         at = 0 if p.is_normal else i
         sigma[p.name][..., at] = np.minimum(width, np.hypot(sigma[p.name][..., at], own))
     return sigma

@@ -1,4 +1,4 @@
-"""Cycles' own passes of the open scene, for tests that hold the program against it."""
+"""Render passes of Cycles of the open scene, as an oracle."""
 
 import bpy
 import numpy as np

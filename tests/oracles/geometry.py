@@ -1,11 +1,11 @@
-"""What the geometry tests compare with: meshes made in numpy, and brute-force rasterisers in float64."""
+"""Oracles of the geometry: meshes made in numpy, and brute-force rasterisers in float64."""
 
 import numpy as np
 
 from irpso_addon.geometry.surface.bake import SurfaceBake
 from irpso_addon.geometry.surface.mesh import MeshData
 
-EDGE = -1e-9  # a centre exactly on an edge belongs to a triangle, however the weights are rounded
+EDGE = -1e-9  # a centre exactly on an edge is inside, whatever the rounding of the weights
 
 
 def mesh_from_grid(surface, normal, columns, rows, uv=lambda u, v: (u, v)):
@@ -18,7 +18,7 @@ def mesh_from_grid(surface, normal, columns, rows, uv=lambda u, v: (u, v)):
     step = 1e-5
     along = surface(u + step, v) - surface(u - step, v)
     up = surface(u, v + step) - surface(u, v - step)
-    # At a pole nothing runs along u.
+    # At a pole the derivative along u vanishes.
     n, t = unit(normal(u, v)), unit(np.where(np.linalg.norm(along, axis=-1, keepdims=True) > 0, along, (1, 0, 0)))
     sign = np.sign(np.einsum("...i,...i", np.cross(n, t), up))
     return mesh_from_corners(surface(u, v), n, np.concatenate([t, sign[..., None]], -1), np.stack(uv(u, v), -1))
@@ -64,7 +64,7 @@ def unit(vectors):
 
 
 def bake_uv(mesh, width, height):
-    """Return a float64 bake of the UV square and how far (in texels) each centre is from the nearest edge."""
+    """Return a float64 bake of the UV square and the distance, in texels, of each centre from the nearest edge."""
     centres = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), -1).reshape(-1, 1, 2)
     a, b, c = (mesh.uvs[None, :, k].astype(np.float64) * (width, height) for k in range(3))
     weights, distance = _weights(a, b, c, centres)
@@ -105,7 +105,7 @@ def _weights(a, b, c, p):
     lengths = np.stack([np.linalg.norm(x, axis=-1) for x in (c - b, a - c, b - a)], -1)
     real = np.isfinite(area)
     heights = np.where(real, np.abs(area), 0)[..., None] / np.maximum(lengths, 1e-30)
-    # Beyond the triangle's own neighbourhood the distance to its lines means nothing.
+    # Far from the triangle the distance to its lines is meaningless.
     near = real & (weights * heights > -0.1).all(-1)
     return weights, np.where(near, np.abs(weights * heights).min(-1), np.inf)
 

@@ -1,4 +1,4 @@
-"""The solver's random numbers, and the atlases in which its particles lie, in numpy."""
+"""The solver's random numbers and its atlases of particles, in numpy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def random_uniform(seed: int, iteration: int, x: np.ndarray, y: np.ndarray, part
 
 
 def to_atlas(particles: np.ndarray, across: int, down: int) -> np.ndarray:
-    """Return (down·H, across·W, 4): tiles left to right, bottom to top; first the dimensions 0–3 of all, then 4–7."""
+    """Return (down·H, across·W, 4): tiles left to right, bottom to top; dimensions 0–3 of all particles, then 4–7."""
     m, height, width, columns = particles.shape
     atlas = np.zeros((down * height, across * width, min(4, columns)), np.float32)
     for tile in range(m * max(1, columns // 4)):

@@ -1,4 +1,4 @@
-"""One Levenberg–Marquardt step in float64, on cards under distant lights: the reference of the refinement."""
+"""Oracle of the refinement: one Levenberg–Marquardt step in float64, on cards under distant lights."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FLOOR = 0.01  # as in shaders/fitness/with_priors.glsl
 
 
 class Texel:
-    """One texel's samples and what its losses mean. model: a ReflectanceModel, whose priors count.
+    """One texel's samples and loss. model: a ReflectanceModel, with its priors.
 
     scale, delta, power: of the robust loss, Fitness.highlight_power.
     """
@@ -34,14 +34,14 @@ class Texel:
         self.unknowns = [(p, i) for p in model.parameters for i in range(2 if p.is_normal else p.components)]
 
     def error(self, values):
-        """(K, 3): what the render of values, name → (components,), has too much."""
+        """(K, 3): render of ``values``, name → (components,), minus the samples."""
         flat = {name: v[0] if len(v) == 1 else v for name, v in values.items()}
         render = oracles.MODELS[self.model.name](flat, self.lights, self.views) * self.intensities
         off = render - self.radiance
         return np.where((self.weight > 0) & ~(self.bound & (off > 0)), off, 0)
 
     def residuals(self, values):
-        """(K, 3): errors in δ."""
+        """(K, 3): errors in units of δ."""
         return self.unit * self.relative * self.error(values)
 
     def mean_loss(self, values):
@@ -64,12 +64,12 @@ class Texel:
         return total
 
     def cost(self, values):
-        """What is made least: −2 log of the posterior, up to what keeps the order, of noise of unknown variance."""
+        """The objective: −2 log of the posterior with noise of unknown variance, up to a monotone map."""
         more = np.expm1(self.belief(values) / (3 * self.weight.sum()))
         return self.mean_loss(values) * (1 + more) + _FLOOR * more
 
     def moved(self, values, by):
-        """Values after a step (n,) in fractions of the ranges, that of a normal π/2, inside them."""
+        """Values after a step (n,) in fractions of the ranges (π/2 for a normal), clipped to the ranges."""
         after, at = {}, 0
         for p in self.model.parameters:
             value = np.array(values[p.name], np.float64)
@@ -107,12 +107,12 @@ class Texel:
         return a, slope
 
     def step(self, values, damping):
-        """(n,): the solution of (JᵀWJ + λ diag) step = −JᵀWe, whether inside the ranges or not."""
+        """(n,): the solution of (JᵀWJ + λ diag) step = −JᵀWe, not clipped."""
         a, slope = self.equations(values)
         return np.linalg.solve(a + damping * np.diag(np.diag(a)), -slope)
 
     def between(self, values, others):
-        """(n,): the small step that leads from one material to another."""
+        """(n,): the small step from one material to another."""
         by = []
         for p in self.model.parameters:
             change = np.asarray(others[p.name]) - values[p.name]
@@ -123,7 +123,7 @@ class Texel:
         return np.array(by)
 
     def inside(self, values, by):
-        """Whether a step stays in all ranges, and takes no searched number farther than the refinement lets it."""
+        """Whether a step stays in all ranges and within the refinement's largest move of a searched number."""
         for (p, i), one in zip(self.unknowns, by, strict=True):
             x = 0.5 if p.is_normal else (values[p.name][i] - p.range[0]) / (p.range[1] - p.range[0])
             bounded = not p.is_normal and p.kind == "search"
@@ -133,7 +133,7 @@ class Texel:
 
 
 def tangents(normal):
-    """The axes of a normal's two unknowns: Marquardt's scaling of each makes a step depend on them."""
+    """The axes of a normal's two angles: Marquardt's scaling makes a step depend on them."""
     first = np.cross(normal, (0.0, 0, 1) if abs(normal[2]) < 0.9 else (1.0, 0, 0))
     first /= np.linalg.norm(first)
     return first, np.cross(normal, first)

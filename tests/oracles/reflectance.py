@@ -1,4 +1,4 @@
-"""Reflectance in float64 numpy, written from the papers and apart from the shaders: what tests compare with.
+"""Oracle of the reflectance models: float64 numpy, written from the papers, independent of the shaders.
 
 Vectors are (…, 3) unit arrays that broadcast against each other. Models take a dict of parameter name → array with the
 shape (…,) or (…, components), and light and view directions; they return (…, 3) radiance under a light of intensity 1
@@ -63,12 +63,12 @@ def dielectric(cosine, ior):
 
 
 def ior_from_f0(f0):
-    """The index of refraction that reflects ``f0`` at normal incidence."""
+    """The index of refraction with reflectance ``f0`` at normal incidence."""
     return (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
 
 
 def visible_normals(cos_view, alpha, steps=200):
-    """Nodes over the normals that a view sees: v·h (S, S), n·l of the light that h reflects (S, S), and their mean.
+    """Quadrature nodes over the visible normals: v·h (S, S), n·l of the light that h reflects (S, S), and their mean.
 
     They are uniform on spherical caps: Dupuy & Benyoub 2023, Sampling Visible GGX Normals with Spherical Caps.
     """
@@ -85,7 +85,7 @@ def visible_normals(cos_view, alpha, steps=200):
 
 
 def specular_layer_albedo(cos_view, roughness, f0):
-    """What Cycles' Principled takes from its base, of one view: A = F0 + (1 − F0) E[s], over visible normals.
+    """Albedo of the specular layer of Cycles' Principled for one view: A = F0 + (1 − F0) E[s], over visible normals.
 
     s = (F(v·h) − F0) / (1 − F0) where the light that h reflects goes up, else 0.
     """
@@ -105,7 +105,7 @@ def specular_layer_fit(cos_view, roughness, f0):
 
 
 def ggx_albedo(cos_view, roughness):
-    """∫ D V n·l dω of a GGX lobe without Fresnel: what one reflection returns."""
+    """∫ D V n·l dω of a GGX lobe without Fresnel: its single-scattering albedo."""
     alpha = roughness**2
     _, light, mean = visible_normals(cos_view, alpha)
     up, seen = light > 0, smith_ggx(1.0, cos_view, alpha)
@@ -123,7 +123,7 @@ def coat_returned(roughness, lost=None):
 
 
 def coat_albedo(cos_view, roughness):
-    """Cycles' coat: (gain of its lobe by further reflections, what it takes from the base), integrated."""
+    """Cycles' coat, integrated: (gain of its lobe by further reflections, its albedo)."""
     albedo = ggx_albedo(cos_view, roughness)
     gain = 1 + coat_returned(roughness) * (1 - albedo) / albedo
     return gain, gain * albedo * specular_layer_albedo(cos_view, roughness, 0.04)
@@ -166,7 +166,7 @@ def lambert(p, light, view):
 def principled(p, light, view, albedo=specular_layer_fit):
     """Blender's Principled with distribution GGX: base_color, normal, roughness, specular.
 
-    albedo: ``specular_layer_fit``, as the shader has it, or any function like it.
+    albedo: ``specular_layer_fit``, the shader's, or a function with its signature.
     """
     c = Configuration(p["normal"], light, view)
     f0, alpha = 0.08 * np.asarray(p["specular"]), np.asarray(p["roughness"]) ** 2
@@ -200,7 +200,7 @@ def metallic_roughness(p, light, view):
 def clear_coat(p, light, view, coat=coat_fit):
     """A coat over ``principled_metallic``: its parameters, coat_weight and coat_roughness.
 
-    coat: ``coat_fit``, as the shader has it, or any function like it.
+    coat: ``coat_fit``, the shader's, or a function with its signature.
     """
     c = Configuration(p["normal"], light, view)
     weight, alpha = np.asarray(p["coat_weight"]), np.asarray(p["coat_roughness"]) ** 2
@@ -211,7 +211,7 @@ def clear_coat(p, light, view, coat=coat_fit):
 
 
 def grain(normal, rotation):
-    """Tangent and bitangent (…, 3) of a normal: x laid into its plane, turned about it by ``rotation`` full turns."""
+    """Tangent and bitangent (…, 3) of a normal: x projected to its plane, rotated by ``rotation`` full turns."""
     normal = np.asarray(normal, np.float64)
     x = np.array([1.0, 0, 0])
     along = unit(x - dot(normal, x)[..., None] * normal)
@@ -307,7 +307,7 @@ def blinn_phong(p, light, view):
 
 
 def falloff_lobe(p, light, view):
-    """The prefit's: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX without Fresnel; both are grey."""
+    """The prefit's model: base · (n·l)^falloff (Minnaert 1941) plus lobe · GGX without Fresnel; both are grey."""
     c = Configuration(p["normal"], light, view)
     alpha = np.asarray(p["roughness"]) ** 2
     lobe = np.pi * ggx(c.theta, alpha) * smith_ggx(c.light, c.view, alpha) / (4 * c.view)

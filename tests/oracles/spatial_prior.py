@@ -1,4 +1,4 @@
-"""The pooling of a spatial prior in float64: what the shaders are compared with."""
+"""Oracle of the spatial prior: its pooling in float64."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ TOLD, FINEST = 0.25, 1 / 1024  # of a range
 
 
 def taps(scales):
-    """(n, 2) offsets (x, y): all of 5×5 but the middle, and the rim of 5×5 at every doubled distance."""
+    """(n, 2) offsets (x, y): 5×5 without the centre, and the rim of 5×5 at every doubled distance."""
     grid = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
     rims = [(x << s, y << s) for s in range(1, scales) for x, y in grid if max(abs(x), abs(y)) == 2]
     return np.array(grid + rims)
 
 
 def around(shape, covered, row, column, scales):
-    """Rows and columns of the covered texels that one looks at."""
+    """Rows and columns of the covered neighbours that a texel reads."""
     rows, columns = row + taps(scales)[:, 1], column + taps(scales)[:, 0]
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     rows, columns = rows[inside], columns[inside]
@@ -24,13 +24,13 @@ def around(shape, covered, row, column, scales):
 
 
 def components(model):
-    """(component, width of its range) of all parameters but the normal."""
+    """(component, width of its range) of all parameters except the normal."""
     of = [(p, model.offset(p.name)) for p in model.parameters if not p.is_normal]
     return [(at + i, p.range[1] - p.range[0]) for p, at in of for i in range(p.components)]
 
 
 def likeness(prior, model, x, own, y, theirs):
-    """(n,) how alike n neighbours are to a texel; x, own: (C,), y, theirs: (n, C) over all components."""
+    """(n,) similarity of n neighbours to a texel; x, own: (C,), y, theirs: (n, C) over all components."""
     apart = np.zeros(len(y))
     for p in model.parameters:
         if p.is_normal:
@@ -56,9 +56,9 @@ def random_effects(s, y, sigma, least):
 
 
 def pooled(prior, model, covered, estimates, own):
-    """(H, W, C) means and deviations of the prior after all rounds; deviation 0 where nothing is said.
+    """(H, W, C) means and deviations of the prior after all rounds; deviation 0 without a prior.
 
-    estimates, own: (H, W, C) what the samples tell, and how well.
+    estimates, own: (H, W, C) values and deviations from the samples.
     """
     belief, deviation = estimates.copy(), own.copy()
     for number in range(prior.rounds):

@@ -1,7 +1,7 @@
-"""The swarm in float64 numpy: an oracle for the GPU passes, written from Eq. 1–4 of the paper and not from the shaders.
+"""Oracle of the swarm passes: float64 numpy from Eq. 1–4 of the paper, independent of the shaders.
 
-Arrays of particles are (m, H, W, D), of texels (H, W, …). D is 4 or 8: what lies past the n searched dimensions is
-moved along with them, as the GPU does, and never evaluated.
+Arrays of particles are (m, H, W, D), of texels (H, W, …). D is 4 or 8: the dimensions past the n searched ones move
+too, as on the GPU, and are never evaluated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def lambert(s: dict[str, np.ndarray], light: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Return albedo times the cosine, where light and view are above the horizon."""
+    """Return albedo times the cosine where light and view are above the horizon, else 0."""
     cosine = dot(s["normal"], light)
     return s["base_color"] * np.where((cosine > HORIZON) & (dot(s["normal"], view) > HORIZON), cosine, 0)
 
@@ -57,7 +57,7 @@ MODELS = {"lambert": lambert, "cook_torrance_two_lobe": cook_torrance_two_lobe}
 
 
 def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 2) places: the square on the disc by ellipses (Fong 2015), the disc by equal areas."""
+    """Return unit normals of (…, 2) places: square to disc by ellipses (Fong 2015), disc to hemisphere by area."""
     q = 2 * x - 1
     d = np.stack([q[..., 0] * np.sqrt(1 - q[..., 1] ** 2 / 2), q[..., 1] * np.sqrt(1 - q[..., 0] ** 2 / 2)], axis=-1)
     r2 = np.minimum(dot(d, d), 1)
@@ -65,7 +65,7 @@ def hemisphere_to_normal(x: np.ndarray) -> np.ndarray:
 
 
 def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
-    """Return (…, 2) places of unit normals; those below the horizon are put on it."""
+    """Return (…, 2) places of unit normals; those below the horizon move onto it."""
     xy, z = n[..., :2], n[..., 2:]
     below = xy / np.sqrt(np.maximum(dot(xy, xy), 1e-20))
     u, v = np.moveaxis(np.where(z <= 0, below, xy / np.sqrt(np.maximum(1 + z, 1e-20))), -1, 0)
@@ -76,7 +76,7 @@ def normal_to_hemisphere(n: np.ndarray) -> np.ndarray:
 
 
 def cartesian_to_normal(x: np.ndarray) -> np.ndarray:
-    """Return unit normals of (…, 3) places, z mirrored up."""
+    """Return unit normals of (…, 3) places, with |z|."""
     n = 2 * x - 1
     length = np.linalg.norm(n, axis=-1, keepdims=True)
     n = np.concatenate([n[..., :2], np.abs(n[..., 2:])], axis=-1)
@@ -85,7 +85,7 @@ def cartesian_to_normal(x: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Problem:
-    """What one stage works on: all that the oracle has to know of it. estimates: name → (H, W, c)."""
+    """The input of one phase. estimates: name → (H, W, c)."""
 
     domain: Domain
     model: ReflectanceModel
@@ -98,7 +98,7 @@ class Problem:
 
     @property
     def places(self) -> list[tuple[str, int, int]]:
-        """(name, first dimension, how many) of every searched parameter."""
+        """(name, first dimension, count) of every searched parameter."""
         result, at = [], 0
         for p in self.stage.parameters:
             size = (2 if self.schedule.swarm.normal == "hemisphere" else 3) if p.is_normal else p.components
@@ -118,7 +118,7 @@ class Problem:
         return 4 if self.dimensions <= 4 else 8
 
     def width_of(self, p: Parameter) -> np.ndarray | float:
-        """Return how much of a parameter's range is searched: of a linear colour what its brightness allows."""
+        """Return the searched part of a parameter's range: for a linear colour up to its brightness."""
         reach = self.schedule.swarm.linear_reach
         share = (
             np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and p.components == 3 and reach else 1.0
@@ -126,7 +126,7 @@ class Problem:
         return (p.range[1] - p.range[0]) * share
 
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the material of places (H, W, D): the estimates with the searched parameters put in."""
+        """Return the material of places (H, W, D): the estimates with the searched parameters replaced."""
         s = {name: np.asarray(value, np.float64) for name, value in self.estimates.items()}
         for name, at, size in self.places:
             part = x[..., at : at + size]
@@ -227,8 +227,8 @@ class State:
 
 @dataclass(frozen=True)
 class Step:
-    """A state one iteration on. particle: (H, W) which one moved, −1 where none. margin: (H, W) by how much the
-    fitness of the moved one lies from what it was compared with: where that is next to nothing, float32 may differ."""
+    """The next state. particle: (H, W) index of the moved particle, −1 for none. margin: (H, W) difference of its
+    fitness from the compared one: where it is tiny, float32 may decide otherwise."""
 
     state: State
     particle: np.ndarray
@@ -237,7 +237,7 @@ class Step:
 
 
 def solved_and_covered(domain: Domain) -> tuple[np.ndarray, np.ndarray]:
-    """Return (H, W) bool: the texels that are moved, and those that count as neighbours (the halo too)."""
+    """Return (H, W) bool: the solved texels, and those that count as neighbours (with the halo)."""
     covered = domain.bake.coverage & (domain.stack.values[..., 3] > 0).any(axis=0)
     left, right, bottom, top = domain.halo
     rows, columns = domain.shape
@@ -286,7 +286,7 @@ def c3_at(schedule: Schedule, iteration: int, iterations: int) -> float:
 
 
 def choice(problem: Problem, iteration: int) -> np.ndarray:
-    """Return (H, W): which particle of each swarm moves."""
+    """Return (H, W): the index of the particle that moves."""
     x, y = global_texels(problem.domain)
     return ((random_bits(problem.seed, iteration, x, y, 0, CHOICE)[..., 0] >> 8) % problem.particles).astype(int)
 
@@ -304,7 +304,7 @@ def uniforms(problem: Problem, iteration: int, particle, purpose: int) -> np.nda
 
 
 def place(problem: Problem, state: State, index: int) -> Step:
-    """Return the state once particle ``index`` of every swarm has been given its first place."""
+    """Return the state after particle ``index`` of every swarm gets its first place."""
     swarm, iteration = problem.schedule.swarm, index - problem.particles
     seeded = int(np.ceil(swarm.seeded * problem.particles)) if swarm.seed != "random" else 0
     seeded = max(1, seeded) if problem.stage.cycle else seeded
@@ -320,8 +320,8 @@ def place(problem: Problem, state: State, index: int) -> Step:
 def stepped(
     problem: Problem, state: State, which: np.ndarray, mean: np.ndarray | None, iteration: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities (H, W, D) of particle ``which`` (H, W) after Eq. 2 and 3. mean: A of Eq. 4 is over
-    it; None where that has no say."""
+    """Return places and velocities (H, W, D) of particle ``which`` (H, W) after Eq. 2 and 3. mean: for A of Eq. 4, or
+    None without that term."""
     swarm = problem.schedule.swarm
     x, v, p = (np.take_along_axis(a, which[None, ..., None], axis=0)[0] for a in (state.x, state.v, state.p))
     c3 = c3_at(problem.schedule, iteration, problem.stage.iterations)
@@ -337,7 +337,7 @@ def stepped(
 
 
 def mean_at(problem: Problem, state: State, iteration: int) -> np.ndarray | None:
-    """Return the neighbourhood mean where Eq. 2 asks for it, else None."""
+    """Return the neighbourhood mean where Eq. 2 uses it, else None."""
     c3 = c3_at(problem.schedule, iteration, problem.stage.iterations)
     return neighbourhood_mean(problem, state.g) if c3 else None
 
@@ -353,8 +353,8 @@ def move(problem: Problem, state: State, iteration: int) -> Step:
 
 
 def neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return the best of one of the eight texels around every texel, counted row by row from the lower left: that of
-    ``direction`` (H, W); ``x`` where that one is not solved."""
+    """Return the best of the neighbour in ``direction`` (H, W), one of eight, row by row from the lower left; ``x``
+    where that texel is not solved."""
     around = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
     _, covered = solved_and_covered(problem.domain)
     frame = frames(problem.domain.bake)
@@ -369,13 +369,13 @@ def neighbours_best(problem: Problem, g: np.ndarray, x: np.ndarray, direction: n
 
 
 def chance_direction(problem: Problem, iteration: int) -> np.ndarray:
-    """Return (H, W): in which of the eight directions each texel looks for a neighbour's best."""
+    """Return (H, W): the direction, one of eight, of the neighbour whose best a texel reads."""
     columns, rows = global_texels(problem.domain)
     return ((random_bits(problem.seed, iteration, columns, rows, 0, CHOICE)[..., 1] >> 8) % 8).astype(int)
 
 
 def ordered_lobes(problem: Problem, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and velocities with interchangeable lobes in rising order."""
+    """Return places and velocities with interchangeable lobes in ascending order."""
     at = {name: first for name, first, _ in problem.places}
     found = {*at, *(p.name for p in problem.stage.solved)}
     lobes, weights = problem.model.ordered, problem.model.complement

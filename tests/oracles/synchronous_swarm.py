@@ -1,7 +1,7 @@
-"""A generation in float64: swarms that move as a whole, with linear weights in closed form. Goes with swarm_oracle.
+"""Oracle of the synchronous swarm: one iteration in float64, with linear weights in closed form. Extends ``swarm``.
 
 Arrays of particles are (m, H, W, …), of texels (H, W, …). Linear weights are (…, L), in the order of the model's table
-with the colours first.
+with colours first.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import swarm
 
-SMALLEST = 1e-4  # of an l1 error: under it no error weighs more
-EDGE = 3e-6  # of a cosine: normals at the walls of their square come to the horizon to within this in float32
+SMALLEST = 1e-4  # of an l1 error: smaller errors weigh the same
+EDGE = 3e-6  # of a cosine: in float32 normals at the walls of their square reach the horizon within this
 
 
 @dataclass(frozen=True)
 class SynchronousSwarm(swarm.Problem):
-    """A problem whose stage may have ``solved`` parameters, and need not search any."""
+    """A problem whose phase may have ``solved`` parameters and no searched ones."""
 
     @property
     def dimensions(self) -> int:
@@ -35,7 +35,7 @@ class SynchronousSwarm(swarm.Problem):
         return [(p.name, i, *p.range) for p in solved for i in range(p.components)]
 
     def with_weights(self, s: dict[str, np.ndarray], w: np.ndarray) -> dict[str, np.ndarray]:
-        """Return a material with linear weights (…, L) put in."""
+        """Return a material with its linear weights replaced by (…, L)."""
         s, at = dict(s), 0
         for p in sorted(self.stage.solved, key=lambda p: -p.components):
             s[p.name] = w[..., at : at + p.components]
@@ -48,7 +48,7 @@ class SynchronousSwarm(swarm.Problem):
 
 
 def radiance(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, …, H, W, 3): the render of a material; nothing where light or view lie in the horizon, as float32 has it."""
+    """(K, …, H, W, 3): the render of a material; 0 where light or view lie in the horizon, as in float32."""
     domain = problem.domain
     above = [(light > swarm.HORIZON) & (view > swarm.HORIZON) for light, view in cosines(problem, s["normal"])]
     return np.where(above, confidence_oracle.radiance(domain, problem.model.name, s), 0)
@@ -63,15 +63,15 @@ def cosines(problem: SynchronousSwarm, n: np.ndarray) -> Iterator[tuple[np.ndarr
 
 
 def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
-    """(…, H, W): whether rounding decides if some light or view is above the horizon of a normal."""
-    found = False
+    """(…, H, W): whether rounding decides if a light or view is above the horizon of a normal."""
+    edge = False
     for weight, pair in zip(problem.domain.stack.values[..., 3], cosines(problem, n), strict=True):
-        found = found | ((weight > 0) & np.any([np.abs(c[..., 0]) < EDGE for c in pair], axis=0))
-    return found
+        edge = edge | ((weight > 0) & np.any([np.abs(c[..., 0]) < EDGE for c in pair], axis=0))
+    return edge
 
 
 def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, …, H, W, 3): what the render of a material has too much, in units of the loss."""
+    """(K, …, H, W, 3): render of a material minus samples, in units of the loss."""
     domain, settings = problem.domain, problem.schedule.fitness
     seen = _expanded(domain.stack.values[..., 3:] > 0, s["normal"])
     reference = _expanded(
@@ -100,7 +100,7 @@ def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) -> np.ndarray:
-    """(K, H, W, 3): what each sample counts in the least squares, by the error of the incumbent there."""
+    """(K, H, W, 3): weight of each sample in the least squares, from the incumbent's error."""
     e = error(problem, incumbent)
     kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
@@ -120,9 +120,9 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
 
 
 def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, …, H, W, 3, L) what radiance each weight brings at 1, and (K, …, H, W, 3) what is left for them to explain.
+    """(K, …, H, W, 3, L) radiance of each weight at 1, and (K, …, H, W, 3) the radiance that the weights must explain.
 
-    The bases are differences of renders: nothing of the shaders' own split into bases is used.
+    The bases are differences of renders, independent of the shaders' split into bases.
     """
     shape = s["normal"].shape[:-1]
     none = np.zeros((*shape, len(problem.weights)))
@@ -139,16 +139,16 @@ def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndar
 
 
 def solve(problem: SynchronousSwarm, s: dict[str, np.ndarray], counted: np.ndarray) -> np.ndarray:
-    """(…, H, W, L): the least squares of weights inside their ranges, for samples that count (K, H, W, 3).
+    """(…, H, W, L): the least-squares weights inside their ranges. counted: (K, H, W, 3) weights of the samples.
 
-    Every choice of which weights lie at which end is tried; the best that keeps inside is the answer.
+    It tries every combination of weights at either end of their range and returns the best feasible one.
     """
     ranges = np.array([row[2:] for row in problem.weights])
     a, right = system(problem, s)
     counted = _expanded(counted, s["normal"])
     gram = np.einsum("k...ci,k...c,k...cj->...ij", a, np.broadcast_to(counted, right.shape), a, optimize=True)
     side = np.einsum("k...ci,k...c,k...c->...i", a, np.broadcast_to(counted, right.shape), right, optimize=True)
-    dark = np.einsum("...ii->...i", gram) == 0  # no observation shows it: it stays at its lowest
+    dark = np.einsum("...ii->...i", gram) == 0  # no observation shows it: it stays at its lower limit
     gram = gram + np.where(dark, 1.0, 0.0)[..., None] * np.eye(len(ranges))
     side = np.where(dark, ranges[:, 0], side)
     best, lowest = np.full(side.shape, np.nan), np.full(side.shape[:-1], np.inf)
@@ -173,18 +173,18 @@ def solve(problem: SynchronousSwarm, s: dict[str, np.ndarray], counted: np.ndarr
 
 @dataclass(frozen=True)
 class State(swarm.State):
-    """A swarm's state with the linear weights (H, W, L) of its best."""
+    """A swarm's state with the linear weights (H, W, L) of its global best."""
 
     w: np.ndarray
 
 
 @dataclass(frozen=True)
 class Generation:
-    """A state one generation on. fitness: (m, H, W) where the particles came to. weights: (m, H, W, L) theirs.
+    """The next state. fitness: (m, H, W) of the particles. weights: (m, H, W, L) theirs.
 
     edge: (m, H, W) whether rounding decides if a light is above the horizon of a particle or of the incumbent.
-    margin: (m, H, W) by how much each lies from its own best, lead: (H, W) how clear the leader is: where that is next
-    to nothing float32 may differ.
+    margin: (m, H, W) difference from the personal best, lead: (H, W) lead of the best particle: where they are tiny,
+    float32 may decide otherwise.
     """
 
     state: State
@@ -197,11 +197,11 @@ class Generation:
 
 
 def placed(problem: SynchronousSwarm, state: State) -> Generation:
-    """Return the state once all particles have been given their first places, which is iteration −1."""
+    """Return the state after all particles get their first places, which is iteration −1."""
     constants = problem.schedule.swarm
     seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
     guess = problem.encode(problem.estimates)
-    # Of numbers that a Lambertian fit says nothing of, a seed knows nothing: they lie anywhere but in particle 0.
+    # A Lambertian fit seeds the normal and the colour only: other numbers are random, except in particle 0.
     told = np.zeros(problem.columns, bool)
     for name, at, size in problem.places:
         p = problem.model.parameter(name)
