@@ -1,4 +1,4 @@
-"""The paper's three recoveries, each with the other maps known, then one of everything."""
+"""The paper's three recoveries, each with the other maps fixed, then one joint recovery."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from .truth import material_at
 MODEL = "cook_torrance_two_lobe"
 STAGES = ("diffuse", "normal", "specular")
 LATITUDES, LONGITUDES = 10, 20  # the paper's 200 lights
-GRAZING = 0.1  # n·v of the true normal: texels seen at a flatter angle are left out, and counted
+GRAZING = 0.1  # n·v of the true normal: flatter texels are excluded, and their number is reported
 JOINT = "joint"
 Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large an experiment is. texels: (W, H). camera: image height in pixels. strip: iterations to be pictured."""
+    """Size of an experiment. texels: (W, H). camera: image height in pixels. strip: iterations in the picture."""
 
     texels: tuple[int, int]
     camera: int
@@ -42,7 +42,7 @@ class Size:
     strip: tuple[int, ...]
 
 
-# The paper's 150×225. With some twenty camera pixels along a texel, resampling costs less than the solver's own error
+# The paper's 150×225. With about twenty camera pixels along a texel the resampling error is below the solver's own,
 # except at grazing views; with ten it was three quarters of the error in normals.
 PAPER = Size((150, 225), 2400, 1000, 2000, (0, 100, 300, 1000, 2000))
 QUICK = Size((80, 120), 600, 600, 800, (0, 30, 100, 300, 600))
@@ -67,7 +67,7 @@ class Run:
 
 @dataclass
 class Subject:
-    """What is recovered: the domain, the truth on it, and where it is seen well enough to count."""
+    """The subject: domain, truth, and the evaluated texels."""
 
     mesh: MeshData
     camera: Camera
@@ -87,7 +87,7 @@ def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Su
     capture = rendered_capture(
         "demo", [renderer], [camera], [view.coverage], lights, lambda done: report("photograph", done)
     )
-    # Rendered without cast shadows, and compared with the truth at the texels' centres.
+    # No cast shadows; the truth is at the texels' centres.
     plain = {"shadows": False, "falloff": False, "areas": False}
     domain = domain_from_mesh(capture, mesh, *size.texels, **plain)
     renderer.close()
@@ -101,7 +101,7 @@ def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Su
 def recover_stage(
     subject: Subject, schedule: Schedule, stage: str, iterations: int, seed: int, entry: str, report: Report, **more
 ) -> Run:
-    """Recover one stage from a random start with the other maps known, by the paper's fitness, mean |e|."""
+    """Recover one stage from a random start with the other maps fixed, by the paper's fitness, mean |e|."""
     wanted = {p.name for p in subject.model.parameters if p.stage == stage}
     fixed = {name: value for name, value in subject.truth.items() if name not in wanted}
     changed = schedule.replaced(search=[stage], iterations=iterations, cycles=1, seed="random", loss="l1")
@@ -111,7 +111,7 @@ def recover_stage(
 def recover_jointly(
     subject: Subject, schedule: Schedule, iterations: int, seed: int, entry: str, report: Report, **more
 ) -> Run:
-    """Recover everything with nothing known, in the preset's own stages and cycles, ``iterations`` over all of them."""
+    """Recover all maps jointly, in the preset's stages and cycles, with ``iterations`` in all."""
     changed = schedule.replaced(iterations=max(1, iterations // (schedule.cycles * len(schedule.stages))))
     return _recover(subject, changed, {}, JOINT, seed, entry, report, **more)
 
@@ -173,7 +173,7 @@ def world_normals(bake: SurfaceBake, normals: np.ndarray) -> np.ndarray:
 
 
 def choose_marks(subject: Subject) -> tuple[tuple[int, int], ...]:
-    """Return (x, y) of four texels far from each other in the camera's view."""
+    """Return (x, y) of four texels far apart in the camera's view."""
     rows, columns = np.nonzero(subject.evaluated)
     pixels, _ = subject.camera.project(subject.bake.position[rows, columns])
     return tuple((int(columns[i]), int(rows[i])) for i in spread_marks(pixels))

@@ -1,4 +1,4 @@
-"""The paper's figures 1, 4, 5 and 6, of this run: maps as the camera sees them on the head."""
+"""The paper's figures 1, 4, 5 and 6 for this run: maps on the head, in the camera's view."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class View:
         height, width = subject.domain.shape
         x, y = self.bake.uv[..., 0] * width, self.bake.uv[..., 1] * height
         place = np.clip(y.astype(int), 0, height - 1), np.clip(x.astype(int), 0, width - 1)
-        # At the rim of an island a pixel falls on texels whose centre lies outside: it is shown the one next to them.
+        # At the rim of an island a pixel may fall on a texel whose centre lies outside: it shows the neighbour.
         indices = np.stack(np.mgrid[:height, :width], axis=-1).astype(np.float32)
         elsewhere = tuple(np.argwhere(~subject.evaluated)[0])
         nearest = fill_margin(indices, subject.evaluated, texels=2, far=elsewhere).astype(int)
@@ -39,7 +39,7 @@ class View:
         self.covered = self.bake.coverage & subject.evaluated[self._texel]
 
     def show(self, texels: np.ndarray) -> np.ndarray:
-        """Return (H, W, …) what the camera sees of values per texel (h, w, …): each pixel its own texel, unblended."""
+        """Return (H, W, …) the camera's view of values per texel (h, w, …): nearest texel, without interpolation."""
         return texels[self._texel]
 
     def normals(self, tangent_space: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def shown_light(lights: list[Light]) -> Light:
 
 
 def staged_maps(runs: Mapping[str, Run]) -> Maps:
-    """Return one set of maps out of the three stages: from each what it searched, with the residual of the last."""
+    """Return the maps of the three stages combined: from each the ones it searched, with the last residual."""
     last = runs[STAGES[-1]].maps
     model = last.model
     values = {p.name: runs[p.stage].maps.values[p.name] for p in model.parameters}

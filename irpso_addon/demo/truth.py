@@ -1,7 +1,7 @@
-"""The demo's ground truth: a skin made of waves, the same at every place however it is reached.
+"""The demo's ground truth: a skin made of waves.
 
-All is a function of the place in space, not of the texture square: no seam shows, and a camera's pixel has exactly the
-material that a texel would have there.
+It is a function of the position in space, not of the texture square: no seam shows, and a camera's pixel has exactly
+the material of a texel at its place.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..geometry.domain import GeometryBake
 
-_WAVES = 28  # to a field: enough that no direction shows
+_WAVES = 28  # per field: enough to hide every direction
 _BUMPS = ((0.9, 0.10), (0.34, 0.16), (0.19, 0.20))  # wavelength in world units, slope (root mean square)
 
 

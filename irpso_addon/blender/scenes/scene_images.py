@@ -61,7 +61,7 @@ def open_photograph(image: Any, owner: str, store: ImageStore, colour_space: str
     if not reference.path.is_file():
         message = f"{where} is missing: {reference.path}; choose it again, or use File > External Data"
         raise CaptureError(message, "missing")
-    with _told(where):
+    with _named(where):
         size, coarse = store.size(reference), store.coarse(reference)
     return Photograph(size, where, coarse, lambda: store.samples(reference), lambda: store.mask(reference))
 
@@ -110,7 +110,7 @@ def _packed(image, where: str, space: str) -> Photograph:
     uid, part, layer = image.session_uid, image.get(PART), image.get(LAYER)
 
     def through_file(work: Callable):
-        with _unpacked(_image_of(uid, where), where) as path, _told(where, path):
+        with _unpacked(_image_of(uid, where), where) as path, _named(where, path):
             return work(ImageStore(decode), ImageRef(path, part, layer, space))
 
     size, coarse = through_file(lambda store, packed: (store.size(packed), store.coarse(packed)))
@@ -141,7 +141,7 @@ def _image_of(uid: int, where: str):
 
 
 @contextmanager
-def _told(where: str, path: Path | None = None) -> Iterator[None]:
+def _named(where: str, path: Path | None = None) -> Iterator[None]:
     """Put the image's name into errors about its file."""
     try:
         yield
