@@ -579,7 +579,7 @@ def nothing(scene, tmp_path):
         (stretched_spot, "light 'Spot' has a cone that is not round"),
         (dark, "light 'Off' gives no light"),
         (without_camera, "light 'Key' has no camera"),
-        (missing_file, "image 'a.png' of light 'Key' is not there"),
+        (missing_file, "image 'a.png' of light 'Key' is missing"),
         (other_size, "image '.*' of light '.*' is 4 × .*, others of camera 'Camera' are"),
         (odd_space, "color space 'Filmic sRGB'; set it to sRGB"),
         (sequence, "is an image sequence"),
