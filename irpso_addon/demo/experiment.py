@@ -50,7 +50,7 @@ QUICK = Size((80, 120), 600, 600, 800, (0, 30, 100, 300, 600))
 
 @dataclass
 class Run:
-    """One recovery. iterations: (N,), errors: parameter → (N, marks) at the marked texels, in their units.
+    """One recovery. iterations: (N,). errors: parameter → (N, marks) at the marked texels, in degrees or % of range.
 
     snapshots: iteration → maps. image_errors: (K, texels) absolute differences in % of white.
     """
@@ -79,7 +79,7 @@ class Subject:
 
 
 def photograph(mesh: MeshData, camera: Camera, size: Size, report: Report) -> Subject:
-    """Render the camera's images under 200 lights and project them into the mesh's texture square."""
+    """Render the camera's images under 200 lights and project them into the mesh's UV square."""
     model = load_model(MODEL)
     lights = [Light(tuple(float(v) for v in direction)) for direction in dome(LATITUDES, LONGITUDES)]
     view = bake_camera(mesh, camera)

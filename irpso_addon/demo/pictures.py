@@ -19,11 +19,11 @@ from .truth import material_at
 
 _TITLES = {"diffuse": "Diffuse color", "normal": "Normal", "specular": "Two-lobe roughness"}
 _FRAMES = (35, 56, 75, 98, 134, 151)  # of the 200: from above, from both sides, from below
-_SHOWN = 56  # the frame that previews compare
+_SHOWN = 56  # the frame in the previews
 
 
 class View:
-    """The camera's picture of the texture square, at ``camera``'s own size."""
+    """The camera's view of the texels, in ``camera``'s image size."""
 
     def __init__(self, subject: Subject, camera: Camera):
         self.subject, self.camera = subject, camera
@@ -55,12 +55,12 @@ class View:
         return self.show(display_image(parameters, [values[p.name] for p in parameters]))
 
     def error(self, stage: str, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return (H, W) the error of a stage's maps, the mean over its parameters, in degrees or % of range."""
+        """Return the error (H, W) of a stage's maps, mean over its parameters, in degrees or % of range."""
         return self.show(stage_error(self.subject, stage, values))
 
 
 def stage_error(subject: Subject, stage: str, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return (h, w) the error of a stage's maps per texel, the mean over its parameters."""
+    """Return the error (h, w) of a stage's maps per texel, mean over its parameters."""
     parameters = [p for p in subject.model.parameters if p.stage == stage]
     return np.mean([parameter_error(p, values[p.name], subject.truth[p.name]) for p in parameters], axis=0)
 
@@ -71,10 +71,10 @@ def comparison(view: View, values: Mapping[str, np.ndarray], light: Light) -> np
     rows = []
     for stage in STAGES:
         unit = error_unit(next(p for p in subject.model.parameters if p.stage == stage))
-        truth, found = view.stage(stage, subject.truth), view.stage(stage, values)
-        rows.append(PreviewRow(_TITLES[stage], truth, found, view.error(stage, values), unit, view.covered))
+        truth, recovered = view.stage(stage, subject.truth), view.stage(stage, values)
+        rows.append(PreviewRow(_TITLES[stage], truth, recovered, view.error(stage, values), unit, view.covered))
     photograph, rendered = (
-        _photograph(view, light, {name: view.show(v) for name, v in given.items()}) for given in (subject.truth, values)
+        _photograph(view, light, {name: view.show(v) for name, v in maps.items()}) for maps in (subject.truth, values)
     )
     error = 100 * np.abs(photograph - rendered).mean(axis=-1)
     rows.append(PreviewRow("Rendering", _display(photograph), _display(rendered), error, "%", view.covered))
@@ -91,7 +91,7 @@ def frames(view: View, lights: list[Light]) -> np.ndarray:
 
 
 def curves(view: View, runs: Mapping[str, Run], marks: tuple[tuple[int, int], ...], light: Light) -> np.ndarray:
-    """Return Fig. 4: the marked texels, and their errors against the iteration in every stage."""
+    """Return Fig. 4: the marked texels, and their errors over the iterations of every stage."""
     values = {p.name: runs[p.stage].maps.values[p.name] for p in view.subject.model.parameters}
     image = _display(_photograph(view, light, {name: view.show(v) for name, v in values.items()}))
     pixels, _ = view.camera.project(np.array([view.subject.bake.position[y, x] for x, y in marks], np.float64))
@@ -105,7 +105,7 @@ def curves(view: View, runs: Mapping[str, Run], marks: tuple[tuple[int, int], ..
 
 
 def history(view: View, run: Run) -> np.ndarray:
-    """Return Fig. 1: the normal map as it converges, its error below."""
+    """Return Fig. 1: the converging normal map, its error below."""
     snapshots = sorted(run.snapshots.items())
     images = [view.stage("normal", maps.values) for _, maps in snapshots]
     errors = [view.error("normal", maps.values) for _, maps in snapshots]
@@ -113,7 +113,7 @@ def history(view: View, run: Run) -> np.ndarray:
 
 
 def shown_light(lights: list[Light]) -> Light:
-    """Return the light under which previews compare photograph and render."""
+    """Return the light of the previews that compare photograph and render."""
     return lights[_SHOWN]
 
 

@@ -25,7 +25,7 @@ def material_at(bake: GeometryBake) -> dict[str, np.ndarray]:
     color = pale + (red - pale) * _smooth_step(-0.4, 1.6, blotch)[..., None]
     color = color * (1 + 0.12 * fine[..., None])
     color = color + (dark - color) * 0.7 * freckles[..., None]
-    # Wide and narrow lobes by region, as on skin: an oily forehead and dry cheeks.
+    # The lobes' widths vary by region, as on skin: oily forehead, dry cheeks.
     oily = _smooth_step(-1.2, 1.2, region + 0.25 * fine)
     values = {
         "base_color": np.clip(color, 0.02, 0.95),
@@ -47,7 +47,7 @@ def _bumpy_normal(bake: GeometryBake, p: np.ndarray) -> np.ndarray:
 
 
 def _field(p: np.ndarray, wavelength: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a smooth random field of about unit variance at places (…, 3), and its gradient of about unit slope."""
+    """Return a smooth random field of about unit variance at positions (…, 3), and its gradient of about unit slope."""
     random = np.random.default_rng(seed)
     axes = random.normal(size=(_WAVES, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -59,7 +59,7 @@ def _field(p: np.ndarray, wavelength: float, seed: int) -> tuple[np.ndarray, np.
         angle = number * (p @ axis) + phase
         value += np.sin(angle)
         gradient += np.cos(angle)[..., None] * axis
-    # Each wave has variance 1/2; of a gradient's three directions two lie in a surface.
+    # Each wave has variance 1/2. Two of the gradient's three directions lie in the surface.
     return value * np.sqrt(2 / _WAVES), gradient * np.sqrt(3 / _WAVES)
 
 

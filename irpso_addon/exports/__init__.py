@@ -1,1 +1,1 @@
-"""Results in the formats that other programs read."""
+"""Writes results in other programs' formats."""

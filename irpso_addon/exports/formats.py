@@ -17,18 +17,18 @@ from .textures import write_textures
 
 FORMATS = {  # name: (title, what is written)
     "gltf": ("glTF", "One .glb file: the mesh with the maps, for web viewers and game engines"),
-    "openlime": ("OpenLIME", "Pictures of a BRDF layer under a Ward lobe, for OpenLIME's viewer"),
-    "ptm": ("PTM", "Polynomial texture map: what RTI viewers show under any light"),
-    "textures": ("Textures", "PNG under the names that another program expects"),
+    "openlime": ("OpenLIME", "Images of a BRDF layer with a Ward lobe, for OpenLIME's viewer"),
+    "ptm": ("PTM", "Polynomial texture map, which RTI viewers show under any light"),
+    "textures": ("Textures", "PNG files with the names that another program expects"),
 }
 ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
 
 
 def export(result: Result, kind: str, out: str | Path, convention: str, subject: Callable[[], Any]) -> dict[str, Any]:
-    """Write a result in a format and return what there is to say of it.
+    """Write a result in a format; return the entries of its report. Raises InputError; then nothing is written.
 
-    out: a folder, or of gltf and ptm a file. convention: of texture sets. subject: gives the object of the open file
-    that gltf is of, and is called for that alone. Raises InputError; then nothing has been written.
+    out: a folder; for gltf and ptm also a file. convention: of texture sets. subject: called only for gltf, returns the
+    object in the open file to export.
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: choose one of {', '.join(FORMATS)}")

@@ -1,8 +1,8 @@
-"""One lobe in place of another: GGX or Beckmann, one or two, as the Ward or GGX lobe that a format has.
+"""Approximates one or two GGX or Beckmann lobes by the single Ward or GGX lobe of a format.
 
-The candidate that leaves the least squared difference of radiance over all lights, by solid angle, is taken (Ngan,
-Durand & Matusik 2005, Experimental Analysis of BRDF Models). The inner products of all lobes with all candidates are
-tabulated once, so that every texel is fitted by itself.
+The fit minimizes the squared difference of radiance over all lights, weighted by solid angle (Ngan, Durand & Matusik
+2005, Experimental Analysis of BRDF Models). Tables hold the inner products of all lobes with all candidates, so each
+texel is fitted independently.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 
 from .surface import F0_HALF, Lobe, Surface
 
-_VIEWS = (0.0, 30.0, 60.0)  # degrees off the normal, where any may come
-_VIEW_STEP = 10.0  # degrees between the tables where a texel's view is known
-_SLOPES, _TURNS = 48, 8  # half vectors: tangents of their angle, logarithmically, and azimuths over half a turn
+_VIEWS = (0.0, 30.0, 60.0)  # view angles for unknown views, degrees from the normal
+_VIEW_STEP = 10.0  # degrees between the tables for known views
+_SLOPES, _TURNS = 48, 8  # half vectors: logarithmic steps of their angle's tangent, and azimuths over half a turn
 _WIDTHS = 64  # of the tables
-_BLOCK = 1 << 14  # texels fitted at a time
+_BLOCK = 1 << 14  # texels per block
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The lobe in place of a surface's own. alpha: (H, W) its width. scale: (H, W) times f0, its strength.
+    """The fitted lobe. alpha: (H, W) its width. scale: (H, W), times f0 its strength.
 
-    error: (H, W) the root of the squared difference of radiance that is left, relative to that of the lobe itself.
+    error: (H, W) root of the squared difference of radiance over root of the original's squared radiance.
     """
 
     alpha: np.ndarray
@@ -34,21 +34,21 @@ class Fit:
 
 
 def fit_ward(surface: Surface, lowest: float, highest: float) -> Fit:
-    """Return the Ward lobes nearest to a surface's, of widths between two limits; their albedo is scale · f0.
+    """Return the Ward lobes nearest to a surface's, with widths lowest…highest; their albedo is scale · f0.
 
-    Every texel is seen from straight above, so its own normal says at which angle the lobe has to be right: there it
-    takes what Ward's lobe has not, Fresnel's rise and the cosines of a microfacet's, into its albedo.
+    The view is straight from above, so the texel's normal gives the view angle, and the fit is made at this angle. The
+    albedo then includes what a Ward lobe lacks: the Fresnel term and the cosines of a microfacet lobe.
     """
     if not surface.lobes:
         return _none(surface.f0.shape)
     widths = np.geomspace(lowest, highest, _WIDTHS)
     angle = np.degrees(np.arccos(np.clip(surface.normal[..., 2], 0, 1)))
     step = np.minimum(np.rint(angle / _VIEW_STEP), 80 / _VIEW_STEP)
-    found = np.zeros((3, *surface.f0.shape))
+    fitted = np.zeros((3, *surface.f0.shape))
     for number in np.unique(step):
-        here = step == number
-        found[:, here] = _fit(_texels(surface, here), _ward, widths, (number * _VIEW_STEP,))
-    return Fit(*found)
+        mask = step == number
+        fitted[:, mask] = _fit(_texels(surface, mask), _ward, widths, (number * _VIEW_STEP,))
+    return Fit(*fitted)
 
 
 def fit_ggx(surface: Surface) -> Fit:
@@ -59,23 +59,23 @@ def fit_ggx(surface: Surface) -> Fit:
         alpha = surface.lobes[0].alpha
         return Fit(alpha, np.ones_like(alpha), np.zeros_like(alpha))
     everywhere = np.ones(surface.f0.shape, bool)
-    found = _fit(_texels(surface, everywhere), _ggx, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
-    return Fit(*found.reshape(3, *surface.f0.shape))
+    fitted = _fit(_texels(surface, everywhere), _ggx, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
+    return Fit(*fitted.reshape(3, *surface.f0.shape))
 
 
 def _none(shape: tuple[int, ...]) -> Fit:
-    """Return what stands in for no lobe at all: a rough one of no strength."""
+    """Return the fit of a surface without lobes: width 1, strength 0."""
     return Fit(np.ones(shape), np.zeros(shape), np.zeros(shape))
 
 
-def _texels(surface: Surface, here: np.ndarray) -> list[Lobe]:
-    """Return the lobes of some texels, as flat arrays."""
-    return [Lobe(lobe.weight[here], lobe.alpha[here], lobe.distribution) for lobe in surface.lobes]
+def _texels(surface: Surface, mask: np.ndarray) -> list[Lobe]:
+    """Return the lobes of the texels in ``mask`` as flat arrays."""
+    return [Lobe(lobe.weight[mask], lobe.alpha[mask], lobe.distribution) for lobe in surface.lobes]
 
 
 @dataclass(frozen=True)
 class _Configurations:
-    """K pairs of light and view: cosines to the normal, between half vector and normal or view, and the weights."""
+    """K pairs of light and view: n·l, n·v, n·h, v·h and the weight of the light's solid angle, each (K,)."""
 
     light: np.ndarray
     view: np.ndarray
@@ -91,14 +91,14 @@ def _configurations(views: tuple[float, ...]) -> _Configurations:
     theta = np.arctan(tangent)
     between = np.sin(view_angle) * np.sin(theta) * np.cos(phi) + np.cos(view_angle) * np.cos(theta)
     light = 2 * between * np.cos(theta) - np.cos(view_angle)
-    # dω of the light is 4 v·h that of the half vector; equal steps of log tan θ are dθ = sin θ cos θ.
+    # dω of the light is 4 v·h times dω of the half vector. Equal steps of log tan θ give dθ ∝ sin θ cos θ.
     weight = 4 * between * np.sin(theta) ** 2 * np.cos(theta)
     seen = (light > 1e-3) & (between > 1e-3)
     return _Configurations(light[seen], np.cos(view_angle)[seen], np.cos(theta)[seen], between[seen], weight[seen])
 
 
 def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str) -> np.ndarray:
-    """Return (…, K) radiance of lobes of widths (…), relative to f0: Cook & Torrance 1982 with Smith's masking."""
+    """Return (…, K) radiance over f0 of lobes of widths (…): Cook & Torrance 1982 with Smith's masking."""
     alpha = np.asarray(alpha, np.float64)[..., None]
     slope = (1 - k.half**2) / k.half**2 / alpha**2
     if distribution == "GGX":
@@ -111,7 +111,7 @@ def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str) -> np.
 
 
 def _smith(cosine: np.ndarray, alpha: np.ndarray, distribution: str) -> np.ndarray:
-    """Return Λ of Walter et al. 2007: of GGX exactly, of Beckmann by their rational approximation (Eq. 15)."""
+    """Return Λ of Walter et al. 2007: exact for GGX, their rational approximation (Eq. 15) for Beckmann."""
     slope = np.sqrt(1 - cosine**2) / cosine * alpha
     if distribution == "GGX":
         return (np.sqrt(1 + slope**2) - 1) / 2
@@ -136,28 +136,28 @@ def _fit(
     widths: np.ndarray,
     views: tuple[float, ...],
 ) -> np.ndarray:
-    """Return (3, N) width, scale and error of the candidates nearest to N texels' lobes, seen from some angles."""
+    """Return (3, N) width, scale and error of the candidates nearest to N texels' lobes. views: angles in degrees."""
     k = _configurations(views)
     rows = np.sqrt(k.weight)
     grid = np.geomspace(1e-3, 1.0, 2 * _WIDTHS)
     tables = [_microfacet(k, grid, lobe.distribution) * rows for lobe in lobes]
-    tried = candidate(k, widths) * rows
-    own = np.einsum("jk,jk->j", tried, tried)
-    crosses = [table @ tried.T for table in tables]
+    candidates = candidate(k, widths) * rows
+    own = np.einsum("jk,jk->j", candidates, candidates)
+    crosses = [table @ candidates.T for table in tables]
     places = [_place(lobe.alpha, grid) for lobe in lobes]
     weights = [lobe.weight.astype(np.float64) for lobe in lobes]
-    found = np.zeros((3, len(weights[0])))
+    fitted = np.zeros((3, len(weights[0])))
     for start in range(0, len(weights[0]), _BLOCK):
         block = slice(start, start + _BLOCK)
         product = sum(
             w[block, None] * _between(cross, p, block) for w, cross, p in zip(weights, crosses, places, strict=True)
         )
-        found[:, block] = _best(product, own, _energy(tables, weights, places, block), widths)
-    return found
+        fitted[:, block] = _best(product, own, _energy(tables, weights, places, block), widths)
+    return fitted
 
 
 def _place(alpha: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the grid's cell of each width, and how far along it."""
+    """Return each width's cell in the grid, and its fraction along the cell."""
     at = np.interp(np.log(np.maximum(alpha, grid[0])), np.log(grid), np.arange(len(grid)))
     low = np.minimum(at.astype(int), len(grid) - 2)
     return low, at - low

@@ -1,8 +1,8 @@
-"""OpenLIME's BRDF layer: kd, ks, normals and gloss, under a Ward lobe, and the layer's options as JSON.
+"""OpenLIME's BRDF layer: images of kd, ks, normals and gloss for a Ward lobe, and the layer's options as JSON.
 
-As OpenLIME's LayerBRDF and ShaderBRDF have it (CNR-ISTI): the view is (0, 0, 1); radiance is (kd / π + ks · ward) n·l,
-times ``brightness``; ward is exp(−tan²θ / α²) / (4 π α² √(n·l n·v)); and by the ``alphaLimits`` (a, b),
-α = (1 − gloss (g(a) − g(b)) − g(b))⁴ where g(α) = 1 − α^¼. A grey normal is none, and is drawn transparent.
+As in OpenLIME's LayerBRDF and ShaderBRDF (CNR-ISTI): the view is (0, 0, 1). Radiance is (kd / π + ks · ward) n·l times
+``brightness``, with ward = exp(−tan²θ / α²) / (4 π α² √(n·l n·v)). With ``alphaLimits`` (a, b) and g(α) = 1 − α^¼,
+α = (1 − gloss (g(a) − g(b)) − g(b))⁴. A pixel with a grey normal has no normal and is transparent.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from .result import Result
 from .surface import Surface, surface_of
 
 _EXPONENT = 4  # of OpenLIME's gloss
-# Its shader draws nothing where (α n·h)² is below 1e-5; and lobes wider than 1 are none.
+# Least width: OpenLIME's shader draws nothing if (α n·h)² is below 1e-5. Greatest width of a lobe: 1.
 _LOWEST, _HIGHEST = 0.005, 1.0
 _OUTSIDE = 0.5
 _GAMMA = 2.2
 
 
 def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
-    """Write pictures of 8 bits and info.json into a folder, a set for each UDIM tile; return what the fit left.
+    """Write 8-bit images and info.json, one set per UDIM tile; return the errors of the fit.
 
-    The shape of a layer's options is that of info.json: ``new OpenLIME.Layer(info)``. Raises InputError where the model
-    has no lobes that are known, or the folder cannot be written.
+    info.json holds a layer's options: ``new OpenLIME.Layer(info)``. Raises InputError if the model's lobes are unknown
+    or the folder cannot be written.
     """
     tiles, report = result.maps.tiles, {}
     with filled_folder(folder) as place:
@@ -61,7 +61,7 @@ def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
 
 
 def _limits(alpha: np.ndarray) -> list[float]:
-    """Return the widths that gloss spans, a little apart where all are the same."""
+    """Return least and greatest width of the gloss range, slightly apart even if all widths are equal."""
     low, high = (float(alpha.min()), float(alpha.max())) if alpha.size else (_LOWEST, _HIGHEST)
     return [round(low * 0.999, 6), round(max(high, 1.01 * low) * 1.001, 6)]
 
@@ -71,7 +71,7 @@ def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, 
     f0 = surface.f0[..., None] * (1 - metallic) + surface.base_color * metallic
     kd = surface.base_color * (1 - metallic)
     if surface.layered:
-        kd = kd * (1 - f0)  # what the layer reflects the base does not get: at normal incidence, where little changes
+        kd = kd * (1 - f0)  # the base gets only the light that the layer transmits, here at normal incidence
     normals = np.where(maps.covered[..., None], encode_normal(surface.normal), _OUTSIDE)
     return {
         "kd": pixels.colour(kd, maps),
@@ -82,7 +82,7 @@ def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, 
 
 
 def gloss_of(alpha: np.ndarray, limits: list[float]) -> np.ndarray:
-    """Return gloss, 0…1, of Ward widths: 0 at the upper limit, 1 at the lower."""
+    """Return gloss of Ward widths: 0 at the upper limit, 1 at the lower."""
     root = 1 / _EXPONENT
     matte, glossy = 1 - limits[1] ** root, 1 - limits[0] ** root
     return np.clip((1 - np.asarray(alpha) ** root - matte) / (glossy - matte), 0, 1)

@@ -1,4 +1,4 @@
-"""Maps as the pixels of pictures, margins filled, in the codings that formats share."""
+"""Maps as pixels in the encodings that formats share, with filled margins."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..results.maps import Maps
 
 
 def filled(values: np.ndarray, maps: Maps) -> np.ndarray:
-    """Return (H, W, C) numbers of (H, W) or (H, W, C) ones, with the margin past what is covered."""
+    """Return values (H, W) or (H, W, C) as (H, W, C), with filled margins outside the covered texels."""
     values = values[..., None] if values.ndim == 2 else values
     return fill_margin(values, maps.covered, given=maps.margin)
 
@@ -20,13 +20,13 @@ def colour(values: np.ndarray, maps: Maps) -> np.ndarray:
 
 
 def normal(values: np.ndarray, maps: Maps, directx: bool = False) -> np.ndarray:
-    """Return (H, W, 3) pixels in 0…1 of a tangent-space normal map, OpenGL or with green turned over."""
+    """Return (H, W, 3) pixels in 0…1 of a tangent-space normal map, OpenGL, or DirectX with inverted green."""
     vectors = fill_margin(values, maps.covered, far=FLAT_NORMAL, given=maps.margin)
     return encode_normal(vectors * np.float32([1, -1, 1]) if directx else vectors)
 
 
 def packed(maps: Maps, *channels: np.ndarray | float) -> np.ndarray:
-    """Return (H, W, C) pixels in 0…1 of several maps (H, W), or numbers that are the same everywhere."""
+    """Return (H, W, C) pixels in 0…1 of several maps (H, W) or constants."""
     shape = maps.covered.shape
     stack = [np.broadcast_to(np.asarray(channel, np.float32), shape) for channel in channels]
     return np.clip(filled(np.stack(stack, axis=-1), maps), 0, 1)

@@ -1,4 +1,4 @@
-"""Where an export is written: all its files at once, under temporary names first."""
+"""Output folder of an export: files are written to a temporary folder, then moved together."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..results.write import check_output_folder
 
 @contextmanager
 def filled_folder(folder: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder whose files are moved into ``folder`` at the end, replacing those of the same names.
+    """Yield a temporary folder; at the end move its files into ``folder``, replacing files of the same name.
 
-    Where an exception is raised, nothing is moved. Raises InputError where the folder cannot be written.
+    An exception moves nothing. Raises InputError if the folder cannot be written.
     """
     folder = check_output_folder(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".irpso-", dir=folder) as temporary:
             yield Path(temporary)
-            for made in sorted(Path(temporary).iterdir()):
-                os.replace(made, folder / made.name)
+            for file in sorted(Path(temporary).iterdir()):
+                os.replace(file, folder / file.name)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
 
 
 def file_stem(name: str) -> str:
-    """Return a name as it may stand in a file's: letters, digits, _ and -, others as _."""
+    """Return a name for files: letters, digits, _ and - stay, other characters become _."""
     return "".join(c if c.isalnum() or c in "_-" else "_" for c in name) or "material"

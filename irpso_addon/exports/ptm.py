@@ -1,10 +1,10 @@
-"""Polynomial texture maps: what a material looks like under any light, as six coefficients to a texel and colour.
+"""Polynomial texture maps: the appearance under any light, as six coefficients per texel and channel.
 
-The format is that of Malzbender & Gelb 2001, Polynomial Texture Map (.ptm) File Format, version 1.2: six lines of text
-hold version, format, width, height, scales and biases; then, for red, green and blue in turn, six bytes a pixel, the
-lowest row first. A coefficient is (byte − bias) · scale, and a channel of the picture, 0…255, is a₀ lu² + a₁ lv² +
-a₂ lu lv + a₃ lu + a₄ lv + a₅ under a light whose direction is (lu, lv, …). Viewers show that as it is, so what is
-fitted is encoded as sRGB and clipped, like a photograph.
+The format is version 1.2 of Malzbender & Gelb 2001, Polynomial Texture Map (.ptm) File Format. Six lines of text hold
+version, format, width, height, scales and biases. Then red, green and blue follow, each with six bytes per pixel, the
+lowest row first. A coefficient is (byte − bias) · scale. Under a light of direction (lu, lv, …) a channel, 0…255, is
+a₀ lu² + a₁ lv² + a₂ lu lv + a₃ lu + a₄ lv + a₅. Viewers show this value directly, so it is fitted to sRGB-encoded,
+clipped pixels, like those of a photograph.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from ..solver.views.forward import Renderer
 from .result import Result
 
 _LIGHTS = 64
-_WIDEST = 80.0  # degrees off the normal
+_WIDEST = 80.0  # degrees from the normal
 
 
 def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:
-    """Write NAME.ptm, one for each UDIM tile, and return the PSNR (dB) of what it shows of what it is fitted to.
+    """Write NAME.ptm, one per UDIM tile; return the PSNR (dB) of the polynomials against their reference renders.
 
-    The result's own shader renders it, so every model can be written. Raises InputError or GpuUnavailableError.
+    The result's own shader renders the reference, so every model can be written. Raises InputError or
+    GpuUnavailableError.
     """
     path, report = Path(path), {}
     for number, maps in split_maps(result.maps):
@@ -51,7 +52,7 @@ def write_ptm(result: Result, path: str | Path) -> dict[str, Any]:
 
 
 def even_lights(count: int, widest: float) -> np.ndarray:
-    """Return (count, 3) directions on a spiral, even over the disc of (lu, lv), up to ``widest`` degrees aside."""
+    """Return (count, 3) directions on a spiral, even over the disc of (lu, lv), up to ``widest`` degrees from +z."""
     radius = np.sin(np.radians(widest)) * np.sqrt((np.arange(count) + 0.5) / count)
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - radius**2)], axis=-1)
@@ -66,14 +67,14 @@ def polynomial(lights: np.ndarray) -> np.ndarray:
 def quantised(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return bytes (H, W, 3, 6), scales (6,) and whole biases (6,) of coefficients (H, W, 3, 6)."""
     low, high = (getattr(coefficients, which)(axis=(0, 1, 2)).astype(np.float64) for which in ("min", "max"))
-    # One step is kept for what rounding the bias shifts.
+    # 254 of 255 steps: rounding the bias can shift the codes by up to one.
     scale = np.where(high > low, (high - low) / 254, 1.0)
     bias = np.rint(-low / scale)
     return np.clip(np.rint(coefficients / scale) + bias, 0, 255).astype(np.uint8), scale, bias.astype(np.int64)
 
 
 def ptm_bytes(codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> bytes:
-    """Return the file of bytes (H, W, 3, 6), row 0 at the bottom, with their scales and biases."""
+    """Return the file for bytes (H, W, 3, 6), row 0 at the bottom, with their scales and biases."""
     height, width = codes.shape[:2]
     scales, biases = " ".join(f"{value:.9g}" for value in scale), " ".join(str(int(value)) for value in bias)
     head = f"PTM_1.2\nPTM_FORMAT_RGB\n{width}\n{height}\n{scales}\n{biases}\n"
@@ -81,7 +82,7 @@ def ptm_bytes(codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> bytes:
 
 
 def _renderer(maps: Maps, lights: np.ndarray) -> Renderer:
-    """Return the renderer of the maps on a flat card that is seen from straight above."""
+    """Return the renderer of the maps on a flat card, seen straight from above."""
     height, width = maps.covered.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     bake = GeometryBake(
@@ -118,7 +119,7 @@ def _fitted(renderer: Renderer, basis: np.ndarray) -> np.ndarray:
 
 
 def _psnr(renderer: Renderer, basis: np.ndarray, shown: np.ndarray, covered: np.ndarray) -> float:
-    """Return the PSNR of what a viewer shows, clipped to 0…255, over the covered texels and all lights."""
+    """Return the PSNR (dB) of a viewer's image, clipped to 0…255, over the covered texels and all lights."""
     squared = 0.0
     for k, picture in enumerate(_pictures(renderer, len(basis))):
         difference = np.clip(shown @ basis[k], 0, 255) - picture

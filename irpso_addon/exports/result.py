@@ -1,4 +1,4 @@
-"""A finished result, from its folder or from a session: what every export starts from."""
+"""A finished result, from a folder or a session: the input of every export."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from ..results.write import BLEND, REPORT
 
 @dataclass(frozen=True)
 class Result:
-    """Maps as they are written (normals in Blender's tangent space), a name, and what else there is.
+    """Name and maps of a result, normals in Blender's tangent space.
 
-    height: the relief, None where none was asked for. folder: of the result, None while it is in memory alone.
+    height: the relief, None if not requested. folder: of the result, None if it is only in memory.
     """
 
     name: str
@@ -33,28 +33,28 @@ class Result:
 
     @property
     def blend(self) -> Path | None:
-        """The .blend with the material, where there is one."""
+        """The .blend with the material, None if there is none."""
         return self.folder / BLEND if self.folder is not None and (self.folder / BLEND).is_file() else None
 
 
 def read_result(folder: str | Path, model: str | None = None) -> Result:
     """Return the result that ``recover`` or the panel's export wrote into a folder.
 
-    model: as ``recover`` takes it; None takes the one that the report names. Raises InputError where the folder holds
-    no finished result, or the model's file is not where it was.
+    model: as for ``recover``; None for the report's. Raises InputError if the folder holds no finished result, or the
+    model's file is missing.
     """
     folder = Path(folder)
     report = _report(folder)
     settings = report.get("settings")
-    named = settings.get("model") if isinstance(settings, dict) else None
+    stored = settings.get("model") if isinstance(settings, dict) else None
     try:
-        table = load_model(model or named or report.get("model", ""))
+        table = load_model(model or stored or report.get("model", ""))
     except InputError as error:
-        raise InputError(f"{error}; --model says where it is now") from error
+        raise InputError(f"{error}; give its present place by --model") from error
     tiles = _tiles(report)
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
-    # Margins are in the file as they were filled, past seams with what lies beyond them.
+    # The file's margins are already filled, at seams with the texels from across the seam.
     maps = Maps(table, values, covered, tiles=tiles, margin=~covered)
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder)
 
@@ -75,7 +75,7 @@ def _report(folder: Path) -> dict[str, Any]:
 
 
 def _tiles(report: dict[str, Any]) -> tuple[int, ...]:
-    """Return the UDIM tiles by the names of the files that hold everything."""
+    """Return the UDIM tiles, from the names of the maps*.exr files."""
     files = [str(name).split(".") for name in report.get("files", ())]
     numbers = sorted(int(parts[1]) for parts in files if len(parts) == 3 and parts[0] == "maps" and parts[2] == "exr")
     return tuple(numbers) or ONE_SQUARE

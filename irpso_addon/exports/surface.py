@@ -1,6 +1,6 @@
-"""What a result's maps mean, whatever the model is called: a diffuse base under one lobe or two.
+"""Interprets any model's maps as a diffuse base with one or two specular lobes.
 
-A model says it by what its parameters drive in Blender: sockets of a Principled BSDF, or of the two-lobe group.
+The model's parameters drive sockets in Blender, of a Principled BSDF or of the two-lobe group; these give the meaning.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from ..core.errors import InputError
 from ..reflectance.model import Parameter
 from ..results.maps import Maps
 
-_IOR = 1.5  # Principled's own, whose reflectance at normal incidence is 0.04
-F0_HALF = 0.04  # of the Specular IOR Level 0.5
+_IOR = 1.5  # Principled's default, with reflectance 0.04 at normal incidence
+F0_HALF = 0.04  # reflectance at a Specular IOR Level of 0.5
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """One specular lobe of H×W texels. weight, alpha: (H, W). distribution: "GGX" or "BECKMANN", of width alpha."""
+    """One specular lobe of H×W texels. weight, alpha (width): (H, W). distribution: "GGX" or "BECKMANN"."""
 
     weight: np.ndarray
     alpha: np.ndarray
@@ -28,11 +28,11 @@ class Lobe:
 
 @dataclass(frozen=True)
 class Surface:
-    """A material in the field's own terms, (H, W, …) float32, row 0 at the bottom, margins not filled.
+    """A material, (H, W, …) float32, row 0 at the bottom, margins not filled.
 
-    base_color: (H, W, 3) linear. normal: (H, W, 3) unit, OpenGL. lobes: their weights add up to 1, or there are none.
-    f0: (H, W) the dielectric's reflectance at normal incidence. metallic: (H, W), 0 where the model knows none.
-    layered: whether the base loses what the lobes reflect, as under Principled.
+    base_color: (H, W, 3) linear. normal: (H, W, 3) unit, OpenGL. lobes: with weights of sum 1, or none. f0: (H, W) the
+    dielectric's reflectance at normal incidence. metallic: (H, W), 0 if the model has none. layered: whether the base
+    receives only the light that the lobes do not reflect, as in Principled.
     """
 
     base_color: np.ndarray
@@ -44,15 +44,15 @@ class Surface:
 
 
 def surface_of(maps: Maps) -> Surface:
-    """Return what maps mean. Raises InputError for a model whose shader is neither Principled nor the two lobes."""
+    """Return the material of maps. Raises InputError if the model's shader is neither Principled nor two-lobe."""
     shader = maps.model.material.get("shader")
     if shader == "two_lobe":
         return _two_lobes(maps)
     if shader == "principled" and _named(maps, "Base Color") is not None:
         return _principled(maps)
     raise InputError(
-        f'model {maps.model.name}: says neither shader = "principled" nor "two_lobe" in [material], so what its maps'
-        " mean to another program is not known; export it as textures or ptm"
+        f'model {maps.model.name}: [material] has neither shader = "principled" nor "two_lobe", so the meaning of its'
+        " maps is unknown; export it as textures or ptm"
     )
 
 
@@ -86,7 +86,7 @@ def _two_lobes(maps: Maps) -> Surface:
 
 
 def _named(maps: Maps, socket: str) -> Parameter | None:
-    """Return the parameter that drives a socket; one without a socket of its own is known by its name."""
+    """Return the parameter that drives a socket; a parameter without a socket matches by its name."""
     by_name = socket.lower().replace(" ", "_")
     aliases = {"roughness_1": "r1", "roughness_2": "r2", "weight": "w"}
     for parameter in maps.model.parameters:
@@ -96,7 +96,7 @@ def _named(maps: Maps, socket: str) -> Parameter | None:
 
 
 def _map(maps: Maps, socket: str, otherwise: float) -> np.ndarray:
-    """Return (H, W) float32 of the parameter that drives a socket, or a number everywhere."""
+    """Return (H, W) float32 of the parameter that drives a socket, or ``otherwise`` everywhere."""
     parameter = _named(maps, socket)
     if parameter is None:
         return np.full(maps.covered.shape, otherwise, np.float32)
@@ -106,7 +106,7 @@ def _map(maps: Maps, socket: str, otherwise: float) -> np.ndarray:
 def _color(maps: Maps) -> np.ndarray:
     parameter = _named(maps, "Base Color")
     if parameter is None or parameter.components != 3:
-        raise InputError(f"model {maps.model.name}: has no colour of three components that drives Base Color")
+        raise InputError(f"model {maps.model.name}: no parameter with three components drives Base Color")
     return _values(maps, parameter)
 
 
@@ -118,7 +118,7 @@ def _normal(maps: Maps) -> np.ndarray:
 
 
 def _values(maps: Maps, parameter: Parameter) -> np.ndarray:
-    """Return (H, W, components) float32, a parameter without a map being at its default."""
+    """Return (H, W, components) float32, the default for a parameter without a map."""
     shape = (*maps.covered.shape, parameter.components)
     value = np.asarray(maps.values.get(parameter.name, parameter.default), np.float32)
     return value.reshape(shape) if value.size == np.prod(shape) else np.broadcast_to(value.reshape(-1), shape)

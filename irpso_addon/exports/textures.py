@@ -1,4 +1,4 @@
-"""Plain texture sets, under the names that other programs expect."""
+"""Texture sets with the file names that other programs expect."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SPECULAR_OF_F0 = 0.5 / 0.04  # Principled's, Unreal's and Substance's: 0.5 refl
 
 @dataclass(frozen=True)
 class _Set:
-    """The pictures of one tile, as one lobe has them."""
+    """The maps of one tile for a single lobe."""
 
     maps: Maps
     surface: Surface
@@ -38,7 +38,7 @@ class _Set:
 
 @dataclass(frozen=True)
 class _Texture:
-    """One file of a set: what follows the name, its pixels in 0…1 (None where there are none), and its bits."""
+    """One file of a set: suffix of its name, its pixels in 0…1 (None for no file), and its bits."""
 
     suffix: str
     pixels: Callable[[_Set], np.ndarray | None]
@@ -54,12 +54,12 @@ _HEIGHT = _Texture("_Height", lambda s: s.height, 16)
 
 
 def _orm(s: _Set) -> np.ndarray:
-    """Occlusion, of which nothing is known, roughness and metallic."""
+    """Return occlusion (unknown: 1), roughness and metallic."""
     return pixels.packed(s.maps, 1.0, s.roughness, s.surface.metallic)
 
 
 def _mask_map(s: _Set) -> np.ndarray:
-    """Metallic, occlusion, the detail's mask, and smoothness, as Unity's HDRP has them."""
+    """Return metallic, occlusion, detail mask and smoothness, as for Unity's HDRP."""
     return pixels.packed(s.maps, s.surface.metallic, 1.0, 1.0, 1 - s.roughness)
 
 
@@ -67,7 +67,7 @@ def _directx(s: _Set) -> np.ndarray:
     return pixels.normal(s.surface.normal, s.maps, directx=True)
 
 
-# What stands before the name, and the files, for each program.
+# Program → prefix of the names, files.
 CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
     "blender": ("", (_BASE, _NORMAL, _ROUGHNESS, _METALLIC, _SPECULAR, _Texture("_ORM", _orm), _HEIGHT)),
     "unreal": (
@@ -92,13 +92,13 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
 
 
 def write_textures(result: Result, folder: str | Path, convention: str = "blender") -> dict[str, Any]:
-    """Write a set of PNG into a folder, UDIM tiles as NAME_BaseColor.1001.png, and return their names and the fit.
+    """Write a set of PNG, UDIM tiles as NAME_BaseColor.1001.png; return their names and the fit's error.
 
-    convention: "blender", "unreal", "unity" or "substance". A model of two lobes is given the one GGX lobe nearest to
-    them; of one whose shader is not known, each map is written as it is. Raises InputError.
+    convention: "blender", "unreal", "unity" or "substance". Two lobes are replaced by the nearest single GGX lobe. For
+    an unknown shader each map is written unchanged. Raises InputError.
     """
     if convention not in CONVENTIONS:
-        raise InputError(f"texture sets are made for {', '.join(CONVENTIONS)}, not for '{convention}'")
+        raise InputError(f"'{convention}': no texture set has this name; choose one of {', '.join(CONVENTIONS)}")
     prefix, textures = CONVENTIONS[convention]
     stem = prefix + file_stem(result.name)
     report: dict[str, Any] = {}
@@ -108,7 +108,7 @@ def write_textures(result: Result, folder: str | Path, convention: str = "blende
             try:
                 pictures, error = _pictures(result, maps, index, textures)
             except InputError:
-                pictures, error = _as_they_are(maps), None
+                pictures, error = _unchanged(maps), None
             for suffix, (image, bits) in pictures.items():
                 names.append(f"{tile_stem(stem + suffix, number, result.maps.tiles)}.png")
                 encode_png(place / names[-1], image, bits=bits)
@@ -126,14 +126,14 @@ def _pictures(
     if result.height is not None:
         height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
     specular = surface.f0 * fit.scale * _SPECULAR_OF_F0
-    made = _Set(maps, surface, np.sqrt(fit.alpha), specular, height)
-    drawn = {texture.suffix: (texture.pixels(made), texture.bits) for texture in textures}
+    single = _Set(maps, surface, np.sqrt(fit.alpha), specular, height)
+    drawn = {texture.suffix: (texture.pixels(single), texture.bits) for texture in textures}
     pictures = {suffix: picture for suffix, picture in drawn.items() if picture[0] is not None}
     return pictures, fit.error[maps.covered] if len(surface.lobes) > 1 else None
 
 
-def _as_they_are(maps: Maps) -> dict[str, tuple[np.ndarray, int]]:
-    """Return the model's own maps under their names, in capitals."""
+def _unchanged(maps: Maps) -> dict[str, tuple[np.ndarray, int]]:
+    """Return the model's own maps under their names in CamelCase."""
     return {
         "_" + table.name.title().replace("_", ""): (encoded_values(table, map_values(table, maps)), 16)
         for table in map_tables(maps.model)

@@ -1,1 +1,1 @@
-"""What an artist sees of the program inside Blender: settings, panels, operators, overlays, preferences."""
+"""The user interface in Blender: settings, panels, operators, overlays, preferences."""

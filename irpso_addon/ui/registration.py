@@ -1,4 +1,4 @@
-"""Adding the user interface to Blender and taking it out again, whole."""
+"""Registers all classes and handlers of the user interface with Blender, and unregisters them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-# In this order; each may have CLASSES, register() and unregister(). What a module's classes refer to comes before it.
+# Registered in this order: a module comes after the classes that its own refer to. Each may define CLASSES, register()
+# and unregister().
 MODULES = (
     "common.failures",
     "properties.preferences",
@@ -34,13 +35,13 @@ MODULES = (
 )
 
 
-_commands: list[Any] = []  # handles of commands of Blender's command line; empty while unregistered
+_commands: list[Any] = []  # handles of Blender's command line; empty while unregistered
 
 
 def register(command: Callable[[list[str]], int]) -> None:
-    """Register every module's classes, then call its own register(). Where one fails, what was added is taken out.
+    """Register each module's classes, then call its register(). A failure unregisters all modules again.
 
-    command: of the command line, ``irpso``: takes words, returns the exit code.
+    command: the command line's ``irpso``, which takes words and returns the exit code.
     """
     import bpy
 
@@ -53,7 +54,7 @@ def register(command: Callable[[list[str]], int]) -> None:
                     bpy.utils.register_class(cls)
                 getattr(module, "register", _nothing)()
             except Exception:
-                _unregister_classes(module)  # its own register() did not come to its end, so there is no undoing it
+                _unregister_classes(module)  # not its unregister(): its register() did not finish
                 raise
             done.append(module)
         _commands.append(bpy.utils.register_cli_command("irpso", command))
@@ -63,7 +64,7 @@ def register(command: Callable[[list[str]], int]) -> None:
 
 
 def unregister() -> None:
-    """Take out what ``register`` added, in the opposite order."""
+    """Undo ``register``, in reverse order."""
     import bpy
 
     while _commands:
@@ -86,4 +87,4 @@ def _unregister_classes(module: ModuleType) -> None:
 
 
 def _nothing() -> None:
-    """Stand in for what a module does not have."""
+    """Replace a register() or unregister() that a module does not define."""

@@ -1,4 +1,4 @@
-"""The subject of the demo: a head (Blender's own monkey) before a camera."""
+"""The demo's scene: a head (Blender's monkey), a camera and a sun."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from .scene import camera_from_object
 
 NAME = "Suzanne"
 _SUBDIVISIONS = 3
-_LENS = 106.0  # millimetres: fills the frame from a distance that keeps the face in proportion
+_LENS = 106.0  # millimetres: the head fills the frame without perspective distortion of the face
 _DISTANCE = 8.6
-_ASPECT = 1.2  # width over height: a monkey is wider than a man
+_ASPECT = 1.2  # width over height of the image
 _TURN, _TILT = 16.0, 4.0  # degrees: a three-quarter view shows more than a frontal one
 
 
 def build_scene() -> Any:
-    """Empty the open file, put head, camera and sun into it, and return the head's object."""
+    """Empty the open file, add head, camera and sun, and return the head's object."""
     import bpy
     from mathutils import Euler, Vector
 
@@ -50,7 +50,7 @@ def build_scene() -> Any:
 
 
 def scene_camera(height: int) -> Camera:
-    """Return the scene's camera at ``height`` pixels."""
+    """Return the scene's camera with an image ``height`` pixels high."""
     import bpy
 
     return camera_from_object(bpy.context.scene.camera, round(height * _ASPECT), height)

@@ -1,1 +1,1 @@
-"""What every part of the user interface uses: text in panels, failures, features of Blender, paths."""
+"""Shared parts of the user interface: text in panels, failures, features of Blender, paths."""

@@ -1,4 +1,4 @@
-"""What panels are made of: wrapped text, numbers for people, a line of facts."""
+"""Drawing helpers of the panels: wrapped text, lines of facts, numbers as text."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import textwrap
 
 import bpy
 
-_CHARACTER = 6.6  # pixels of an average one at scale 1, in Blender's own font
-_MARGINS = 58  # pixels of a panel's width that text does not get: edges, tab, icon
+_CHARACTER = 6.6  # mean width of a character in Blender's font, in pixels at scale 1
+_MARGINS = 58  # pixels of a panel's width without text: edges, tab, icon
 _GAPS = 45  # the same, without an icon
-_LEAST = 16  # characters a line
-_NAME = 0.4  # the part of a line that a fact's name takes
+_LEAST = 16  # characters per line
+_NAME = 0.4  # part of the line for a fact's name
 
 
 def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
-    """Draw a text over as many lines as the panel's width asks for, its icon before the first."""
+    """Draw a text, wrapped to the panel's width. The icon stands before the first line."""
     column = layout.column(align=True)
     column.scale_y = 0.8
     for line in textwrap.wrap(text, _characters(context)):
@@ -23,9 +23,9 @@ def wrapped(layout, context, text: str, icon: str = "NONE") -> None:
 
 
 def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
-    """Draw a name and what is true of it, over as many lines as that takes, and at least so many."""
-    found = textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME)))
-    for line in found + [""] * (lines - len(found)):
+    """Draw a name and its value, wrapped. lines: the least number of lines."""
+    wrapped_lines = textwrap.wrap(value, int(_characters(context, _GAPS) * (1 - _NAME)))
+    for line in wrapped_lines + [""] * (lines - len(wrapped_lines)):
         row = layout.split(factor=_NAME)
         left = row.row()
         left.alignment = "RIGHT"
@@ -35,7 +35,7 @@ def fact(layout, context, name: str, value: str, lines: int = 1) -> None:
 
 
 def redraw_sidebars() -> None:
-    """Have the sidebars drawn anew, which is quick, and not the views that they lie on."""
+    """Redraw the sidebars, which is fast, without the views behind them."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             for region in area.regions if area.type in ("VIEW_3D", "IMAGE_EDITOR") else ():
@@ -44,9 +44,9 @@ def redraw_sidebars() -> None:
 
 
 def _characters(context, margins: int = _MARGINS) -> int:
-    """Return how many characters a line of the panel has."""
+    """Return the number of characters in a line of the panel."""
     width = context.region.width if context.region is not None else 0
-    scale = context.preferences.system.ui_scale or 1.0  # without a window there is none
+    scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
     return max(_LEAST, int((width / scale - margins) / _CHARACTER))
 
 
@@ -63,6 +63,6 @@ def rate(evaluations: float) -> str:
 
 
 def percent(error: float) -> str:
-    """Return an error, a part of white, in per cent with three figures, as far as anybody could care."""
+    """Return an error (a part of white) in percent, with three digits; below 0.001 % as "< 0.001 %"."""
     value = 100 * error
     return f"{value:.3g} %" if value >= 0.001 else "< 0.001 %"

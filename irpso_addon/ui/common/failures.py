@@ -1,4 +1,4 @@
-"""Exceptions where no operator can report them (timers, threads, draw handlers, modal operators): told in the panel."""
+"""Shows in the panel the exceptions of timers, threads, draw handlers and modal operators, which cannot report them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bpy.app.handlers import persistent
 from ...core.errors import IrpsoError
 from . import drawing
 
-# As errors of the engine call them, and as they are called in Blender.
+# The engine's name in error messages → the name in Blender.
 _SETTINGS = {
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
@@ -25,11 +25,11 @@ _SETTINGS = {
 }
 
 _log = logging.getLogger(__name__)
-_said: list[str] = []  # what the panel shows, until it is dismissed or something is begun anew
+_said: list[str] = []  # the panel's messages, until the user dismisses them or starts a recovery
 
 
 def words(error: Exception) -> str:
-    """Return what an IrpsoError or a MemoryError says, in one line, with settings called as they are in Blender."""
+    """Return the message of an IrpsoError or a MemoryError in one line, with Blender's names of settings."""
     text = " ".join(str(error).splitlines()) or "memory is full; choose a smaller resolution"
     for option, setting in _SETTINGS.items():
         text = text.replace(option, setting)
@@ -38,18 +38,19 @@ def words(error: Exception) -> str:
 
 @contextmanager
 def told(doing: str) -> Iterator[None]:
-    """Do some work, or as a decorator call a function; an exception goes into the panel and no further.
+    """Context manager and decorator: catch an exception and show it in the panel.
 
-    doing: what the exception ends, as in "The check". A decorated function then returns None, which ends a timer.
+    doing: the name of the work, as in "The check". After an exception a decorated function returns None, which ends a
+    timer.
     """
     try:
         yield
-    except Exception as error:  # noqa: BLE001  Blender would print it and call again, at every event or redraw
+    except Exception as error:  # noqa: BLE001  Blender would print it at every event or redraw, and call again
         tell(doing, error)
 
 
 def tell(doing: str, error: Exception) -> str:
-    """Put an exception into the panel, once however often it is raised, and return what it says there."""
+    """Show an exception in the panel, once even if it is raised often, and return its text."""
     if isinstance(error, IrpsoError | MemoryError):
         text, expected = words(error), True
     else:
@@ -64,17 +65,17 @@ def tell(doing: str, error: Exception) -> str:
 
 
 def said() -> tuple[str, ...]:
-    """Return what the panel shows."""
+    """Return the messages in the panel."""
     return tuple(_said)
 
 
 def clear() -> None:
-    """Show nothing any longer: it was read, or something is begun anew."""
+    """Remove all messages."""
     _said.clear()
 
 
 def draw(layout, context) -> None:
-    """Draw what has failed, and the button that takes it away."""
+    """Draw the messages and the button that dismisses them."""
     for text in _said:
         row = layout.row()
         row.alert = True
@@ -83,7 +84,7 @@ def draw(layout, context) -> None:
 
 
 class DismissFailures(bpy.types.Operator):
-    """Take the message away; Blender's system console keeps what led to it"""
+    """Remove the message. Blender's system console keeps the details"""
 
     bl_idname = "irpso.dismiss_failures"
     bl_label = "Dismiss"
@@ -104,11 +105,11 @@ def _on_load(*_: object) -> None:
 
 
 def register() -> None:
-    """Watch for another file being loaded."""
+    """Clear the messages when another file is loaded."""
     bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
-    """Stop watching."""
+    """Remove the handler and the messages."""
     bpy.app.handlers.load_pre.remove(_on_load)
     clear()

@@ -1,7 +1,7 @@
-"""What some versions of Blender can and others cannot, asked by feature, for all of the user interface."""
+"""Features that only some versions of Blender have, found by asking Blender, not by its version."""
 
 import bpy
 
-# Since 4.5 Blender warns of a path that begins with "//" in a property that does not say it may.
+# Since 4.5 Blender warns of a path that begins with "//" unless the property has this option.
 _MAY_BE_RELATIVE = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
 RELATIVE_PATH = {"options": {"PATH_SUPPORTS_BLEND_RELATIVE"}} if _MAY_BE_RELATIVE else {}  # for StringProperty

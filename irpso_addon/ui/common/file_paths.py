@@ -1,4 +1,4 @@
-"""Paths as people write them in Blender's settings, where // stands for the folder of the open file."""
+"""Absolute paths from Blender's settings, where // stands for the folder of the open file."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from ...core.errors import InputError
 
 
 def absolute(path: str, setting: str) -> Path:
-    """Return the file or folder that a setting names. Raises InputError for a // path while the file has no folder.
+    """Return a setting's file or folder. Raises InputError for a // path while the .blend file is not saved.
 
-    Blender itself then takes // for the folder that it was started in, often the root of the disk. setting: its name,
-    for the message.
+    Blender itself would then resolve // to the folder in which it was started, often the root of the disk. setting: its
+    name, for the message.
     """
     if path.startswith("//") and not bpy.data.filepath:
         raise InputError(

@@ -1,1 +1,1 @@
-"""Operators, one file a job: import, set up, recover, restore, export."""
+"""Operators, one file per job: import, set up, recover, restore, export."""

@@ -1,4 +1,4 @@
-"""Lights from a ball: the button that finds a folder's lights and makes it a capture."""
+"""Lights from a ball: calibrates the lights of a folder of photographs and imports it as a capture."""
 
 from __future__ import annotations
 
@@ -20,56 +20,58 @@ from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 
 _KINDS = (
-    ("mirror", "Mirror", "A shiny ball: the highlight tells the direction"),
-    ("matte", "Matte", "A ball like plaster: its shading tells direction and strength; wants linear images"),
+    ("mirror", "Mirror", "A shiny ball: its highlight gives the light's direction"),
+    ("matte", "Matte", "A ball like plaster: its shading gives direction and strength. Needs linear images"),
 )
 _FOUND_BY = (
     ("MASK", "Mask", "An image of the photographs' size, white on the ball"),
-    ("CIRCLE", "Circle", "Middle and radius in pixels"),
+    ("CIRCLE", "Circle", "Center and radius in pixels"),
 )
 
 
 def free_table(folder: Path) -> Path:
-    """Return capture.toml in a folder, or the first of capture_1.toml, … that is not there yet."""
+    """Return the first path of capture.toml, capture_1.toml, … in a folder that does not exist."""
     names = (TABLE, *(f"{Path(TABLE).stem}_{number}.toml" for number in range(1, 10_000)))
     return next(folder / name for name in names if not (folder / name).exists())
 
 
 class LightsFromBall(bpy.types.Operator):
-    """Find where the lamp was in every photograph, from a ball in the picture, and import them as a capture"""
+    """Find the light's direction in every photograph from a ball in the picture, and import the photographs"""
 
     bl_idname = "irpso.lights_from_ball"
     bl_label = "Lights from a Ball"
     bl_options = {"REGISTER"}
 
     photographs: StringProperty(
-        name="Photographs", description="Folder of the photographs, or a capture whose lights are to be replaced",
+        name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
-    kind: EnumProperty(name="Ball", description="What it is like", items=_KINDS, default="mirror")
-    found_by: EnumProperty(name="Place", description="How the ball is told", items=_FOUND_BY, default="MASK")
+    kind: EnumProperty(name="Ball", description="Surface of the ball", items=_KINDS, default="mirror")
+    found_by: EnumProperty(
+        name="Place", description="How you mark the ball in the photographs", items=_FOUND_BY, default="MASK"
+    )
     mask: StringProperty(
         name="Mask", description="Image of the photographs' size, white on the ball, black elsewhere",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
     circle: FloatVectorProperty(
         name="X, Y, Radius",
-        description="Middle and radius in pixels, counted from the upper left corner",
+        description="Center and radius of the ball in pixels, from the upper left corner",
         size=3,
         min=0,
     )
     fov: FloatProperty(
-        name="Field of View", description="Of the camera, over the image's width; 0 takes the capture's camera",
+        name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera",
         subtype="ANGLE", min=0, max=math.radians(170),
     )  # fmt: skip
 
     def invoke(self, context, event):
-        """Ask for the ball."""
+        """Open the dialog."""
         self.photographs = self.photographs or context.scene.irpso.capture_path
         return context.window_manager.invoke_props_dialog(self, width=420)
 
     def draw(self, context) -> None:
-        """Draw what is asked."""
+        """Draw the dialog."""
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(self, "photographs")
@@ -79,7 +81,7 @@ class LightsFromBall(bpy.types.Operator):
         column.prop(self, "fov")
 
     def execute(self, context):
-        """Find the lights, write a new table beside the photographs, and import it; nothing where they are not told."""
+        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written."""
         manager = context.window_manager
         manager.progress_begin(0, 1)
         try:
@@ -98,12 +100,12 @@ class LightsFromBall(bpy.types.Operator):
         return {"FINISHED"}
 
     def _calibrated(self, context, manager) -> tuple[Path, tuple[str, ...]]:
-        """Return the table that was written, and what is doubtful. Raises InputError."""
+        """Return the table's path and the warnings. Raises InputError."""
         if not self.photographs:
-            raise InputError("Photographs: no folder is chosen; give that of the photographs")
+            raise InputError("Photographs: no folder is chosen; choose the folder of the photographs")
         source = absolute(self.photographs, "Photographs")
         if not source.exists():
-            raise InputError(f"{source}: is not there; give the folder of the photographs")
+            raise InputError(f"{source}: does not exist; choose the folder of the photographs")
         ball = self._ball()
         colour_space = context.scene.irpso.colour_space
         spec = read_photographs(source, colour_space, [ball.mask] if ball.mask else [])
@@ -111,20 +113,20 @@ class LightsFromBall(bpy.types.Operator):
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         steps = calibrate_steps(spec, [ball], Request(self.kind), decode)
-        found = run_steps(steps, lambda read: manager.progress_update(read / len(spec.observations)))
+        calibration = run_steps(steps, lambda read: manager.progress_update(read / len(spec.observations)))
         table = free_table(source if source.is_dir() else source.parent)
-        write_calibration(found, table, keys)
-        return table, found.warnings
+        write_calibration(calibration, table, keys)
+        return table, calibration.warnings
 
     def _ball(self) -> BallRequest:
         if self.found_by == "CIRCLE":
             if not self.circle[2] > 0:
-                raise InputError("Radius: is 0; give the ball's radius in pixels")
+                raise InputError("Radius: is 0; set the ball's radius in pixels")
             return BallRequest(None, tuple(self.circle))
         mask = absolute(self.mask, "Mask") if self.mask else None
         if mask is None or not mask.is_file():
-            raise InputError(f"Mask: {'no file is chosen' if mask is None else f'{mask} is not there'}; paint the ball"
-                             " white on black, of the photographs' size")  # fmt: skip
+            fault = "no file is chosen" if mask is None else f"{mask} does not exist"
+            raise InputError(f"Mask: {fault}; paint the ball white on black, in an image of the photographs' size")
         return BallRequest(mask)
 
 

@@ -1,4 +1,4 @@
-"""Cameras that a photogrammetry program placed, as camera objects of the scene, beside the mesh that it made."""
+"""Imports the cameras of a photogrammetry program as camera objects, to match the mesh from the same program."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ...capture.poses import PoseFile, read_poses
 from ...core.errors import InputError
 from ..common.file_paths import absolute
 
-# Custom properties: of a collection, its empty and its cameras, the file that they came from; of a camera, its image.
+# Custom properties: the source file, on the collection, its empty and its cameras; the image's name, on a camera.
 _SOURCE, _IMAGE = "irpso_cameras", "irpso_camera_image"
 _EXTENSIONS = ".xml;.sfm;.json;.txt"
-_SMALL = 0.1  # of the cameras' distance from their middle: how large they are drawn
-_FAR = 10.0  # of the same: how far they see
+_SMALL = 0.1  # display size over the cameras' largest distance from their mean position
+_FAR = 10.0  # clip end over the same distance
 _AXES = (
-    ("AUTO", "Automatic", "Of COLMAP, whose meshes are PLY, as in the file; of others as for an OBJ"),
-    ("OBJ", "For an OBJ", "Turned by 90° about X, as Blender turns the OBJ files that it imports"),
-    ("FILE", "As in the File", "As Blender leaves PLY and STL files, and OBJ files imported with Y Forward and Z Up"),
+    ("AUTO", "Automatic", "As in the File for COLMAP, whose meshes are PLY; For an OBJ for the other programs"),
+    ("OBJ", "For an OBJ", "Rotated by 90° about X, like OBJ files that Blender imports"),
+    ("FILE", "As in the File", "Not rotated, like PLY and STL files, and OBJ files imported with Y Forward and Z Up"),
 )
 
 
 def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
-    """Make a camera object for each camera of a file, below an empty, in a collection; return them.
+    """Make a camera object for each camera of a file, in a collection, with an empty as parent; return the objects.
 
-    Those that were made of the same file before are brought up to date, and their empty stays where it was put. axes:
-    of ``_AXES``. Pixels, lens, sensor, shift and distortion are kept: a light that names a camera is seen by it.
+    Objects from an earlier import of the same file are updated, and the user may have moved their empty. axes: of
+    ``_AXES``. The objects keep pixels, lens, sensor, shift and distortion.
     """
     source, title = str(poses.path.resolve()), f"Cameras {poses.path.stem}"
     collection = next((c for c in scene.collection.children_recursive if c.get(_SOURCE) == source), None)
@@ -56,7 +56,7 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
             obj = made[image] = bpy.data.objects.new(name, bpy.data.cameras.new(name))
             obj[_SOURCE], obj[_IMAGE] = source, image
             collection.objects.link(obj)
-        obj.parent = None  # set_camera sets places of the world; the empty's comes on top
+        obj.parent = None  # set_camera sets world coordinates, which the parent then transforms
         set_camera(obj, camera)
         obj.parent = empty
         obj.data.display_size, obj.data.clip_end = _SMALL * size, max(obj.data.clip_end, _FAR * size)
@@ -64,8 +64,8 @@ def create_cameras(scene, poses: PoseFile, axes: str = "AUTO") -> list:
 
 
 class ImportCameras(bpy.types.Operator):
-    """Make camera objects of the cameras that COLMAP (text), Agisoft Metashape (.xml) or Meshroom (.sfm) placed. Move
-    their empty where the mesh was moved. A light's photograph is seen by the camera that is set for the light"""
+    """Make camera objects from a file of COLMAP (text), Agisoft Metashape (.xml) or Meshroom (.sfm). If you have moved
+    the mesh, move the cameras' empty in the same way. Then choose a camera for each light"""
 
     bl_idname = "irpso.import_cameras"
     bl_label = "Import Cameras"
@@ -74,19 +74,19 @@ class ImportCameras(bpy.types.Operator):
     filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default=_EXTENSIONS.replace(".", "*."), options={"HIDDEN"})
-    axes: EnumProperty(name="Axes", description="Which way up the mesh was imported", items=_AXES, default="AUTO")
+    axes: EnumProperty(name="Axes", description="Orientation of the imported mesh", items=_AXES, default="AUTO")
 
     def invoke(self, context, event):
-        """Ask for the file, or COLMAP's folder."""
+        """Open the file browser for a file, or for COLMAP's folder."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
-        """Make them, and tell which cameras of the file cannot be had."""
+        """Make the cameras, and report those of the file that cannot be used."""
         chosen = self.filepath or self.directory
         try:
             if not chosen:
-                raise InputError("no file was chosen; give COLMAP's cameras.txt, Metashape's .xml or Meshroom's .sfm")
+                raise InputError("no file was chosen; choose COLMAP's cameras.txt, Metashape's .xml or Meshroom's .sfm")
             poses = read_poses(absolute(chosen, "Cameras"))
         except InputError as error:
             self.report({"ERROR"}, str(error))
@@ -108,10 +108,10 @@ CLASSES = (ImportCameras,)
 
 
 def register() -> None:
-    """Add the entry of File > Import."""
+    """Add the entry to File > Import."""
     bpy.types.TOPBAR_MT_file_import.append(_menu)
 
 
 def unregister() -> None:
-    """Take the entry out."""
+    """Remove the entry."""
     bpy.types.TOPBAR_MT_file_import.remove(_menu)

@@ -1,4 +1,4 @@
-"""Choosing a capture's files: a file browser, drag and drop, File > Import; and looking them over without a pause."""
+"""Imports a capture's files by file browser, drag and drop or File > Import, and checks them in time slices."""
 
 from __future__ import annotations
 
@@ -31,23 +31,24 @@ from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
 from ..session.scene_capture import capture_of, capture_path, keep_places
 
-# Seconds of checking at a time, between which Blender answers: as long as Blender took for itself, within these. Its
-# loader has all views drawn anew after each image; where that takes a second (a software renderer on a busy machine),
-# slices of the shortest would leave nearly all of the time to it.
+# Limits of a slice, in seconds. Between slices Blender handles events and redraws; the next slice is as long as that
+# took. After each image Blender redraws all views. If that takes a second (software renderer on a busy machine),
+# constant slices of the shortest length would leave nearly all the time to drawing.
 _SHORTEST, _LONGEST = 0.02, 0.5
 _PAUSE = 0.005  # seconds until the next slice
-_SHOWN = 0.25  # seconds between drawings of what the check does
+_SHOWN = 0.25  # seconds between redraws of the check's progress
 _EXTENSIONS = ".lp;.toml;.txt"
-_TABLES = (".lp", ".toml")  # of what lies in a capture, what may be one by itself
-_CAMERA = "camera.toml"  # that is part of a folder's capture
+_TABLES = (".lp", ".toml")  # files that are a capture by themselves
+_CAMERA = "camera.toml"  # except this one, which belongs to a folder
 _AREAS = ("VIEW_3D", "IMAGE_EDITOR")
 
 
 @dataclass
 class _Check:
-    """A capture that is being looked over. scene: its number in this session; path: as the settings have it.
+    """A running check. scene: its session_uid. path: capture_path of the settings.
 
-    paused, shown: when it did so last, by ``time.perf_counter``.
+    doing: the current step, in words. paused: when the last slice ended; shown: when the panel was last redrawn; both
+    by ``time.perf_counter``.
     """
 
     scene: int
@@ -62,32 +63,32 @@ _running: list[_Check] = []  # at most one
 
 
 def checking(scene) -> str:
-    """Return what the check of a scene's capture does now, in words; "" while there is none."""
+    """Return the current step of the check of a scene's capture, in words; "" if no check is running."""
     if not _running or _running[0].scene != scene.session_uid or not bpy.app.timers.is_registered(_tick):
         return ""
     return _running[0].doing
 
 
 def capture_at(path: Path) -> Path:
-    """Return what a person means by a path: an .lp or .toml itself, of any other file its folder."""
+    """Return the capture of a chosen path: an .lp or .toml itself, for any other file its folder."""
     if path.is_file() and (path.suffix.lower() not in _TABLES or path.name.lower() == _CAMERA):
         return path.parent
     return path
 
 
 def subject_of(spec: CaptureSpec) -> str:
-    """Return "MESH" where cameras have places, as around an object, "CARD" where one camera looks straight down."""
+    """Return "CARD" for a single camera without a pose, which looks straight down; "MESH" for posed cameras."""
     return "CARD" if len(spec.views) == 1 and not spec.views[0].placed else "MESH"
 
 
 def asked_of(settings) -> tuple[str, ...]:
-    """Return what is to be recovered, of ``sufficiency.ASKS``: what the lights are to be judged for."""
+    """Return those of ``sufficiency.ASKS`` that are to be recovered, for which the lights must suffice."""
     try:
         model = model_of(settings)
     except InputError:
         return ("normals",)
-    given = {item.name for item in settings.parameters if not item.recover}
-    wanted = [parameter for parameter in model.parameters if parameter.name not in given]
+    fixed = {item.name for item in settings.parameters if not item.recover}
+    wanted = [parameter for parameter in model.parameters if parameter.name not in fixed]
     asked = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
     if any(parameter.kind == "search" and not parameter.is_normal for parameter in wanted):
         asked.append("two lobes" if model.ordered else "roughness")
@@ -95,7 +96,7 @@ def asked_of(settings) -> tuple[str, ...]:
 
 
 def check_capture(scene) -> None:
-    """Begin the check of files, or make the one of the scene's cameras and lights."""
+    """Begin the check of files, or check the scene's own cameras and lights at once."""
     settings = scene.irpso
     if settings.source == "SCENE":
         _check_scene(scene)
@@ -104,9 +105,9 @@ def check_capture(scene) -> None:
 
 
 def begin_check(scene) -> None:
-    """Look the scene's capture over: in the background at once, in a window bit by bit while it goes on working."""
+    """Check the scene's capture: at once in background, in time slices if there is a window."""
     settings = scene.irpso
-    asked = dict.fromkeys(("normals", *asked_of(settings)))  # a panel leaves out what does not matter
+    asked = dict.fromkeys(("normals", *asked_of(settings)))  # the panel hides findings that do not matter
     steps = inspect_steps(
         capture_path(settings), decode, settings.colour_space, tuple(asked), settings.card_distance or None,
         settings.skip_damaged,
@@ -119,7 +120,7 @@ def begin_check(scene) -> None:
 
 
 def _tick() -> float | None:
-    """Go on for a slice; called by Blender's timer, which ends with None."""
+    """Work for one slice; return the seconds to the next for Blender's timer, None to end it."""
     if not _running:
         return None
     check, now = _running[0], time.perf_counter()
@@ -136,7 +137,7 @@ def _tick() -> float | None:
 
 
 def _slice(check: _Check, seconds: float) -> bool:
-    """Go on with a check for a slice of time and return whether there is more to do."""
+    """Continue a check for some seconds; return whether it is unfinished."""
     scene = next((scene for scene in bpy.data.scenes if scene.session_uid == check.scene), None)
     if scene is None or scene.irpso.capture_path != check.path:
         _running.clear()
@@ -160,7 +161,7 @@ def _store(settings, report: Report) -> None:
 
 
 class ImportCapture(bpy.types.Operator):
-    """Choose photographs with known lights: a folder of them, an .lp list, a capture.toml, or any file beside them"""
+    """Choose photographs with known lights: their folder, an .lp list, a capture.toml, or any file beside them"""
 
     bl_idname = "irpso.import_capture"
     bl_label = "Import Capture"
@@ -171,25 +172,25 @@ class ImportCapture(bpy.types.Operator):
     filter_glob: StringProperty(default=_EXTENSIONS.replace(".", "*."), options={"HIDDEN"})
 
     def invoke(self, context, event):
-        """Ask for a file, unless one was dropped."""
+        """Open the file browser, unless a file was dropped."""
         if self.filepath or self.directory:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
-        """Make the files the scene's capture and begin to check them; settings stay as they are where they are none."""
+        """Make the files the scene's capture and begin the check. If they are no capture, the settings stay."""
         settings, chosen = context.scene.irpso, self.filepath or self.directory
         try:
             if not chosen:
-                raise InputError("no file or folder was chosen; give the path of a capture")
+                raise InputError("no file or folder was chosen; choose a capture")
             path = capture_at(absolute(chosen, "Capture"))
             spec = read_spec(path, settings.colour_space)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         settings.source = "FILES"
-        if settings.capture_path != (kept := _kept_path(path)):  # else the card's distance that was set stays
+        if settings.capture_path != (kept := _kept_path(path)):  # the same capture keeps its card distance
             settings.capture_path = kept
         keep_places(settings, spec)
         settings.subject = subject_of(spec)
@@ -204,7 +205,7 @@ class ImportCapture(bpy.types.Operator):
 
 
 def _kept_path(path: Path) -> str:
-    """Return the path as the .blend file is to keep it: relative to it where the user has set that for new files."""
+    """Return the path to store in the .blend: relative to it if the user's preferences say so."""
     text = str(path.resolve())
     wanted = bpy.context.preferences.filepaths.use_relative_paths
     if not (wanted and bpy.data.filepath):
@@ -216,14 +217,14 @@ def _kept_path(path: Path) -> str:
 
 
 def _warn(operator, settings) -> None:
-    """Report the first of the findings, errors before warnings."""
+    """Report the first finding, errors before warnings."""
     if found := findings.shown(settings):
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         operator.report({"WARNING"}, found[0].message + more)
 
 
 class CheckCapture(bpy.types.Operator):
-    """Look the capture over again: are all images there, sharp against each other, well exposed and rightly listed"""
+    """Check the capture: whether all images are there, aligned, well exposed and listed correctly"""
 
     bl_idname = "irpso.check_capture"
     bl_label = "Check Capture"
@@ -238,14 +239,14 @@ class CheckCapture(bpy.types.Operator):
         return there
 
     def execute(self, context):
-        """Begin the check of files, or make the one of the scene's cameras and lights."""
+        """Begin the check of files, or check the scene's own cameras and lights at once."""
         check_capture(context.scene)
         _warn(self, context.scene.irpso)
         return {"FINISHED"}
 
 
 def _check_scene(scene) -> None:
-    """Find what keeps the scene's own cameras, lights and images from being a capture."""
+    """Store the findings and the summary of the capture of the scene's own cameras, lights and images."""
     settings = scene.irpso
     settings.checked_path, settings.summary = "", ""
     try:
@@ -256,15 +257,15 @@ def _check_scene(scene) -> None:
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
-    found = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
+    faults = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
     if lack := sufficiency.no_normal([one.light for one in capture.observations]):
-        found.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
+        faults.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
     wide = [] if place is None else wide_lights(scene, place)
-    findings.keep(settings, [*found, *(Finding("warning", "light_wide", text) for text in wide)])
+    findings.keep(settings, [*faults, *(Finding("warning", "light_wide", text) for text in wide)])
 
 
 def _subject_place(settings, capture: Capture) -> np.ndarray | None:
-    """Return (3,) the middle of the mesh, None where none is chosen, or of a card. Raises InputError."""
+    """Return the centre (3,) of the card or of the mesh, None if no mesh is chosen. Raises InputError."""
     if settings.subject == "CARD":
         camera = capture.cameras[0]
         return camera.matrix[:3, :3] @ card_middle(camera, card_depth(capture)) + camera.position
@@ -273,7 +274,7 @@ def _subject_place(settings, capture: Capture) -> np.ndarray | None:
 
 
 class CaptureFiles(bpy.types.FileHandler):
-    """Captures that are dragged into a 3D viewport or an Image editor."""
+    """Drag and drop of captures into a 3D viewport or an Image editor."""
 
     bl_idname = "IRPSO_FH_capture"
     bl_label = "IRPSO Capture"
@@ -296,17 +297,17 @@ REACTIONS["skip_damaged"] = lambda settings: check_capture(settings.id_data)
 
 @persistent
 def _on_load(*_: object) -> None:
-    _running.clear()  # with the frames that it holds: the file that it was of goes
+    _running.clear()  # the check belongs to the former file
 
 
 def register() -> None:
-    """Add the entry of File > Import, and watch for another file being loaded."""
+    """Add the entry to File > Import, and end a check when another file is loaded."""
     bpy.types.TOPBAR_MT_file_import.append(_menu)
     bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
-    """Take the entry out, and end a check that is going on."""
+    """Remove the entry and the handler, and end a running check."""
     bpy.app.handlers.load_pre.remove(_on_load)
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
     _running.clear()

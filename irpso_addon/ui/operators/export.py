@@ -1,4 +1,4 @@
-"""Export: what was found as files, its own or those of other programs. The file browser has the options."""
+"""Exports a result as maps or in other programs' formats. The file browser shows the options."""
 
 from __future__ import annotations
 
@@ -23,48 +23,48 @@ from ..session import session
 from ..session.keep import NOTHING, found_in, has_found, pictures_of, report_of
 
 MAPS = "maps"
-_FORMATS = {MAPS: ("Maps", "PNG of 16 bits, EXR of 32 bits, a report and a preview, in a folder"), **FORMATS}
+_FORMATS = {MAPS: ("Maps", "16-bit PNG, 32-bit EXR, a report and a preview, in a folder"), **FORMATS}
 _ITEMS = [(name, title, what) for name, (title, what) in _FORMATS.items()]
 _CONVENTIONS = [(name, name.title(), f"Names and normals that {name.title()} expects") for name in CONVENTIONS]
-# What a format may hold besides the model's maps.
+# Optional maps of a format, besides the model's own.
 _ALSO = {MAPS: (*(f"normal_{space}" for space in NORMAL_SPACES), "height"), "textures": ("height",)}
 
 
 class IRPSO_OT_export(bpy.types.Operator):
-    """Write what was found into files: its maps, or what another program reads"""
+    """Write the recovered material to files: its maps, or a format of another program"""
 
     bl_idname = "irpso.export"
     bl_label = "Export Material"
 
-    filepath: StringProperty(name="File or Folder", description="Where it is written", subtype="FILE_PATH")
+    filepath: StringProperty(name="File or Folder", description="The file or folder to write", subtype="FILE_PATH")
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
-    format: EnumProperty(name="Format", description="What is written", items=_ITEMS, default=MAPS)
+    format: EnumProperty(name="Format", description="Format of the files", items=_ITEMS, default=MAPS)
     convention: EnumProperty(
-        name="Names", description="What files are called, and which way normals point", items=_CONVENTIONS
+        name="Names", description="Program whose file names and normal direction are used", items=_CONVENTIONS
     )
     normal_object: BoolProperty(
-        name="Normal (Object Space)", description="Write normals in the object's own axes as well"
+        name="Normal (Object Space)", description="Also write the normals in the object's own axes"
     )
-    normal_world: BoolProperty(name="Normal (World Space)", description="Write normals in the world's axes as well")
+    normal_world: BoolProperty(name="Normal (World Space)", description="Also write the normals in the world's axes")
     normal_directx: BoolProperty(
-        name="Normal (DirectX)", description="Write the normal map with green turned over as well"
+        name="Normal (DirectX)", description="Also write the normal map with its green channel inverted"
     )
-    height: BoolProperty(name="Height", description="Write the relief as well, found by integrating the normals")
+    height: BoolProperty(name="Height", description="Also write the relief, integrated from the normals")
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is something to export."""
+        """Whether there is a result to export."""
         return has_found(cls)
 
     def invoke(self, context, event):
-        """Ask where to, and propose a place."""
+        """Open the file browser with a proposed path."""
         running = session.current()
         self.filepath = f"{proposed_folder(running)}{os.sep}{_proposed_name(running, self.format)}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def check(self, context) -> bool:
-        """Give a proposed name that of another format when that is chosen; return whether the name has changed."""
+        """Adapt a proposed name to the chosen format; return whether the name has changed."""
         running = session.current()
         folder, name = os.path.split(self.filepath)
         if running is None or name not in {_proposed_name(running, kind) for kind in _FORMATS}:
@@ -73,26 +73,26 @@ class IRPSO_OT_export(bpy.types.Operator):
         return self.filepath != former
 
     def draw(self, context) -> None:
-        """Draw the format, and the options that it has."""
+        """Draw the format and its options."""
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(self, "format")
         if self.format == "textures":
             column.prop(self, "convention")
-        column = self.layout.column()  # not split: half of that narrow panel cuts the names off
+        column = self.layout.column()  # not split: half of the narrow panel would cut the names off
         if options := _ALSO.get(self.format):
             column.label(text="Also Write:")
             for name in options:
                 column.prop(self, name)
 
     def execute(self, context):
-        """Write everything, or nothing; what runs rests meanwhile."""
+        """Write all files or none. A running recovery pauses."""
         running = session.current()
-        if running is None or running.recovery is None:  # it may have ended while the place was chosen
+        if running is None or running.recovery is None:  # it may have ended while the file browser was open
             self.report({"ERROR"}, NOTHING)
             return {"CANCELLED"}
         if not self.filepath:
-            self.report({"ERROR"}, "No place: choose where it is to be written")
+            self.report({"ERROR"}, "No path: choose a file or folder")
             return {"CANCELLED"}
         running.pause()
         try:
@@ -117,12 +117,12 @@ class IRPSO_OT_export(bpy.types.Operator):
     def _write_format(self, running: session.Session, path: Path) -> tuple[str, list[str]]:
         found = found_in(running, False, DerivedMaps(height=self.height and "height" in _ALSO.get(self.format, ())))
         result = Result(file_stem(running.job.name), found.written, found.height)
-        said = export(result, self.format, path, self.convention, lambda: _subject(running))
-        return f"{FORMATS[self.format][0]} written to {said['output']}", said.get("warnings", [])
+        report = export(result, self.format, path, self.convention, lambda: _subject(running))
+        return f"{FORMATS[self.format][0]} written to {report['output']}", report.get("warnings", [])
 
 
 class IRPSO_MT_export(bpy.types.Menu):
-    """What was recovered, in the formats of this and of other programs"""
+    """Export the recovered material as maps or in formats of other programs"""
 
     bl_label = "Recovered Material (IRPSO)"
 
@@ -134,9 +134,9 @@ class IRPSO_MT_export(bpy.types.Menu):
 
 
 def proposed_folder(running: session.Session) -> Path:
-    """Return the folder that an export proposes: that of the .blend, or the one that the photographs' folder is in.
+    """Return the proposed folder: that of the .blend, else the parent of the photographs' folder, else the user's home.
 
-    It is never the photographs' own: what is written there would be read as photographs of the capture.
+    It is never the photographs' own folder, because the capture would read the written files as photographs.
     """
     source = running.job.capture.source
     photographs = None if source is None else source if source.is_dir() else source.parent
@@ -167,7 +167,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them out again."""
+    """Remove them."""
     bpy.types.TOPBAR_MT_file_export.remove(_draw_menu)
 
 

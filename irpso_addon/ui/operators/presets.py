@@ -1,8 +1,8 @@
-"""Presets: the shipped schedules, which nobody can change, and the user's own, kept where Blender keeps presets.
+"""Presets: the shipped schedules, which are read-only, and the user's own in Blender's folder of presets.
 
-A user's preset is a Python file like Blender's own, of lines like ``schedule.particles = 24``: the name of a shipped
-schedule, and what differs from it. It is read here line by line and never run, so that a mistake in one is told in one
-sentence and leaves the settings as they were.
+A user's preset is a Python file like Blender's own, with lines like ``schedule.particles = 24``: the name of a shipped
+schedule and the settings that differ from it. The file is parsed, never executed: a mistake in it gives one error
+message and changes no setting.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..properties.schedule_settings import base_schedule, differences, fill, is_
 
 FOLDER = "irpso"  # in the user's folder of presets
 _HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n\n"
-_OBJECT = "schedule"  # what the lines of a preset file assign to
+_OBJECT = "schedule"  # the object whose attributes a preset file assigns
 _EXAMPLE = f"write lines like {_OBJECT}.particles = 24"
 
 
@@ -34,9 +34,9 @@ def title_of(schedule: Schedule) -> str:
 
 
 def label_of(settings: Any) -> str:
-    """Return what the preset menu says: the preset's name, with a star where settings differ from it.
+    """Return the label of the preset menu: the preset's name, with a star if settings differ from it.
 
-    Of a schedule by its path only the name: a panel that is drawn opens no file.
+    For a schedule given by its path, only the file's name: drawing a panel opens no file.
     """
     if not is_shipped(settings):
         return settings.own or Path(settings.preset).stem
@@ -45,13 +45,13 @@ def label_of(settings: Any) -> str:
 
 
 def preset_text(settings: Any) -> str:
-    """Return the text of a preset file that holds the settings. Raises InputError where there is no such schedule."""
+    """Return the text of a preset file with the settings. Raises InputError if their schedule does not exist."""
     lines = [("preset", settings.preset), *sorted(differences(settings).items())]
     return _HEAD + "".join(f"{_OBJECT}.{name} = {value!r}\n" for name, value in lines)
 
 
 def read_preset(path: str | Path) -> tuple[str, Schedule]:
-    """Return the name of the schedule that a preset file begins from, and its schedule. Raises InputError."""
+    """Return the name of a preset file's base schedule, and the resulting schedule. Raises InputError."""
     path = Path(path)
     try:
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -70,7 +70,7 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
 
 
 def _assignment(node: ast.stmt, path: Path) -> tuple[str, Any] | None:
-    """Return setting and value of one line, None for the two lines that every preset begins with."""
+    """Return setting and value of one line, None for the two lines at the start of every preset."""
     if isinstance(node, ast.Import):
         return None
     if isinstance(node, ast.Assign) and len(node.targets) == 1:
@@ -81,8 +81,8 @@ def _assignment(node: ast.stmt, path: Path) -> tuple[str, Any] | None:
             try:
                 return target.attr, ast.literal_eval(node.value)
             except ValueError as error:
-                raise InputError(f"{path}: line {node.lineno} sets no plain value; {_EXAMPLE}") from error
-    raise InputError(f"{path}: line {node.lineno} does not belong into a preset; {_EXAMPLE}")
+                raise InputError(f"{path}: line {node.lineno} assigns no plain value; {_EXAMPLE}") from error
+    raise InputError(f"{path}: line {node.lineno} is not allowed in a preset; {_EXAMPLE}")
 
 
 def _reason(error: Exception) -> str:
@@ -123,13 +123,13 @@ class IRPSO_OT_preset_choose(bpy.types.Operator):
 
     @classmethod
     def description(cls, context, properties) -> str:
-        """Return what the schedule is good for."""
+        """Return the purpose of the schedule."""
         if properties.name not in shipped_presets():
             return cls.__doc__
         return load_schedule(properties.name).title.partition(":")[2].strip().capitalize()
 
     def execute(self, context):
-        """Fill the settings."""
+        """Set the settings."""
         settings = context.scene.irpso.schedule
         try:
             load_schedule(self.name)
@@ -149,7 +149,7 @@ class IRPSO_OT_preset_load(bpy.types.Operator):
     filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
 
     def execute(self, context):
-        """Fill the settings, or leave all as they are where the file has a mistake."""
+        """Set the settings. If the file has a mistake, none changes."""
         settings = context.scene.irpso.schedule
         try:
             name, schedule = read_preset(self.filepath)
@@ -162,7 +162,7 @@ class IRPSO_OT_preset_load(bpy.types.Operator):
 
 
 class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
-    """Save the settings of the search as a preset of your own"""
+    """Save the settings of the search as your own preset"""
 
     bl_idname = "irpso.preset_add"
     bl_label = "Add Preset"
@@ -171,21 +171,21 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
 
     @classmethod
     def description(cls, context, properties) -> str:
-        """Return what the button does: add, or remove."""
+        """Return the tooltip: for adding or for removing."""
         if properties.remove_active or properties.remove_name:
-            return "Remove this preset of your own; the settings stay as they are"
+            return "Remove this preset of yours. The settings do not change"
         return cls.__doc__
 
     def draw(self, context) -> None:
-        """Ask for the name, its field ready to be typed into."""
+        """Draw the field for the name, with the cursor in it."""
         row = self.layout.row()
         row.activate_init = True
         row.prop(self, "name")
 
     def execute(self, context):
-        """Add or remove a preset of the user's own; shipped ones are never touched."""
+        """Add or remove a user's preset. Shipped ones are never changed."""
         settings = context.scene.irpso.schedule
-        if self.remove_active:  # Blender's own way takes the menu's label for the active preset, whatever the scene
+        if self.remove_active:  # not by the menu's label, which is Blender's way: scenes share it
             self.remove_active, self.remove_name, self.name = False, True, settings.own
         shipped = self.as_filename(self.name).lower() in shipped_presets()
         try:
@@ -205,7 +205,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
         _note_own(settings, filepath)
 
     def post_cb(self, context, filepath: str) -> None:
-        """Forget the name of a preset that is gone."""
+        """Clear the name of a removed preset."""
         if self.remove_name:
             context.scene.irpso.schedule.own = ""
 

@@ -1,4 +1,4 @@
-"""Recover: the modal operator that steps the session, and what pauses, resumes, stops and cancels it."""
+"""Recover: operators that start, step, pause, resume, stop and cancel the session."""
 
 import time
 
@@ -17,22 +17,22 @@ from ..session.job import make_job, missing
 from .restore import follow
 
 _TIMER_SECONDS = 1 / 60
-_SLICE_SECONDS = 0.04  # of work between two looks at the user's events: 25 a second, and half of the stall that is felt
-_LONGEST_SLICE_SECONDS = 0.1  # what nobody calls a stall yet
+_SLICE_SECONDS = 0.04  # of work between the user's events: 25 slices a second, half of the delay that users notice
+_LONGEST_SLICE_SECONDS = 0.1  # a delay that users do not call a stall
 
 
 class IRPSO_OT_recover(bpy.types.Operator):
-    """Recover the maps of the subject from the capture, and watch them converge. Esc pauses"""
+    """Recover the subject's maps from the capture, and show them while they converge. Esc pauses"""
 
     bl_idname = "irpso.recover"
     bl_label = "Recover"
 
     @classmethod
     def poll(cls, context):
-        """Whether there is a capture, a subject, and nothing under way."""
+        """Whether there is a capture, a subject and no unfinished recovery."""
         running = session.current()
         if running is not None and running.state != "done":
-            cls.poll_message_set("A recovery is under way: stop or cancel it first")
+            cls.poll_message_set("Another recovery is not finished: stop or cancel it first")
             return False
         if text := missing(context):
             cls.poll_message_set(text)
@@ -40,9 +40,9 @@ class IRPSO_OT_recover(bpy.types.Operator):
         return True
 
     def execute(self, context):
-        """Recover to the end and keep the result: what background mode and scripts want."""
+        """Recover to the end and keep the result, for background mode and scripts."""
         try:
-            if bpy.app.background:  # in a window Blender has a context, and a probe would take seconds
+            if bpy.app.background:  # not in a window: Blender has a GPU context, and a probe takes seconds
                 probe.probe()
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
@@ -52,7 +52,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
         return _keep(self)
 
     def invoke(self, context, event):
-        """Begin, and leave the window to its user meanwhile."""
+        """Start the recovery. The window stays responsive."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
@@ -67,7 +67,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
 
 
 class IRPSO_OT_run(bpy.types.Operator):
-    """Step the recovery that is under way, slice by slice, until it rests or ends"""
+    """Run the current recovery in time slices until it pauses or ends"""
 
     bl_idname = "irpso.run"
     bl_label = "Run Recovery"
@@ -75,13 +75,13 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     _timer = None
     _session = None
-    _number = 0  # of the session's runs: one that was resumed by another in between leaves
-    _draw_at = 0.0  # when the next picture is due
+    _number = 0  # this run of the session; the operator ends when a later run has a higher number
+    _draw_at = 0.0  # when the next redraw is due, by time.perf_counter
     _returned = 0.0  # when the last slice ended
-    _drew = False  # whether a picture was asked for then
+    _drew = False  # whether it ended with a redraw
 
     def invoke(self, context, event):
-        """Go on from timer to timer."""
+        """Start the timer."""
         self._session = session.current()
         if self._session is None or not self._session.active:
             return {"CANCELLED"}
@@ -94,13 +94,13 @@ class IRPSO_OT_run(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Work for one slice at a time; everything but Esc goes on to Blender."""
+        """Work for one slice at each timer event. Esc pauses; Blender handles all other events."""
         with failures.told("The recovery's timer"):
-            return self._heed(context, event)
+            return self._handle(context, event)
         self._session.pause()
         return self._leave(context)
 
-    def _heed(self, context, event):
+    def _handle(self, context, event):
         running = self._session
         if not self._is_on() or not running.active:
             return self._leave(context)
@@ -111,13 +111,13 @@ class IRPSO_OT_run(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         now = time.perf_counter()
-        if self._drew:  # what came in between was the drawing: it may take a third of the time, and no more
+        if self._drew:  # the time since then was drawing, which may take at most a third of all time
             self._draw_at = max(self._draw_at, now + 2 * (now - self._returned))
-        # Blender draws all it shows whenever an image is loaded, asked or not: then work as long as that takes.
+        # Blender redraws everything whenever an image is loaded: then a slice is as long as that drawing.
         drawing = now - self._returned if running.state == "loading" else 0.0
         running.tick(min(max(_SLICE_SECONDS, drawing), _LONGEST_SLICE_SECONDS))
         self._returned = time.perf_counter()
-        # A first guess is found the sooner the less else is done.
+        # Without redraws the initial guess is ready earlier.
         self._drew = self._returned >= self._draw_at and running.state != "preparing"
         if self._drew:
             self._draw_at = self._returned + preferences.picture_seconds(context)
@@ -125,7 +125,7 @@ class IRPSO_OT_run(bpy.types.Operator):
         return {"PASS_THROUGH"} if running.active else self._leave(context)
 
     def cancel(self, context):
-        """Rest when the window that it ran in is closed: nothing is lost, another one can resume."""
+        """Pause when the operator's window is closed. Another window can resume."""
         if self._is_on():
             self._session.pause()
 
@@ -142,7 +142,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
 
 class IRPSO_OT_pause(bpy.types.Operator):
-    """Rest; settings can be changed meanwhile, and are heeded on resuming"""
+    """Pause the recovery. Resume uses settings that are changed during the pause"""
 
     bl_idname = "irpso.pause"
     bl_label = "Pause"
@@ -163,7 +163,7 @@ class IRPSO_OT_pause(bpy.types.Operator):
 
 
 class IRPSO_OT_resume(bpy.types.Operator):
-    """Go on with the recovery, heeding settings that were changed"""
+    """Continue the recovery with the current settings"""
 
     bl_idname = "irpso.resume"
     bl_label = "Resume"
@@ -178,7 +178,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
         return True
 
     def execute(self, context):
-        """Go on, with the schedule as it is set now in the scene that it was begun in."""
+        """Continue with the current schedule of the scene in which the recovery was started."""
         running = session.current()
         scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
         scene = scenes.get(running.job.scene_uid, context.scene)
@@ -194,22 +194,22 @@ class IRPSO_OT_resume(bpy.types.Operator):
 
 
 class IRPSO_OT_stop(bpy.types.Operator):
-    """Stop here and keep what has been found as the subject's material. Resume goes on from here"""
+    """Stop, and keep the maps so far as the subject's material. Resume continues from here"""
 
     bl_idname = "irpso.stop"
     bl_label = "Stop"
 
     @classmethod
     def poll(cls, context):
-        """Whether something has been found."""
+        """Whether there are maps to keep."""
         running = session.current()
         if running is None or running.recovery is None:
-            cls.poll_message_set("No recovery is under way: press Recover")
+            cls.poll_message_set("There is no recovery: press Recover")
             return False
         return True
 
     def execute(self, context):
-        """Keep, and end."""
+        """Keep the maps and end the recovery."""
         done = _keep(self)
         if done == {"FINISHED"}:
             running = session.current()
@@ -219,29 +219,29 @@ class IRPSO_OT_stop(bpy.types.Operator):
 
 
 class IRPSO_OT_cancel(bpy.types.Operator):
-    """Drop what has been found; the scene stays as it was before Recover"""
+    """Discard the recovered maps. The scene stays as it was before Recover"""
 
     bl_idname = "irpso.cancel"
     bl_label = "Cancel"
 
     @classmethod
     def description(cls, context, properties):
-        """Say what is dropped, and what is not once it has been kept."""
+        """Return the tooltip, which says whether a kept material stays."""
         running = session.current()
         if running is not None and running.kept:
-            return "Let go of the recovery; the material that was kept stays"
+            return "Close the recovery. The material that was kept stays"
         return cls.__doc__
 
     @classmethod
     def poll(cls, context):
-        """Whether there is anything to drop."""
+        """Whether there is a recovery."""
         if session.current() is None:
-            cls.poll_message_set("No recovery is under way")
+            cls.poll_message_set("There is no recovery")
             return False
         return True
 
     def execute(self, context):
-        """Drop the session, and what is stored of it."""
+        """End the session and delete its stored checkpoint."""
         unkept.forget(session.current().job.resumed)
         session.end()
         _redraw(context)
@@ -249,7 +249,7 @@ class IRPSO_OT_cancel(bpy.types.Operator):
 
 
 def _go_on_relighting(context, running: session.Session) -> None:
-    """Have the photographs held out relit, where that has begun: in a window slice by slice, else at once."""
+    """Relight the held-out photographs if that has begun: in time slices if there is a window, else at once."""
     if not running.relighting:
         return
     if bpy.app.background or context.window is None:
@@ -259,16 +259,16 @@ def _go_on_relighting(context, running: session.Session) -> None:
 
 
 def _keep(operator) -> set[str]:
-    """Keep, and report what keeps that from being done as the operator's own error: Blender raises it here."""
+    """Keep the maps. An error of Keep, which Blender raises here, is reported as the operator's own."""
     try:
-        return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one step to undo, as if pressed itself
+        return bpy.ops.irpso.keep("INVOKE_DEFAULT", True)  # True: one undo step, as if the user had pressed it
     except RuntimeError as error:
         operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
         return {"CANCELLED"}
 
 
 def _redraw(context) -> None:
-    """Have the editors drawn anew that show the recovery, in every window."""
+    """Redraw the editors that show the recovery, in all windows."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):

@@ -1,4 +1,4 @@
-"""Going on from a recovery that was not kept when its file was closed; and having Blender ask before it closes one."""
+"""Restores recoveries that were not kept when their file was closed, and makes Blender ask before it closes one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AFTER_SAVING = 0.1  # seconds until Blender has marked a file as saved
 
 
 def draw_unkept(layout, context) -> None:
-    """Draw what was not kept, with the two things that can be done with it."""
+    """Draw the recoveries that were not kept, each with buttons to restore and to delete it."""
     for found in unkept.listed():
         box = layout.box()
         drawing.wrapped(
@@ -33,7 +33,7 @@ def draw_unkept(layout, context) -> None:
 
 
 def restored_job(context, found: unkept.Unkept) -> SceneJob:
-    """Return the job that goes on from a stored recovery, the scene's settings set to its own. Raises InputError."""
+    """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
     identity = glance(found.path, {})
     try:
         ask_again(context.scene.irpso, found.asked)
@@ -54,7 +54,7 @@ class _OfOne:
 
 
 class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
-    """Read the photographs again and go on from where the recovery was; its settings replace the scene's"""
+    """Read the photographs again and continue this recovery. Its settings replace those of the scene"""
 
     bl_idname = "irpso.restore"
     bl_label = "Restore"
@@ -64,12 +64,12 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
     def poll(cls, context) -> bool:
         """Whether there is no other recovery."""
         if session.current() is not None:
-            cls.poll_message_set("There is another recovery: keep or discard it first")
+            cls.poll_message_set("Another recovery is open: keep or discard it first")
             return False
         return True
 
     def execute(self, context):
-        """Begin; the panel shows how far it is, and when it rests where it was."""
+        """Start the recovery, which pauses when it reaches its former state."""
         try:
             begun = session.begin(restored_job(context, self._found()))
         except IrpsoError as error:
@@ -81,7 +81,7 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
 
 
 class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
-    """Delete what is stored of this recovery"""
+    """Delete this stored recovery"""
 
     bl_idname = "irpso.forget"
     bl_label = "Forget"
@@ -97,7 +97,7 @@ class IRPSO_OT_forget(_OfOne, bpy.types.Operator):
 
 
 def follow(context, begun: session.Session) -> None:
-    """Have a session stepped by the window's timer, seen, and asked for before the file is closed."""
+    """Run a session by the window's timer, show its card, and mark the file as changed."""
     if begun.mesh is None:
         height, width = begun.job.capture.masks[0].shape
         show_card(context, begun.subject(), begun.job.place, height / width)
@@ -107,9 +107,9 @@ def follow(context, begun: session.Session) -> None:
 
 @failures.told("Marking the file as changed")
 def mark_changed() -> None:
-    """Have Blender ask before it closes the file, as long as there is a recovery that is not kept.
+    """Make Blender ask before it closes the file while a recovery is not kept.
 
-    Scripts cannot mark a file as changed; a step to undo does.
+    Scripts cannot mark a file as changed, but an undo step does.
     """
     running = session.current()
     if bpy.app.background or running is None or running.kept or bpy.data.is_dirty:
@@ -128,12 +128,12 @@ def _on_save(*_: object) -> None:
 
 
 def register() -> None:
-    """Watch for the file being saved: the recovery is not saved with it."""
+    """Mark the file as changed after each save, because the recovery is not saved with it."""
     bpy.app.handlers.save_post.append(_on_save)
 
 
 def unregister() -> None:
-    """Stop watching."""
+    """Remove the handler and the timer."""
     bpy.app.handlers.save_post.remove(_on_save)
     if bpy.app.timers.is_registered(mark_changed):
         bpy.app.timers.unregister(mark_changed)

@@ -1,4 +1,4 @@
-"""A capture's cameras, lights and photographs as objects of the scene, one light lit at a time."""
+"""Makes scene objects of a capture's cameras, lights and photographs, and switches on one light at a time."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ from ..session.card_place import is_free, show_card
 from ..session.job import subject_object
 from ..session.scene_capture import spec_steps
 
-_ROLE = "irpso_role"  # custom property of own objects: "view 0", "light 12"
+_ROLE = "irpso_role"  # custom property of the objects made here: "view 0", "light 12"
 _DOME = 2.0  # the dome's radius over the subject's
-_SMALL = 0.3  # of the dome's radius: how large cameras are drawn
+_SMALL = 0.3  # the cameras' display size over the dome's radius
 
 
 @dataclass(frozen=True)
 class _Dome:
-    """Where distant lights are put for show: around centre (3,), at radius, in world units."""
+    """Where distant lights are displayed: around centre (3,), at radius, in world units."""
 
     centre: np.ndarray
     radius: float
 
 
 def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
-    """Make the capture's cameras and lights in the scene, or bring its own ones up to date; return the lights.
+    """Make or update the objects of the capture's cameras and lights; return the lights.
 
-    spec: of the same capture. Nothing that the user made is changed, but for a scene without a camera, which gets one
-    and its resolution. ``scene_capture.capture_from_scene`` of the result is the capture again, to float32.
+    spec: of the same capture. The user's objects do not change. A scene without a camera gets one and its resolution.
+    ``scene_capture.capture_from_scene`` returns the capture again, to float32.
     """
     owned = {obj[_ROLE]: obj for obj in _own(scene) if obj[CAPTURE] == capture.name}
     made: list = []
@@ -84,7 +84,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
 
 
 def observation_count(scene) -> int:
-    """Return how many observations there are to choose from: the recovery's, else the capture's lights in the scene."""
+    """Return the number of observations: those of the recovery, else the capture's lights in the scene."""
     running = session.current()
     return len(capture_lights(scene)) if running is None else len(running.job.capture.observations)
 
@@ -97,18 +97,18 @@ def _observation_changed(view) -> None:
 
 
 def show_observation(scene, number: int) -> None:
-    """Light the scene with one observation's light alone, and show its photograph behind its camera's view.
+    """Switch on one observation's light alone, and show its photograph as its camera's background.
 
-    number: of the observation, from 1. Lights without a photograph stay as they are, as do cameras that
-    ``create_scene`` did not make. The scene's camera changes if it is one of these.
+    number: of the observation, from 1. Lights without a photograph do not change, nor do cameras that ``create_scene``
+    did not make. The scene's camera changes only if ``create_scene`` made it.
     """
-    bpy.context.view_layer.update()  # else objects that were added or removed just now are not in it
+    bpy.context.view_layer.update()  # for objects that were added or removed just now
     lights = capture_lights(scene)
     if not lights:
         return
     shown = lights[min(number, len(lights)) - 1]
     for obj in {*lights, *_own_lights(scene)}:
-        # Written only where it changes: each write has Blender build its dependencies anew.
+        # Written only on change: each write makes Blender rebuild its dependency graph.
         if obj.hide_render != (obj != shown):
             obj.hide_render = obj != shown
         if obj.hide_viewport != (obj != shown):
@@ -123,9 +123,10 @@ def show_observation(scene, number: int) -> None:
 
 
 def capture_lights(scene) -> list:
-    """Return the lights in the scene that observations have, in their order; none where the capture has none there.
+    """Return the lights of the observations in the scene, in their order; [] if there are none.
 
-    Of files those that ``create_scene`` made; with the scene as source all that have a photograph.
+    For a capture of files these are the lights that ``create_scene`` made, for the scene as source all lights with a
+    photograph.
     """
     if scene.irpso.source == "SCENE":
         return photographed_lights(scene)
@@ -135,9 +136,9 @@ def capture_lights(scene) -> list:
 
 
 def place_card(card, camera: Camera, distance: float) -> None:
-    """Put a card object (``material.card_object``) at a distance, where the camera's image covers it exactly."""
+    """Place a card object (``material.card_object``) at a distance, where it fills the camera's image exactly."""
     width, height = card_size(camera, distance)
-    # Both sides of the card are in units of its width.
+    # The card's sides are in units of its width.
     size = Matrix.Diagonal((width, height * camera.width / camera.height, 1.0, 1.0))
     place = Matrix.Translation(card_middle(camera, distance).tolist())
     card.matrix_world = Matrix(camera.matrix.tolist()) @ place @ size
@@ -152,7 +153,7 @@ def _own_lights(scene) -> list:
 
 
 def _object(owned: dict, made: list, role: str, name: str, new, collection, capture: Capture):
-    """Return the own object of this role, new and tagged where there is none."""
+    """Return the capture's object of this role, created and tagged if there is none."""
     obj = owned.get(role)
     if obj is None:
         obj = new(name)
@@ -181,20 +182,20 @@ def _collection(scene, name: str):
 
 
 def _remove(objects: set) -> None:
-    """Delete objects, and their data where nothing else uses them."""
+    """Delete objects, and their data if nothing else uses it."""
     data = {obj.data for obj in objects}
     bpy.data.batch_remove(list(objects))
     bpy.data.batch_remove([item for item in data if item.users == 0])
 
 
 def _dome(scene, capture: Capture) -> _Dome:
-    """Return a dome around the subject: the mesh, else the card of a single camera, else the world's origin."""
+    """Return the dome around the subject: the mesh, else the card of a single camera, else the world's origin."""
     settings = scene.irpso
     obj = subject_object(bpy.context) if settings.subject == "MESH" else None
     if obj is not None:
         corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
     elif len(capture.cameras) == 1:
-        # Without distortion: a lens may show nothing in its corners.
+        # Without distortion, because a lens may show nothing in its corners.
         plain = replace(capture.cameras[0], distortion=())
         corners = plain.points(capture.card_distance or 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
     else:
@@ -213,7 +214,7 @@ def _set_background(data, image) -> None:
 
 
 def _set_resolution(scene, camera) -> None:
-    """Give the scene the size and the pixels of a camera's photographs."""
+    """Set the scene's resolution and pixel aspect to those of a camera's photographs."""
     render = scene.render
     render.resolution_x, render.resolution_y = camera[RESOLUTION]
     render.resolution_percentage = 100
@@ -221,10 +222,10 @@ def _set_resolution(scene, camera) -> None:
 
 
 class _Images:
-    """The open file's images by what they are of; loaded where there is none, with no pixels yet."""
+    """The open file's images by file, EXR part, layer and color space. Missing ones are loaded, without pixels."""
 
     def __init__(self):
-        self._found = {self._key_of(image): image for image in bpy.data.images if self._is_file(image)}
+        self._images = {self._key_of(image): image for image in bpy.data.images if self._is_file(image)}
 
     @staticmethod
     def _is_file(image) -> bool:
@@ -236,12 +237,12 @@ class _Images:
         return path, *(image.get(name) for name in (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE))
 
     def of(self, reference: ImageRef, mask: bool = False):
-        """Return the image of a capture's file. Raises CaptureError, with nothing loaded, where its header is none."""
+        """Return the image of a capture's file. Raises CaptureError and loads nothing if the header is unreadable."""
         path = reference.path.resolve()
         exr = path.suffix.lower() == ".exr"
         space = None if exr or mask or reference.colour_space == "auto" else reference.colour_space
         key = path, reference.part, reference.layer, space
-        if key not in self._found:
+        if key not in self._images:
             deep = space is None and not (exr or mask) and (is_raw(path) or read_header(path).bits == 16)
             image = bpy.data.images.load(str(path), check_existing=False)
             names = (scene_images.PART, scene_images.LAYER, scene_images.COLOUR_SPACE)
@@ -252,13 +253,13 @@ class _Images:
                 image.colorspace_settings.name = "Non-Color"
             elif deep or space == "linear":
                 image.colorspace_settings.name = "Linear Rec.709"
-            self._found[key] = image
-        return self._found[key]
+            self._images[key] = image
+        return self._images[key]
 
 
 class CreateScene(bpy.types.Operator):
-    """Make the capture's cameras and lights as objects: each light with its photograph, lit one at a time as the
-    observation is chosen. Running it again brings them up to date and leaves everything else as it is"""
+    """Make objects of the capture's cameras and of its lights with their photographs. Only the light of the chosen
+    observation is switched on. Pressed again, it updates these objects and changes nothing else"""
 
     bl_idname = "irpso.create_scene"
     bl_label = "Create Cameras and Lights"
@@ -273,7 +274,7 @@ class CreateScene(bpy.types.Operator):
         return chosen
 
     def execute(self, context):
-        """Make them; on a card the card as well, where the camera's image covers it."""
+        """Make cameras and lights, and for a card also the card, which fills the camera's image."""
         scene = context.scene
         settings = scene.irpso
         try:
@@ -287,23 +288,23 @@ class CreateScene(bpy.types.Operator):
             return {"CANCELLED"}
         lights = create_scene(scene, spec, capture)
         if on_card:
-            settings.card_distance = capture.card_distance or 0.0  # for the same scene as the capture
+            settings.card_distance = capture.card_distance or 0.0  # so that the scene gives the same capture
             rows, columns = capture.masks[0].shape
             card = material.card_object(capture.name, rows, columns)
-            if is_free(card):  # else somebody has moved it
+            if is_free(card):  # else the user has moved it
                 place_card(card, capture.cameras[0], depth)
             if context.window is not None:
                 show_card(context, card, np.array(card.matrix_world), rows / columns)
         cameras = len(capture.cameras)
         text = f"{cameras} camera{'s' * (cameras > 1)} and {len(lights)} lights of {capture.name}"
         if any(obj.type == "LIGHT" and not obj.hide_render and obj not in lights for obj in scene.objects):
-            text += "; other lights shine as well: hide them, and darken the world, to compare with the photographs"
+            text += "; other lights are also on: hide them, and darken the world, to compare with the photographs"
         self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
 class ShowObservation(bpy.types.Operator):
-    """Light the scene as this observation was: its light alone shines, its photograph lies behind its camera's view"""
+    """Light the scene as in this observation: only its light is on, and its photograph is the camera's background"""
 
     bl_idname = "irpso.show_observation"
     bl_label = "Show Observation"
@@ -320,14 +321,14 @@ class ShowObservation(bpy.types.Operator):
         return there
 
     def execute(self, context):
-        """Choose the observation; the scene follows."""
+        """Choose the observation, which updates the scene."""
         context.scene.irpso.view.observation = self.number
         return {"FINISHED"}
 
 
 class AssignImages(bpy.types.Operator):
-    """Choose the photographs of the scene's lights: the first image by name goes to the first light by name, and so on.
-    Where lights are selected, only those get images"""
+    """Choose the photographs of the scene's lights: the first image by name belongs to the first light by name, and so
+    on. If lights are selected, only these get images"""
 
     bl_idname = "irpso.assign_images"
     bl_label = "Assign Images to Lights"
@@ -340,23 +341,23 @@ class AssignImages(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are lights that can have images."""
+        """Whether there are lights that can have photographs."""
         there = bool(_assignable(context))
         if not there:
             cls.poll_message_set("The scene has no lights: add one for each photograph")
         return there
 
     def invoke(self, context, event):
-        """Ask for the files."""
-        if bpy.data.filepath:  # else the browser proposes the open file itself
+        """Open the file browser."""
+        if bpy.data.filepath:  # else the browser would propose the open file itself
             self.directory = f"{Path(bpy.data.filepath).parent}{os.sep}"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
-        """Give them to the lights in the order of names, and tell what was left over."""
+        """Assign the images to the lights in the order of names, and report those that are left over."""
         names = sorted((item.name for item in self.files if item.name), key=natural)
-        context.view_layer.update()  # else what a script has just added is not in it
+        context.view_layer.update()  # for lights that a script has just added
         lights = _assignable(context)
         if not names:
             self.report({"ERROR"}, "no image was chosen; select the photographs of the lights in the file browser")
@@ -365,7 +366,7 @@ class AssignImages(bpy.types.Operator):
         try:
             references = [ImageRef(absolute(self.directory, "Folder") / name) for name in names]
             for reference in references:
-                store.size(reference)  # all are looked at before a light is given one
+                store.size(reference)  # all headers are read before any light changes
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

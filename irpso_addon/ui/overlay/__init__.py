@@ -1,1 +1,1 @@
-"""What is drawn over the viewport and the Image editor while a recovery runs."""
+"""The overlay of a recovery in the viewport and the Image editor."""

@@ -1,4 +1,4 @@
-"""Probed texels: their colours, their rings on the subject and their errors as curves, as Fig. 4 of Nagano et al."""
+"""Probed texels: their colours, their rings on the subject and their error curves, as in Fig. 4 of Nagano et al."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .scales import PERCENT, label
 _MEAN = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
 _LEAST = (290.0, 140.0)
-_SHARE = (0.42, 0.36)  # of a small region that the panel takes at most
-_LIST = 136.0  # wide: the names and last errors beside the curves
-_LIFT = 0.3  # of its radius, over the surface
+_SHARE = (0.42, 0.36)  # the panel's most width and height over those of a small region
+_LIST = 136.0  # width of the list with names and last errors, in pixels at scale 1
+_LIFT = 0.3  # a ring's height above the surface over its radius
 _RING = 7.0  # radius of a ring on the subject, in pixels at scale 1
 
 
 def color_of(probe: Probe) -> tuple[float, float, float, float]:
-    """Return a probe's colour, display values: the same as in the pictures of a result."""
+    """Return a probe's colour in display values, the same as in a result's pictures."""
     return (*MARK_COLORS[probe.slot], 1.0)
 
 
@@ -34,7 +34,7 @@ def draw_rings(
     drawing: Drawing, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float],
     scale: float,
 ) -> None:  # fmt: skip
-    """Draw a ring on the surface around every probed texel, of one size in pixels."""
+    """Draw a ring of constant size in pixels on the surface around every probed texel."""
     bake = running.domain.bake
     rims, points, colors = [], [], []
     for probe in running.probes:
@@ -42,7 +42,7 @@ def draw_rings(
         normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
         radius = _RING * scale * pixel_size(perspective, point, size)
         if radius > 0:
-            # Raised a little: the surface bends toward it.
+            # Raised, because a curved surface could cover it.
             rim = circle(point + _LIFT * radius * normal, normal, radius)
             rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
             points.append(point)
@@ -57,7 +57,7 @@ def draw_rings(
 def name_rings(
     painter: Painter, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float]
 ) -> None:
-    """Write the number of every probe beside its ring, where the surface faces the viewer."""
+    """Write every probe's number beside its ring, if the surface faces the viewer there."""
     bake = running.domain.bake
     for probe in running.probes:
         point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
@@ -73,7 +73,7 @@ def _name_ring(painter: Painter, probe: Probe, at: np.ndarray) -> None:
 
 
 def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Session) -> None:
-    """Draw the rings over a map that lies flat, a tile in each area."""
+    """Draw the rings over a flat map with one UDIM tile per area."""
     shape = running.domain.shape
     for probe in running.probes:
         at = flat_place(areas, shape, probe.row, probe.column)[None]
@@ -84,14 +84,14 @@ def draw_flat_rings(painter: Painter, areas: Sequence[Rectangle], running: Sessi
 
 
 def curves_size(scale: float, free: Rectangle) -> tuple[float, float]:
-    """Return width and height of the panel in pixels, less in a region that has little free."""
+    """Return width and height of the panel in pixels; smaller in a region with little free space."""
     width = max(_LEAST[0], min(_WIDTH, _SHARE[0] * free.width / scale))
     height = max(_LEAST[1], min(_HEIGHT, _SHARE[1] * free.height / scale))
     return width * scale, height * scale
 
 
 def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
-    """Draw the mean error and those of probed texels against the iterations, in an area of ``curves_size``."""
+    """Plot the mean error and the probed texels' errors over the iterations, in an area of ``curves_size``."""
     s = painter.scale
     series = [("mean", _MEAN, running.history)]
     for probe in sorted(running.probes, key=lambda probe: probe.number):

@@ -1,4 +1,4 @@
-"""The capture's lights, on a dome around the subject or at their place, and its cameras."""
+"""The capture's lights, distant ones on a dome around the subject, near ones at their position; and its cameras."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from ...capture.camera import Camera
 from ...gpu.viewport import Drawing
 from .place import Stand, circle, to_pixels, transformed
 
-FITTED = 1.7  # radii of the subject from its centre to the dome
-_RAY = 0.10  # of the way to the subject: the stub of a ray that is drawn at every light
+FITTED = 1.7  # the dome's radius over the subject's
+_RAY = 0.10  # length of a light's ray over its distance to the subject
 _FAINTEST = 0.35  # display value of the weakest light's brightest channel
-_GUIDE = (0.50, 0.52, 0.58, 0.50)  # a grey that is seen on dark and on light themes
+_GUIDE = (0.50, 0.52, 0.58, 0.50)  # a grey that is visible on dark and on light themes
 _CAMERA = (0.80, 0.82, 0.88, 0.75)
 _CURRENT = (1.0, 0.86, 0.45, 1.0)
-_FRUSTUM = 0.16  # of the distance to the subject: how deep a camera is drawn
-_SIZE, _SMALL = 6.5, 2.5  # of a light's disc, in pixels at scale 1
+_FRUSTUM = 0.16  # depth of a drawn camera over its distance to the subject
+_SIZE, _SMALL = 6.5, 2.5  # a light's disc, in pixels at scale 1
 _RIM = (0.05, 0.05, 0.06, 0.9)
 _GAMMA = 1 / 2.2
 
 
 @dataclass(frozen=True)
 class Dome:
-    """Lights to be drawn, in world space.
+    """Lights to draw, in world space.
 
-    places: (K, 3). distant: (K,) bool. colors: (K, 3) display values. axis: (3,) the middle of the dome. half: whether
-    all distant lights are on one side. radius: of the dome, 0 where there are no distant lights. centre: (3,).
+    places: (K, 3). distant: (K,) bool. colors: (K, 3) display values. axis: (3,) mean direction of the distant lights.
+    half: whether all distant lights are on its side. radius: of the dome, 0 without distant lights. centre: (3,).
     """
 
     places: np.ndarray
@@ -40,7 +40,7 @@ class Dome:
 
 
 def dome_of(lights: np.ndarray, intensities: np.ndarray, stand: Stand, radius: float = 0.0) -> Dome:
-    """Return the dome of lights (K, 4), as a Domain has them. radius: in world units, 0 fits the subject."""
+    """Return the dome of a Domain's lights (K, 4). radius: in world units, 0 fits the subject."""
     radius = radius or FITTED * stand.radius
     distant = lights[:, 3] == 0
     directions = stand.directions(np.asarray(lights[:, :3], np.float64))
@@ -56,7 +56,7 @@ def dome_of(lights: np.ndarray, intensities: np.ndarray, stand: Stand, radius: f
 
 
 def light_colors(intensities: np.ndarray) -> np.ndarray:
-    """Return (K, 3) display values: hue of each light's intensity (K, 3), and its strength among the others."""
+    """Return (K, 3) display values of intensities (K, 3): the light's hue, with its strength relative to the others."""
     intensities = np.maximum(np.asarray(intensities, np.float64), 0)
     peak = intensities.max(axis=1)
     level = _FAINTEST + (1 - _FAINTEST) * (peak / max(peak.max(), 1e-30)) ** _GAMMA
@@ -64,7 +64,7 @@ def light_colors(intensities: np.ndarray) -> np.ndarray:
 
 
 def guide_lines(dome: Dome) -> list[np.ndarray]:
-    """Return lines (N, 3) that let the dome be seen as one: its rim and two arcs over it."""
+    """Return lines (N, 3) that show the dome's shape: its rim and two arcs."""
     if not dome.radius:
         return []
     rim = circle(dome.centre, dome.axis, dome.radius)
@@ -79,9 +79,9 @@ def guide_lines(dome: Dome) -> list[np.ndarray]:
 
 
 def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
-    """Return lines (N, 2, 3) in world space of a camera's field of view, with a small roof on its upper side.
+    """Return lines (N, 2, 3) in world space of a camera's field of view, with a small triangle on its upper side.
 
-    frame: (4, 4) from the capture's world to Blender's. depth: of the drawn part, in the capture's units.
+    frame: (4, 4) from the capture's world to Blender's. depth: of the drawn frustum, in the capture's units.
     """
     x = (np.array([0, camera.width, camera.width, 0]) - camera.centre[0]) / camera.scale[0]
     y = (np.array([0, 0, camera.height, camera.height]) - camera.centre[1]) / camera.scale[1]
@@ -101,7 +101,7 @@ def frustum(camera: Camera, frame: np.ndarray, depth: float) -> np.ndarray:
 def over_subject(
     places: np.ndarray, corners: np.ndarray, perspective: np.ndarray, size: tuple[float, float]
 ) -> np.ndarray:
-    """Return (K,) bool: which world points (K, 3) lie in a region within the rectangle around corners (N, 3)."""
+    """Return (K,) bool: which world points (K, 3) fall inside the screen rectangle around corners (N, 3)."""
     pixels, before = to_pixels(perspective, corners, size)
     if not before.all():
         return np.zeros(len(places), bool)
@@ -112,14 +112,14 @@ def over_subject(
 def draw_lights(
     drawing: Drawing, dome: Dome, current: int, over: np.ndarray, perspective: np.ndarray, scale: float
 ) -> None:
-    """Draw the lights, a stub of each one's ray, and the whole ray of the current one (none where negative).
+    """Draw the lights with short rays, and the whole ray of the current one. current: negative for none.
 
-    over: (K,) bool, those that stand over the subject: they are drawn small, without a ray, to let it be seen.
+    over: (K,) bool, the lights in front of the subject: drawn small, without a ray, to keep the subject visible.
     """
     guides = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3) for line in guide_lines(dome)]
     if guides:
         drawing.draw_lines(np.concatenate(guides), _GUIDE, scale, perspective, depth=True)
-    if 0 <= current < len(dome.places):  # under the lights, so that its disc has a rim
+    if 0 <= current < len(dome.places):  # below the lights, to give its disc a rim
         ray = np.stack([dome.places[current], dome.centre])
         colors = np.array([_CURRENT, (*_CURRENT[:3], 0.25)])
         drawing.draw_lines(ray, colors, 1.8 * scale, perspective, depth=True)
@@ -137,7 +137,7 @@ def draw_lights(
 def draw_cameras(
     drawing: Drawing, cameras: list[Camera], current: int, stand: Stand, perspective: np.ndarray, scale: float
 ) -> None:
-    """Draw the cameras, whose matrices are in the domain's frame, and, of several, the current one brighter."""
+    """Draw the cameras (matrices in the domain's frame). Of several, the current one is brighter."""
     for index, camera in enumerate(cameras):
         place = transformed(stand.frame, camera.position[None])[0]
         size = np.linalg.norm(stand.frame[:3, 0])

@@ -1,4 +1,4 @@
-"""The converging map flat in the Image editor, as if the domain were an image of its size."""
+"""Places of the flat map in the Image editor, where the domain is shown like an image of its size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .layout import Rectangle
 
 
 def why_covered(space) -> str:
-    """Return why an Image editor is not drawn over, in a sentence; "" where it shows no image or a recovered map."""
+    """Return in a sentence why an Image editor has no overlay, "" if it shows no image or a recovered map."""
     if space.mode not in ("VIEW", "UV"):  # painting and masking are the user's own work
         return "This editor paints or masks: choose View in its header"
     if space.image is not None and MAP_TAG not in space.image:
@@ -21,10 +21,10 @@ def why_covered(space) -> str:
 
 
 def map_areas(region, space, shape: tuple[int, int], tiles: Sequence[int] = ONE_SQUARE) -> list[Rectangle]:
-    """Return the rectangles of the region in which the tiles of a domain of (H, W) texels lie, in pixels.
+    """Return the rectangles, in pixels of the region, of the tiles of a domain of (H, W) texels.
 
-    The unit square's is as wide as that. Under texture coordinates it is as high too, else of the tile's own
-    proportions; UDIM tiles stand beside and above each other, as Blender shows those of an image.
+    A tile is as wide as the unit square. With a UV editor it is also as high, else it has the proportions of its
+    texels. UDIM tiles stand beside and above each other, as in Blender.
     """
     left, bottom = region.view2d.view_to_region(0.0, 0.0, clip=False)
     right, top = region.view2d.view_to_region(1.0, 1.0, clip=False)
@@ -36,14 +36,14 @@ def map_areas(region, space, shape: tuple[int, int], tiles: Sequence[int] = ONE_
 
 
 def bounds(areas: Sequence[Rectangle]) -> Rectangle:
-    """Return the rectangle that holds all of them."""
+    """Return the bounding rectangle of areas."""
     left, bottom = min(area.x for area in areas), min(area.y for area in areas)
     right, top = max(area.right for area in areas), max(area.top for area in areas)
     return Rectangle(left, bottom, right - left, top - bottom)
 
 
 def texture_place(areas: Sequence[Rectangle], x: float, y: float) -> np.ndarray | None:
-    """Return the place (2,) in the domain, 0…1, at a pixel of the region, None outside."""
+    """Return the texture coordinates (2,) in the domain, 0…1, at a pixel of the region, None outside."""
     for index, area in enumerate(areas):
         if area.x <= x <= area.right and area.y <= y <= area.top:
             return np.array([((x - area.x) / area.width + index) / len(areas), (y - area.y) / area.height])
@@ -51,7 +51,7 @@ def texture_place(areas: Sequence[Rectangle], x: float, y: float) -> np.ndarray 
 
 
 def flat_place(areas: Sequence[Rectangle], shape: tuple[int, int], row: int, column: int) -> np.ndarray:
-    """Return (2,) the pixel of a texel's centre, where the areas together hold the whole domain (H, W)."""
+    """Return the pixel (2,) of a texel's centre. areas: the tiles of the whole domain, shape (H, W)."""
     width = shape[1] // len(areas)
     area = areas[column // width]
     return np.array([

@@ -1,4 +1,4 @@
-"""The draw handlers: there while a session is, gone when it ends; what fails in one ends the overlay and is told."""
+"""The draw handlers, which exist while a session exists. An exception in one ends the overlay and is reported."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..session import session
 from .stage import Stage
 from .surface import why_unseen
 
-_OVERLAY = "The overlay"  # as failures call it
-_IDLE_SECONDS = 0.1  # between looks at the settings while the session rests
+_OVERLAY = "The overlay"  # its name in messages of failures
+_IDLE_SECONDS = 0.1  # between reads of the settings while the session pauses
 
 _handles: list[tuple[type, Any]] = []
 _stage: Stage | None = None
-_failed: session.Session | None = None  # whose overlay has ended; it is not begun again
+_failed: session.Session | None = None  # the session whose overlay has failed and does not restart
 
 
 def is_seen_in(context, space) -> bool:
-    """Return whether a 3-D viewport of the context's window shows the subject."""
+    """Return whether a 3D viewport of the context's window shows the subject."""
     if _stage is None:
         return False
     with context.temp_override(area=next(a for a in context.screen.areas if a.spaces.active == space)):
@@ -29,19 +29,19 @@ def is_seen_in(context, space) -> bool:
 
 
 def why_hidden(context) -> str:
-    """Return why the editor of a context draws nothing of the session, in a sentence; "" where it draws."""
+    """Return in a sentence why the context's editor has no overlay, "" if it has one."""
     if _failed is not None and _failed is session.current():
         return _failed.failure
     return "" if _stage is None or context.space_data is None else _stage.why_hidden(context)
 
 
 def handler_count() -> int:
-    """Return how many draw handlers there are."""
+    """Return the number of draw handlers."""
     return len(_handles)
 
 
 def redraw(only: int = 0) -> None:
-    """Have the 3-D viewports and Image editors drawn anew, of all windows or of the one at an address."""
+    """Redraw the 3D viewports and Image editors. only: the address of a window, 0 for all windows."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas if only in (0, window.as_pointer()) else ():
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
@@ -49,7 +49,7 @@ def redraw(only: int = 0) -> None:
 
 
 def _follow() -> None:
-    """Begin with a session, go on with it, and end with it. Called where the session works."""
+    """Start, update or end the overlay with the session. Called in the GPU context in which the session works."""
     global _failed
     running = session.current()
     if _stage is not None and running is not _stage.running:
@@ -92,7 +92,7 @@ def _end() -> None:
 
 @failures.told(_OVERLAY)
 def _idle() -> float | None:
-    """Heed changed settings while the session rests and nobody else does."""
+    """Apply changed settings while the session pauses, when nothing else calls ``update``."""
     if _stage is None or _stage.running is _failed:
         _end()
         return None
@@ -101,14 +101,14 @@ def _idle() -> float | None:
             if _guarded(_stage.running, _stage.update):
                 redraw()
         else:
-            redraw(_stage.own_window)  # drawing a window makes its context current, until another is drawn
+            redraw(_stage.own_window)  # drawing a window makes its context current
         if _guarded(_stage.running, _stage.wants_redraw):
             redraw()
     return _IDLE_SECONDS
 
 
 def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any) -> Any:
-    """Do some work; an exception ends the overlay of this session once and for all, and is told."""
+    """Call ``work``. An exception is reported and ends the overlay of this session for good."""
     global _failed
     with failures.told(_OVERLAY):
         return work(*arguments)
@@ -117,7 +117,7 @@ def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any
 
 
 def _draw(method: Callable[[Stage, Any], None]) -> None:
-    # Handlers are not removed here: Blender is going through the list of them.
+    # Handlers are not removed here, because Blender is iterating over them.
     if _stage is not None and _stage.running is not _failed and not _stage.running.closed:
         _guarded(_stage.running, method, _stage, bpy.context)
 
@@ -140,7 +140,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take out what is drawn, and follow no longer."""
+    """Remove the overlay and stop following the sessions."""
     global _failed
     session.listeners.remove(_follow)
     _end()

@@ -1,4 +1,4 @@
-"""Where things stand in a region: what its side regions leave free, and boxes put beside each other."""
+"""Layout in a region: the free space between its side regions, and boxes placed in it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangle in pixels, x to the right and y up."""
+    """A rectangle in pixels: x to the right, y up."""
 
     x: float
     y: float
@@ -26,27 +26,26 @@ class Rectangle:
         return self.y + self.height
 
     def corner(self, width: float, height: float) -> Rectangle:
-        """Return a rectangle of a size in the lower right corner."""
+        """Return a rectangle of a given size in the lower right corner."""
         return Rectangle(self.right - width, self.y, width, height)
 
     def overlaps(self, other: Rectangle) -> bool:
-        """Return whether they have a part in common."""
+        """Return whether the rectangles overlap."""
         return self.x < other.right and other.x < self.right and self.y < other.top and other.y < self.top
 
     def holds(self, other: Rectangle) -> bool:
-        """Return whether another lies inside."""
+        """Return whether the other rectangle lies inside."""
         return self.x <= other.x and other.right <= self.right and self.y <= other.y and other.top <= self.top
 
     def inset(self, left: float, bottom: float, right: float, top: float) -> Rectangle:
-        """Return what is left between margins."""
+        """Return the rectangle inside the margins."""
         return Rectangle(self.x + left, self.y + bottom, self.width - left - right, self.height - bottom - top)
 
 
 def free_rectangle(window: Rectangle, sides: Iterable[tuple[str, Rectangle]]) -> Rectangle:
-    """Return what regions drawn over a window's sides leave free, in pixels of the window.
+    """Return the part of a window that the regions at its sides leave free, in the window's pixels.
 
-    window, sides: in one frame of pixels; a side says at which of LEFT, RIGHT, TOP and BOTTOM it stands, any other
-    stands nowhere.
+    window, sides: in the same coordinates. A side is named LEFT, RIGHT, TOP or BOTTOM; other names are ignored.
     """
     left, bottom, right, top = window.x, window.y, window.right, window.top
     for side, area in sides:
@@ -64,9 +63,9 @@ def free_rectangle(window: Rectangle, sides: Iterable[tuple[str, Rectangle]]) ->
 
 
 def stacked(free: Rectangle, sizes: Sequence[tuple[float, float]], gap: float) -> list[Rectangle | None]:
-    """Place boxes (width, height) upward from the lower left corner, in further columns where there is no room above.
+    """Place boxes (width, height) upward from the lower left corner; if a column is full, start the next one.
 
-    A box that does not fit in at all is None.
+    A box that does not fit is None.
     """
     places: list[Rectangle | None] = []
     x, y, column = free.x, free.y, 0.0
@@ -84,7 +83,7 @@ def stacked(free: Rectangle, sizes: Sequence[tuple[float, float]], gap: float) -
 def stacked_around(
     corner: Rectangle | None, free: Rectangle, sizes: Sequence[tuple[float, float]], gap: float
 ) -> list[Rectangle | None]:
-    """Place boxes as ``stacked`` does left of a box in the lower right corner, or above it where more of them fit."""
+    """Place boxes like ``stacked``, left of a box in the lower right corner, or above it if more of them fit there."""
     if corner is None:
         return stacked(free, sizes, gap)
     left = Rectangle(free.x, free.y, corner.x - gap - free.x, free.height)
@@ -96,7 +95,7 @@ def stacked_around(
 def beside(
     point: Sequence[float], size: tuple[float, float], gap: float, free: Rectangle, taken: Iterable[Rectangle]
 ) -> Rectangle | None:
-    """Return a box right, left, above or below of a point: the first inside ``free`` that covers nothing taken."""
+    """Return a box right, left, above or below of a point: the first inside ``free`` that overlaps nothing taken."""
     (x, y), (width, height), taken = point, size, list(taken)
     low, left = y - height / 2, x - width / 2
     for corner in ((x + gap, low), (x - gap - width, low), (left, y + gap), (left, y - gap - height)):

@@ -1,4 +1,4 @@
-"""What is shown, in words, and what its colours mean."""
+"""Caption of the displayed picture, and the legend of its false colours."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .paint import DIM, SMALL, Painter
 from .scales import PERCENT, label, ticks_to
 
 _BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # height of the bar, width of its panel, in pixels at scale 1
-_SHARE = 0.3  # of a small region's height that the bar takes
-_AROUND = 62.0  # of the panel's height, above and below the bar
-_TICK = 15.0  # from one tick to the next, at least
+_SHARE = 0.3  # the bar's height over that of a small region
+_AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
+_TICK = 15.0  # least distance of ticks, in pixels at scale 1
 _OF_WHITE = "% of white"
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What a false-colour bar says. top: the number beside its red end, in ``unit``."""
+    """Texts of a false-colour bar. top: the number beside its red end, in ``unit``."""
 
     title: str
     unit: str
@@ -33,7 +33,7 @@ class Scale:
 
 
 def words(shown: Shown, model: ReflectanceModel, names: Sequence[str], numbers: Sequence[int]) -> str:
-    """Return what a picture shows, for people. names: of the observations. numbers: theirs, from 0."""
+    """Return a picture's caption. names: of the observations. numbers: of the observations, from 0."""
     if shown.kind == "parameter":
         return bpy.path.display_name(shown.parameter)
     if shown.kind == "error":
@@ -45,7 +45,7 @@ def words(shown: Shown, model: ReflectanceModel, names: Sequence[str], numbers: 
 
 
 def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
-    """Return what the false colours of a picture mean, None where it has none."""
+    """Return the scale of a picture's false colours, None if it has none."""
     if shown.kind == "error":
         return Scale("Error", _OF_WHITE, PERCENT * shown.limit)
     if shown.kind != "confidence":
@@ -57,13 +57,13 @@ def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
 
 
 def legend_size(scale: float, free: Rectangle) -> tuple[float, float]:
-    """Return width and height of the legend's panel in pixels, less in a region that has little free."""
+    """Return width and height of the legend's panel in pixels; smaller in a region with little free space."""
     bar = max(_LEAST_BAR, min(_BAR, _SHARE * free.height / scale))
     return _WIDTH * scale, (bar + _AROUND) * scale
 
 
 def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
-    """Draw a bar from blue, low, to red, high, with its ticks, in an area of ``legend_size``."""
+    """Draw a bar from blue (low) to red (high) with ticks, in an area of ``legend_size``."""
     s = painter.scale
     painter.panel(area)
     painter.text(meaning.title, area.x + 12 * s, area.top - 19 * s)

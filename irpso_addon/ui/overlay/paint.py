@@ -1,4 +1,4 @@
-"""Panels, text and lines over a region, in pixels, at the user's interface scale."""
+"""Draws panels, text and lines over a region, in pixels, at the user's interface scale."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import numpy as np
 from ...gpu.viewport import Drawing
 from .layout import Rectangle
 
-# A dark backing with light text reads on Blender's dark and light themes and on any picture.
-BACKING = (0.055, 0.055, 0.065, 0.90)  # windows blend linear light: over white it still is as dark as 0.29
+# Light text on a dark backing is legible with Blender's dark and light themes and over any picture.
+BACKING = (0.055, 0.055, 0.065, 0.90)  # windows blend linear light: over white it becomes 0.29
 TEXT = (0.93, 0.93, 0.94, 1.0)
 DIM = (0.93, 0.93, 0.94, 0.62)
 GRID = (1.0, 1.0, 1.0, 0.10)
 AXIS = (1.0, 1.0, 1.0, 0.38)
 HALO = (0.03, 0.03, 0.04, 0.9)  # around coloured marks, for bright pictures
-SIZE, SMALL = 11.0, 10.0  # points, as Blender's own labels have
+SIZE, SMALL = 11.0, 10.0  # points, like Blender's labels
 _FONT = 0  # Blender's own
 _CORNER = 5.0  # radius of a panel's corners, in pixels at scale 1
 _CORNER_STEPS = 5
-_CHIP, _PAD = 21.0, 7.0  # a chip's height, and the room at its sides, in pixels at scale 1
+_CHIP, _PAD = 21.0, 7.0  # a chip's height and side margins, in pixels at scale 1
 
 Colors = Sequence[float] | np.ndarray  # (4,) or (N, 4)
 
 
 class Painter:
-    """Draws in pixels of the region, once it is ``flush``ed: shapes in their order, then text.
+    """Collects shapes and text in pixels of the region; ``flush`` draws the shapes in order, then the text.
 
-    scale: the user's interface scale, by which widths, sizes and radii are multiplied; places are in pixels already.
+    scale: the user's interface scale, which multiplies widths, sizes and radii. Positions are in pixels.
     """
 
     def __init__(self, drawing: Drawing, scale: float):
@@ -55,7 +55,7 @@ class Painter:
         self._add("lines", width, points, colors)
 
     def curve(self, points: np.ndarray, color: Sequence[float], width: float = 1.5) -> None:
-        """Draw one line through points (N, 2)."""
+        """Draw a polyline through points (N, 2)."""
         self.lines(np.stack([points[:-1], points[1:]], axis=1), color, width)
 
     def dots(self, points: np.ndarray, colors: Colors, size: float) -> None:
@@ -72,18 +72,18 @@ class Painter:
     def text(
         self, text: str, x: float, y: float, color: Sequence[float] = TEXT, size: float = SIZE, align: str = "left"
     ) -> None:
-        """Write a line with its base at y, x being its left end, its middle ("centre") or its right end."""
+        """Write a line of text with its base at y. x: its "left" end, "centre" or "right" end, by ``align``."""
         if align != "left":
             x -= self.width(text, size) * (0.5 if align == "centre" else 1.0)
         self._texts.append((text, x, y, color, size))
 
     def width(self, text: str, size: float = SIZE) -> float:
-        """Return how wide a line of text is, in pixels."""
+        """Return the width of a line of text in pixels."""
         blf.size(_FONT, size * self.scale)
         return blf.dimensions(_FONT, text)[0]
 
     def chip(self, text: str, x: float, y: float, align: str = "left") -> None:
-        """Write a line on a small backing of its own, y being the backing's lower edge."""
+        """Write a line of text on its own backing. y: the backing's lower edge."""
         width, height = self.chip_size(text)
         x -= {"left": 0.0, "centre": width / 2, "right": width}[align]
         self.panel(Rectangle(x, y, width, height))
@@ -94,7 +94,7 @@ class Painter:
         return self.width(text) + 2 * _PAD * self.scale, _CHIP * self.scale
 
     def flush(self) -> None:
-        """Draw what has been asked for."""
+        """Draw the collected shapes and text."""
         for shapes in self._shapes:
             points, colors = np.concatenate(shapes.points), np.concatenate(shapes.colors)
             if shapes.kind == "triangles":
@@ -112,7 +112,7 @@ class Painter:
         self._texts.clear()
 
     def _add(self, kind: str, width: float, points: np.ndarray, colors: Colors) -> None:
-        """Ask for shapes; with like ones before them they make one draw: some sixty of them cost 20 ms a redraw."""
+        """Collect shapes. Those like the ones before share a draw call: about sixty calls cost 20 ms per redraw."""
         points = np.reshape(points, (-1, 2))
         if not len(points):
             return
@@ -124,7 +124,7 @@ class Painter:
 
 @dataclass
 class _Shapes:
-    """Shapes of one kind and width: (N, 2) points and (N, 4) colours, in parts."""
+    """Shapes of one kind and width: lists of (N, 2) points and (N, 4) colours."""
 
     kind: str
     width: float

@@ -1,16 +1,16 @@
-"""From a click to the texel under it."""
+"""Finds the texel under a click."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_BLOCK = 1 << 17  # triangles looked at together, which bounds the memory
+_BLOCK = 1 << 17  # triangles per block, which bounds the memory
 
 
 def view_ray(
     perspective: np.ndarray, place: tuple[float, float], size: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return origin, on the near plane, and unit direction (3,) of what is seen at a pixel, in world units.
+    """Return origin (3,), on the near plane, and unit direction (3,) of the view ray at a pixel, in world space.
 
     perspective: (4, 4) world to clip coordinates. place, size: of the click and of the region, in pixels.
     """
@@ -22,9 +22,9 @@ def view_ray(
 
 
 def first_hit(origin: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> tuple[int, np.ndarray, float] | None:
-    """Return number, barycentric weights (3,) and distance of the first of (T, 3, 3) triangles that a ray meets.
+    """Return index, barycentric weights (3,) and distance of the first of (T, 3, 3) triangles that a ray hits.
 
-    None where it meets none. Both sides of a triangle count (Möller and Trumbore 1997).
+    None if it hits none. Both sides of a triangle count (Möller and Trumbore 1997).
     """
     best: tuple[int, np.ndarray, float] | None = None
     for start in range(0, len(triangles), _BLOCK):
@@ -57,7 +57,7 @@ def texel_at(uv: np.ndarray, shape: tuple[int, int]) -> tuple[int, int] | None:
 
 
 def nearest_texel(solvable: np.ndarray, row: int, column: int, reach: int) -> tuple[int, int] | None:
-    """Return the nearest texel of (H, W) bool at most ``reach`` rows and columns away, None where there is none."""
+    """Return the nearest solvable texel, at most ``reach`` rows and columns away, or None. solvable: (H, W) bool."""
     top, left = max(row - reach, 0), max(column - reach, 0)
     rows, columns = np.nonzero(solvable[top : row + reach + 1, left : column + reach + 1])
     if not len(rows):

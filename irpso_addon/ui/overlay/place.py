@@ -1,4 +1,4 @@
-"""Where a subject stands: the domain's frame in the world, and points of the world in a region's pixels."""
+"""Placement of the subject: from the domain's frame to the world, and from the world to a region's pixels."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_SIDES = 40  # of what is drawn for a circle
+_SIDES = 40  # of a polygon drawn as a circle
 
 
 @dataclass(frozen=True)
 class Stand:
-    """A subject as it stands in the world now. frame: (4, 4) the domain's frame, in which its positions and lights
-    are, to world. centre: (3,) and radius, in world units, of a ball around it.
+    """Present placement of a subject. frame: (4, 4) from the domain's frame (positions, lights) to the world.
+
+    centre: (3,) and radius of a sphere around the subject, in world units.
     """
 
     frame: np.ndarray
@@ -26,7 +27,7 @@ class Stand:
 
 
 def stand_of(frame: np.ndarray, corners: np.ndarray) -> Stand:
-    """Return the stand of points (N, 3) of the domain's frame."""
+    """Return the placement of points (N, 3) in the domain's frame."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = (low + high) / 2
     reach = np.linalg.norm((corners - centre) @ frame[:3, :3].T, axis=1).max()
@@ -34,9 +35,9 @@ def stand_of(frame: np.ndarray, corners: np.ndarray) -> Stand:
 
 
 def card_corners(position: np.ndarray) -> np.ndarray:
-    """Return (4, 3) the card's corners in the domain's frame, counter-clockwise from the lower left.
+    """Return the card's corners (4, 3) in the domain's frame, counter-clockwise from the lower left.
 
-    position: (H, W, 3) its texels' centres. The corners lie half a texel farther out.
+    position: (H, W, 3) its texels' centres. The corners lie half a texel outside them.
     """
     x, y = _pitch(position)
     low, high = position[0, 0] - (x + y) / 2, position[-1, -1] + (x + y) / 2
@@ -44,7 +45,7 @@ def card_corners(position: np.ndarray) -> np.ndarray:
 
 
 def card_frame(position: np.ndarray) -> np.ndarray:
-    """Return (4, 4) from the domain's frame of a card to that of the card's object: 1 wide, its centre the origin."""
+    """Return (4, 4) from a card's domain frame to its object's frame: width 1, centre at the origin."""
     corners = card_corners(position)
     scale = 1 / max(corners[:, 0].max() - corners[:, 0].min(), 1e-30)
     frame = np.diag([scale, scale, scale, 1.0])
@@ -53,12 +54,12 @@ def card_frame(position: np.ndarray) -> np.ndarray:
 
 
 def transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points (…, 3) carried by an affine (4, 4)."""
+    """Return points (…, 3) transformed by an affine (4, 4)."""
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def to_pixels(perspective: np.ndarray, points: np.ndarray, size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (N, 2) of world points (N, 3), and (N,) bool, which of them lie before the viewer."""
+    """Return pixels (N, 2) of world points (N, 3), and (N,) bool: which are in front of the viewer."""
     clip = np.asarray(points, np.float64) @ perspective[:, :3].T + perspective[:, 3]
     before = clip[:, 3] > 1e-9
     place = clip[:, :2] / np.where(before, clip[:, 3], 1.0)[:, None]
@@ -66,13 +67,13 @@ def to_pixels(perspective: np.ndarray, points: np.ndarray, size: tuple[float, fl
 
 
 def pixel_size(perspective: np.ndarray, point: np.ndarray, size: tuple[float, float]) -> float:
-    """Return how many world units a pixel is wide at a point (3,) of the world; 0 behind the viewer."""
+    """Return the width of a pixel in world units at a world point (3,); 0 behind the viewer."""
     depth = float(perspective[3, :3] @ point + perspective[3, 3])
     return max(0.0, 2 * depth / (size[0] * float(np.linalg.norm(perspective[0, :3]))))
 
 
 def circle(centre: np.ndarray, normal: np.ndarray, radius: float, begin: float = 0.0, end: float = 1.0) -> np.ndarray:
-    """Return (N, 3) points around a circle, or the part of it between two fractions of a turn."""
+    """Return points (N, 3) on a circle, or on its arc between two fractions of a turn."""
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
     angles = 2 * np.pi * np.linspace(begin, end, _SIDES + 1)[:, None]
@@ -80,7 +81,7 @@ def circle(centre: np.ndarray, normal: np.ndarray, radius: float, begin: float =
 
 
 def _pitch(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps (3,) to the next column and row; square texels where there is only one of either."""
+    """Return the steps (3,) to the next column and row. A single row or column has square texels."""
     height, width = position.shape[:2]
     x = (position[0, -1] - position[0, 0]) / max(width - 1, 1)
     y = (position[-1, 0] - position[0, 0]) / max(height - 1, 1)

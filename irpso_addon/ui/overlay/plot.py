@@ -1,4 +1,4 @@
-"""Curves of errors against iterations, as lines and ticks in pixels."""
+"""Plots of errors over iterations: curves and ticks in pixels."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from .layout import Rectangle
 from .scales import label, linear_ticks, log_ticks, round_down, round_up
 
-_FEWEST_ITERATIONS = 10  # the axis' length while hardly any have been made
-_LEAST_SPAN = 10.0  # between the ends of the error's axis: a level curve should look level
-_DEEPEST = 1e-8  # of the largest error: what is below is rounding
+_FEWEST_ITERATIONS = 10  # least length of the iterations' axis
+_LEAST_SPAN = 10.0  # least ratio of the ends of the error's axis: a level curve should look level
+_DEEPEST = 1e-8  # least error drawn over the largest: smaller ones are rounding
 
 
 @dataclass(frozen=True)
 class Plot:
-    """What is to be drawn. x_ticks, y_ticks: (pixel, text). minor: pixels of y ticks without a text.
+    """A plot in pixels. x_ticks, y_ticks: (pixel, text). minor: pixels of y ticks without text.
 
-    curves: one (N, 2) array of pixels for each curve, empty where it has no points.
+    curves: one (N, 2) array per curve, empty if it has no points.
     """
 
     area: Rectangle
@@ -32,7 +32,7 @@ class Plot:
 def curve_plot(area: Rectangle, curves: Sequence[Sequence[tuple[float, float]]]) -> Plot:
     """Return the plot of curves of (iteration, error): iterations linear from 0, errors logarithmic.
 
-    Errors that are not numbers are left out; those of 0 lie on the axis.
+    Errors that are not finite are left out. Errors of 0 lie on the axis.
     """
     points = [_numbers(curve) for curve in curves]
     everything = np.concatenate([np.empty((0, 2)), *points])
@@ -72,7 +72,7 @@ def _error_range(errors: np.ndarray) -> tuple[float, float]:
 
 
 def _thinned(points: np.ndarray, most: int) -> np.ndarray:
-    """Return at most about ``most`` points of a curve, its last among them."""
+    """Return at most ``most`` points of a curve, including the last."""
     if len(points) <= most or most < 2:
         return points
     return points[np.unique(np.linspace(0, len(points) - 1, most).round().astype(int))]

@@ -1,4 +1,4 @@
-"""Probing: a click on the subject, in the viewport or flat in the Image editor, watches the texel under it."""
+"""Operators that probe texels: a click on the subject, in the viewport or the Image editor, plots a texel's error."""
 
 import bpy
 import numpy as np
@@ -10,20 +10,20 @@ from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
 from .surface import bounding_corners, is_solved, stand, triangles_of
 
-_REACH = 3  # texels from the click in which the nearest that is solved is taken
-_HELP = "Click the subject to watch the error of a texel; Esc or the right mouse button ends"
+_REACH = 3  # most distance of a solved texel from the click, in texels
+_HELP = "Click the subject to see the error of a texel. Esc or right-click ends"
 
 
 class IRPSO_OT_probe(bpy.types.Operator):
-    """Click texels of the subject, in the viewport or in the Image editor, to watch their errors: four at most, a fifth
-    takes the place of the oldest. Esc or the right mouse button ends"""
+    """Click texels of the subject, in the viewport or in the Image editor, to see their errors: four at most, a fifth
+    replaces the oldest. Esc or right-click ends"""
 
     bl_idname = "irpso.probe"
     bl_label = "Probe Texels"
     bl_options = {"INTERNAL"}
 
-    row: IntProperty(name="Row", description="Of the texel, counted from the bottom", min=-1, default=-1)
-    column: IntProperty(name="Column", description="Of the texel, counted from the left", min=-1, default=-1)
+    row: IntProperty(name="Row", description="Row of the texel, from 0 at the bottom", min=-1, default=-1)
+    column: IntProperty(name="Column", description="Column of the texel, from 0 at the left", min=-1, default=-1)
 
     @classmethod
     def poll(cls, context):
@@ -35,14 +35,14 @@ class IRPSO_OT_probe(bpy.types.Operator):
         return True
 
     def execute(self, context):
-        """Watch the texel that the properties name."""
+        """Probe the texel at ``row`` and ``column``."""
         running = session.current()
         height, width = running.domain.shape
         if not (0 <= self.row < height and 0 <= self.column < width):
             self.report({"ERROR"}, f"texel ({self.row}, {self.column}): there are {height} rows, {width} columns")
             return {"CANCELLED"}
         if not running.fitted.solvable[self.row, self.column]:
-            self.report({"ERROR"}, f"texel ({self.row}, {self.column}) is seen by no photograph; choose another")
+            self.report({"ERROR"}, f"no photograph shows texel ({self.row}, {self.column}); choose another")
             return {"CANCELLED"}
         self._watch(running, self.row, self.column)
         return {"FINISHED"}
@@ -57,12 +57,12 @@ class IRPSO_OT_probe(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        """Take clicks on the subject; whatever else happens goes on to Blender."""
+        """Probe on clicks on the subject. Blender handles all other events."""
         with failures.told("Probing"):
-            return self._heed(context, event)
+            return self._handle(context, event)
         return self._leave(context)
 
-    def _heed(self, context, event):
+    def _handle(self, context, event):
         running = session.current()
         if running is None or running.fitted is None:
             return self._leave(context)
@@ -73,20 +73,20 @@ class IRPSO_OT_probe(bpy.types.Operator):
         texel = _clicked(context, running, event.mouse_x, event.mouse_y)
         if texel is None:  # buttons, gizmos, other editors
             return {"PASS_THROUGH"}
-        found = nearest_texel(running.fitted.solvable, *texel, _REACH)
-        if found is None:
-            self.report({"INFO"}, "No photograph sees this texel; click another")
+        nearest = nearest_texel(running.fitted.solvable, *texel, _REACH)
+        if nearest is None:
+            self.report({"INFO"}, "No photograph shows this texel; click another")
             return {"RUNNING_MODAL"}
-        self._watch(running, *found)
+        self._watch(running, *nearest)
         return {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """Leave with the window, or with the file."""
+        """End when the window or the file is closed."""
         if context.window is not None:
             self._leave(context)
 
     def _watch(self, running, row: int, column: int) -> None:
-        """Watch a texel, and say which one is watched no longer for it."""
+        """Probe a texel, and report the probe that it replaces."""
         dropped = running.add_probe(row, column)
         if dropped is not None:
             where = f"{dropped.column}, {dropped.row}"
@@ -101,17 +101,17 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
 
 class IRPSO_OT_probe_remove(bpy.types.Operator):
-    """Watch this texel no longer"""
+    """Remove this probe"""
 
     bl_idname = "irpso.probe_remove"
     bl_label = "Remove Probe"
     bl_options = {"INTERNAL"}
 
-    index: IntProperty(name="Index", description="Of the probe, from 0, the oldest first", min=0)
+    index: IntProperty(name="Index", description="Index of the probe from 0, oldest first", min=0)
 
     @classmethod
     def poll(cls, context):
-        """Whether a texel is watched."""
+        """Whether a texel is probed."""
         return _watched(cls)
 
     def execute(self, context):
@@ -126,7 +126,7 @@ class IRPSO_OT_probe_remove(bpy.types.Operator):
 
 
 class IRPSO_OT_probe_clear(bpy.types.Operator):
-    """Watch no texel any longer"""
+    """Remove all probes"""
 
     bl_idname = "irpso.probe_clear"
     bl_label = "Clear Probes"
@@ -134,7 +134,7 @@ class IRPSO_OT_probe_clear(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Whether a texel is watched."""
+        """Whether a texel is probed."""
         return _watched(cls)
 
     def execute(self, context):
@@ -155,7 +155,7 @@ def _watched(cls) -> bool:
 
 
 def _clicked(context, running, x: int, y: int) -> tuple[int, int] | None:
-    """Return (row, column) of the texel at a place of the window, None where the subject is not under it."""
+    """Return (row, column) of the texel at a pixel of the window, None beside the subject."""
     area = next((a for a in context.screen.areas if _contains(a, x, y)), None)
     if area is None or area.type not in ("VIEW_3D", "IMAGE_EDITOR"):
         return None
@@ -168,7 +168,7 @@ def _clicked(context, running, x: int, y: int) -> tuple[int, int] | None:
         return _flat_texel(running, region, space, place)
     if not handlers.is_seen_in(context, space):
         return None
-    # Of a quad view every region has a view of its own.
+    # In a quad view each region has its own view.
     return _surface_texel(running, region.data, place, (region.width, region.height))
 
 

@@ -1,4 +1,4 @@
-"""Numbers on axes: round limits, where ticks stand, and what is written beside them."""
+"""Numbers on axes: round limits, ticks and their labels."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import math
 
 PERCENT = 100.0  # the panel, the legend and the plots show errors in % of white
 _ROUND = (1.0, 2.0, 5.0, 10.0)
-# How far the wanted limit may stray from the one that is shown before it changes: a legend that jumps is unreadable.
+# The limit stays while the wanted one over it lies between these: a legend that jumps is unreadable.
 _HOLD_BELOW, _HOLD_ABOVE = 0.45, 1.8
 
 
 def round_up(value: float) -> float:
-    """Return the least of 1, 2, 5 · 10ⁿ that is not below a positive value."""
+    """Return the smallest of 1, 2, 5 · 10ⁿ that is not below a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in _ROUND if step * power >= value * (1 - 1e-9))
 
 
 def round_down(value: float) -> float:
-    """Return the greatest of 1, 2, 5 · 10ⁿ that is not above a positive value."""
+    """Return the largest of 1, 2, 5 · 10ⁿ that is not above a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in reversed(_ROUND) if step * power <= value * (1 + 1e-9))
 
 
 def steady_limit(wanted: float, former: float) -> float:
-    """Return a round limit near what is wanted, the former one (0 for none) as long as it will do."""
+    """Return a round limit near the wanted one. A former limit (0 for none) stays while it is close enough."""
     if not (math.isfinite(wanted) and wanted > 0):
         return former or 1.0
     if former > 0 and _HOLD_BELOW * former <= wanted <= _HOLD_ABOVE * former:
@@ -44,15 +44,15 @@ def linear_ticks(low: float, high: float, most: int) -> list[float]:
 
 
 def ticks_to(top: float, most: int) -> list[float]:
-    """Return at most ``most`` round values from 0 on, ``top`` among them where it is round itself."""
+    """Return at most ``most`` round values from 0, including ``top`` if it is round."""
     choices = [linear_ticks(0, top, count) for count in range(most, 1, -1)]
     return next((ticks for ticks in choices if math.isclose(ticks[-1], top)), choices[0])
 
 
 def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list[float]]:
-    """Return the values to be labelled and those with a small tick only, of a logarithmic axis low…high, both > 0.
+    """Return the labelled values and those with only a small tick, of a logarithmic axis low…high, both > 0.
 
-    Powers of ten are labelled, every second or third of them where they are many, and 1, 2, 5 where they are few.
+    Powers of ten are labelled; if there are many, every second or third; if there are few, also 2 and 5.
     """
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     decades = range(math.floor(math.log10(low)), last + 1)
@@ -68,7 +68,7 @@ def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list
 
 
 def label(value: float) -> str:
-    """Return a number as it stands at a tick, short."""
+    """Return the short text of a number at a tick."""
     if value == 0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:

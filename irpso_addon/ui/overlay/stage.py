@@ -1,4 +1,4 @@
-"""All that is drawn of one session: brought up to date where the recovery may be touched, drawn where it may not."""
+"""The overlay of one session: ``update`` prepares it in the session's GPU context, draw callbacks show it."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from .place import Stand, to_pixels, transformed
 _log = logging.getLogger(__name__)
 
 _MARGIN, _GAP = 14.0, 10.0  # pixels at scale 1
-_LEAST = (300.0, 230.0)  # of a region's free part, at scale 1, for panels to be drawn in it
-_PICTURE_SECONDS = 0.012  # of measuring errors between two redraws
-_STRIPES = 9.0  # pixels at scale 1 from one stripe to the next
+_LEAST = (300.0, 230.0)  # least free pixels of a region with panels, at scale 1
+_PICTURE_SECONDS = 0.012  # for measuring errors, per redraw
+_STRIPES = 9.0  # distance of stripes, in pixels at scale 1
 _SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
 
 
 class Stage:
-    """What is drawn of a session; ``close`` frees what lies on the GPU.
+    """The pictures, curves and trails of a session; ``close`` frees their GPU memory.
 
-    Frame buffers belong to the context in which they were made, and draw callbacks have another than operators:
-    ``update`` renders pictures and reads probes, and is called where the session works; the callbacks only draw them.
+    Frame buffers belong to the context in which they were made, and draw callbacks run in another context than
+    operators. So ``update``, called where the session works, renders pictures and reads probes; callbacks only draw.
     """
 
     def __init__(self, running: Session, home_scene: int):
         self.running, self.home_scene = running, home_scene
         self.drawing = Drawing()
-        self.own_window = 0  # the address of the window in whose context the session works
+        self.own_window = 0  # address of the window in whose context the session works
         self._guard: ContextGuard | None = None
-        self._of: object = None  # the recovery that surface, pictures and reader are of
+        self._of: object = None  # the recovery of surface, pictures and reader
         self._surface: Surface | None = None
         self._corners: np.ndarray | None = None
         self._reader: TexelProbe | TiledTexelProbe | None = None
@@ -54,20 +54,20 @@ class Stage:
         self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
         self._truths: dict[tuple[int, str], np.ndarray | None] = {}  # by image and parameter
         self._updated = 0.0
-        self._looked = -1
+        self._looked = -1  # evaluations at the last reading of the probes
 
     def is_due(self) -> bool:
-        """Return whether pictures are to be drawn anew, by the preferences' display rate."""
+        """Return whether new pictures are due, by the preferences' display rate."""
         if self._of is not self.running.recovery:
             return True
         return self.in_own_context() and time.perf_counter() - self._updated >= preferences.picture_seconds(bpy.context)
 
     def in_own_context(self) -> bool:
-        """Return whether the recovery may be touched: the context is current in which it works."""
+        """Return whether the recovery may be used: whether its GPU context is current."""
         return self._guard is not None and self._guard.holds()
 
     def update(self) -> bool:
-        """Bring pictures, curves and trails up to date; return whether there is something new to draw."""
+        """Update pictures, curves and trails; return whether anything has changed."""
         self._updated = time.perf_counter()
         running = self.running
         if running.recovery is None or running.display is None:
@@ -77,11 +77,11 @@ class Stage:
         return self._look() | any([self._draw_pictures(scene) for scene in self._scenes()])
 
     def wants_redraw(self) -> bool:
-        """Return whether something moves though nothing is found anew."""
+        """Return whether the overlay is animated, as in Blink."""
         return any(scene.irpso.view.show and scene.irpso.view.shown == "BLINK" for scene in self._scenes())
 
     def draw_view(self, context) -> None:
-        """Draw in the space of a viewport: the map on its subject, lights, cameras, rings around probes."""
+        """Draw in a viewport's 3D space: the map on the subject, lights, cameras, rings around probes."""
         running, subject = self.running, self.running.subject()
         if not self._draws_in(context):
             return
@@ -112,7 +112,7 @@ class Stage:
             self._draw_split_line(painter, context, Rectangle(0, 0, *size))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         taken: list[Rectangle] = []
-        # Of a quad view one has the panels: the user's own.
+        # In a quad view only the user's own view has panels.
         if context.region_data == context.space_data.region_3d and _has_room(free, painter.scale):
             corner = self._draw_legend(painter, context.scene, free) if view.show else None
             taken = [*self._draw_panels(painter, view, free, corner), *([corner] if corner else [])]
@@ -143,22 +143,22 @@ class Stage:
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         if _has_room(free, painter.scale):
             corner = self._draw_legend(painter, context.scene, free)
-            if all(other.type != "VIEW_3D" for other in context.screen.areas):  # else the panels are there
+            if all(other.type != "VIEW_3D" for other in context.screen.areas):  # else a viewport has the panels
                 self._draw_panels(painter, view, free, corner)
         painter.flush()
 
     def close(self) -> None:
-        """Free what lies on the GPU."""
+        """Free the GPU memory."""
         self._forget()
         self.drawing.close()
 
     def why_hidden(self, context) -> str:
-        """Return why the editor of a context draws nothing of the session, in a sentence; "" where it draws."""
+        """Return in a sentence why the context's editor has no overlay, "" if it has one."""
         if context.space_data.type == "IMAGE_EDITOR":
             return flat.why_covered(context.space_data)
         reason = surface.why_unseen(context, self.running, self.running.subject(), self.home_scene)
-        if not reason and surface.shows_itself(context, self.running):  # nothing should stand before a kept material
-            reason = "This viewport renders the material that was kept: choose Solid shading to see what is shown here"
+        if not reason and surface.shows_itself(context, self.running):  # the overlay would cover it
+            reason = "This viewport renders the material that was kept: choose Solid shading to see this map"
         return reason
 
     def _draws_in(self, context) -> bool:
@@ -172,15 +172,15 @@ class Stage:
         self._reader = texel_probe_of(self.running.recovery)
 
     def _forget(self) -> None:
-        for made in (self._surface, self._reader):
-            if made is not None:
-                made.close()
+        for resource in (self._surface, self._reader):
+            if resource is not None:
+                resource.close()
         self._surface = self._reader = None
         self._pictures.clear()
         self._trails.clear()
 
     def _scenes(self) -> list[bpy.types.Scene]:
-        """Return the scenes that windows show and that hold the subject."""
+        """Return the scenes with the subject that are open in a window."""
         subject = self.running.subject()
         shown = {window.scene.session_uid: window.scene for window in bpy.context.window_manager.windows}
         return [s for s in shown.values() if surface.is_in_scene(s, self.running, subject, self.home_scene)]
@@ -212,9 +212,9 @@ class Stage:
             state = self._reader.read(probe.row, probe.column)
             if state is None:
                 continue
-            made = progress.iteration_in_all
-            if np.isfinite(state.error) and (not probe.curve or probe.curve[-1][0] < made):
-                probe.curve.append((made, state.error))
+            iteration = progress.iteration_in_all
+            if np.isfinite(state.error) and (not probe.curve or probe.curve[-1][0] < iteration):
+                probe.curve.append((iteration, state.error))
             if probe in watched:
                 self._trails.setdefault(probe.slot, swarm.Trail()).follow(state.particles, (probe.row, probe.column))
         return True
@@ -232,7 +232,7 @@ class Stage:
         return self.running.observation(view)
 
     def _cameras(self) -> list[Camera]:
-        """Return the cameras in the domain's frame: that of a card is its only camera's own."""
+        """Return the cameras in the domain's frame. A card's frame is that of its only camera."""
         cameras = self.running.job.capture.cameras
         if self.running.mesh is not None:
             return list(cameras)
@@ -263,7 +263,7 @@ class Stage:
         painter.chip("Photograph", x + gap, y)
 
     def _draw_legend(self, painter: Painter, scene: bpy.types.Scene, free: Rectangle) -> Rectangle | None:
-        """Draw legend or caption into the lower right corner; return where it is."""
+        """Draw the legend or caption in the lower right corner; return its rectangle."""
         shown, _ = self._pictures_of(scene)
         if not shown:
             return None
@@ -274,7 +274,7 @@ class Stage:
             area = free.corner(*legend.legend_size(painter.scale, free))
             legend.draw_legend(painter, area, meaning)
             return area
-        if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has names of its own
+        if len(shown) == 2 and scene.irpso.view.shown != "BLINK":  # the split line has its own labels
             return None
         names = [one.name for one in job.capture.observations]
         text = legend.words(item, job.model, names, job.numbers)
@@ -283,7 +283,7 @@ class Stage:
         return area
 
     def _draw_panels(self, painter: Painter, view, free: Rectangle, corner: Rectangle | None) -> list[Rectangle]:
-        """Draw curves and swarm beside what is in the lower right corner; return where they are."""
+        """Draw curves and swarm beside the box in the lower right corner; return their rectangles."""
         running = self.running
         with_curves = view.show_curves and bool(running.history or running.probes)
         with_swarm = view.show_swarm and bool(running.probes)
@@ -307,9 +307,9 @@ class Stage:
         return swarm.choose_axes(names, (view.swarm_x, view.swarm_y, view.swarm_z), self.running.job.model)
 
     def _goal(self, view, axes: list[swarm.Axis], probe: Probe) -> np.ndarray | None:
-        """Return the place in the box of the probed texel's true value, where an image tells it."""
-        known = {parameter.name: parameter for parameter in self.running.job.model.parameters}
-        parameter = known.get(axes[0].name.partition(".")[0]) if axes else None
+        """Return the probed texel's true value as a place in the swarm's box, None without an image of the truth."""
+        parameters = {parameter.name: parameter for parameter in self.running.job.model.parameters}
+        parameter = parameters.get(axes[0].name.partition(".")[0]) if axes else None
         if view.goal is None or parameter is None:
             return None
         key = view.goal.session_uid, parameter.name
@@ -326,7 +326,7 @@ class Stage:
         self, painter: Painter, view, subject, perspective: np.ndarray, size: tuple[float, float], free: Rectangle,
         taken: list[Rectangle],
     ) -> None:  # fmt: skip
-        """Write the current observation's number and name beside its light, where nothing else is written."""
+        """Write the current observation's number and name beside its light, if there is space."""
         index = self._observation(view)
         place = self._dome(view, self._stand(subject)).places[index][None]
         (at,), (before,) = to_pixels(perspective, place, size)
@@ -354,10 +354,10 @@ def _has_room(free: Rectangle, scale: float) -> bool:
 
 
 def _free(area, region) -> Rectangle:
-    """Return what the area's other regions leave free of a region, in its own pixels."""
+    """Return the part of a region that the area's other regions leave free, in the region's pixels."""
     window = Rectangle(region.x, region.y, region.width, region.height)
     others = [r for r in area.regions if r.type != "WINDOW" and r.width > 1 and r.height > 1]
     sides = [(r.alignment, Rectangle(r.x, r.y, r.width, r.height)) for r in others if r.type != "HUD"]
-    # The panel of the last operator floats over the lower left corner.
+    # The last operator's panel (HUD) floats over the lower left corner.
     sides += [("BOTTOM", Rectangle(r.x, r.y, r.width, r.height)) for r in others if r.type == "HUD"]
     return free_rectangle(window, sides)

@@ -1,4 +1,4 @@
-"""The converging map on its subject in the viewport: what is to be shown, and the quad or the mesh it is drawn on."""
+"""The converging map on its subject in the viewport: which picture, and the card or mesh that shows it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..session.session import Session
 from .place import Stand, card_corners, card_frame, stand_of
 from .scales import PERCENT, round_up, steady_limit
 
-_BLINKS = 2.0  # pictures a second
-_MEAN_TO_RED = 4.0  # errors spread over about this many times their mean
-_RED_SHARE = 0.1  # of a parameter's range: a deviation that large says that nothing is known
+_BLINKS = 2.0  # pictures per second
+_MEAN_TO_RED = 4.0  # red error over the mean error: about the spread of errors
+_RED_SHARE = 0.1  # red deviation over the parameter's range
 _RED_ANGLE = math.radians(10)
 _SECONDS_OF_PAIR = {"SPLIT", "BLINK"}
 _CARD_UVS = np.float32([(0, 0), (1, 0), (1, 1), (0, 1)])
@@ -26,9 +26,9 @@ _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
-    """Return the picture that a scene's ViewSettings ask for; two, render and photograph, to be shown together.
+    """Return the picture chosen in a scene's ViewSettings, or two to show together: render and photograph.
 
-    former_limit: the error that was red, 0 at first: one that is found by itself changes seldom.
+    former_limit: the last red error, 0 at first. An automatic limit keeps it while it is close enough.
     """
     model = running.job.model
     names = [parameter.name for parameter in model.parameters]
@@ -50,12 +50,12 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
 
 
 def blink_index() -> int:
-    """Return which of two pictures is shown now, 0 or 1."""
+    """Return the index of the picture to show now, 0 or 1."""
     return int(time.perf_counter() * _BLINKS) % 2
 
 
 def make_surface(running: Session) -> Surface:
-    """Return the subject's triangles that have texels on the GPU, in the domain's frame."""
+    """Upload the subject's triangles that have texels, in the domain's frame."""
     positions, uvs = triangles_of(running)
     if running.mesh is not None and running.mesh.solved is not None:
         positions, uvs = positions[running.mesh.solved], uvs[running.mesh.solved]
@@ -63,7 +63,7 @@ def make_surface(running: Session) -> Surface:
 
 
 def triangles_of(running: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (T, 3, 3) in the domain's frame and places in the domain (T, 3, 2), 0…1."""
+    """Return positions (T, 3, 3) in the domain's frame and texture coordinates (T, 3, 2), 0…1."""
     if running.mesh is not None:
         return running.mesh.positions, running.mesh.uvs
     corners = card_corners(running.domain.bake.position)
@@ -71,14 +71,14 @@ def triangles_of(running: Session) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_solved(running: Session, triangle: int) -> bool:
-    """Return whether a triangle has texels: whether its material slot is recovered."""
+    """Return whether a triangle's material slot is recovered."""
     return running.mesh is None or running.mesh.solved is None or bool(running.mesh.solved[triangle])
 
 
 def stand(running: Session, subject, corners: np.ndarray) -> Stand:
-    """Return where the subject stands now. subject: its object, None for a card that has none yet.
+    """Return the subject's present placement. subject: its object, None for a card without an object.
 
-    corners: (N, 3) points of the domain's frame that bound it.
+    corners: (N, 3) points in the domain's frame that bound it.
     """
     world = running.job.place if subject is None else np.array(subject.matrix_world, np.float64)
     frame = card_frame(running.domain.bake.position) if running.mesh is None else np.linalg.inv(running.mesh.matrix)
@@ -86,16 +86,16 @@ def stand(running: Session, subject, corners: np.ndarray) -> Stand:
 
 
 def bounding_corners(running: Session) -> np.ndarray:
-    """Return (8, 3) the corners of the box around the subject, in the domain's frame."""
+    """Return the corners (8, 3) of the subject's bounding box in the domain's frame."""
     positions, _ = triangles_of(running)
     low, high = positions.reshape(-1, 3).min(axis=0), positions.reshape(-1, 3).max(axis=0)
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
 def why_unseen(context, running: Session, subject, home_scene: int) -> str:
-    """Return why the viewport of a context draws no maps on the subject, in a sentence; "" where it draws them.
+    """Return in a sentence why the context's viewport draws no maps on the subject, "" if it draws them.
 
-    home_scene: the session_uid of the scene in which a card will stand that has no object yet.
+    home_scene: session_uid of the scene for a card that has no object yet.
     """
     space, name = context.space_data, running.job.name
     if not space.overlay.show_overlays:
@@ -104,7 +104,7 @@ def why_unseen(context, running: Session, subject, home_scene: int) -> str:
         return f"'{name}' has been deleted: undo that"
     if subject is None:
         return "" if context.scene.session_uid == home_scene else "The card is in another scene"
-    if subject.mode != "OBJECT":  # what is being edited or painted is not to be covered by what it was before
+    if subject.mode != "OBJECT":  # the map would cover the user's editing or painting
         return f"'{subject.name}' is not in Object Mode: press Tab, or choose Object Mode in the header"
     if not subject.visible_get(view_layer=context.view_layer, viewport=space):
         return f"'{subject.name}' is hidden in this viewport: show it in the Outliner, or leave local view"
@@ -112,19 +112,19 @@ def why_unseen(context, running: Session, subject, home_scene: int) -> str:
 
 
 def is_in_scene(scene: bpy.types.Scene, running: Session, subject, home_scene: int) -> bool:
-    """Return whether a scene holds the subject, or will hold the card."""
+    """Return whether a scene contains the subject, or will contain the card."""
     if subject is None:
         return running.mesh is None and scene.session_uid == home_scene
     return subject.name in scene.objects and scene.objects[subject.name] == subject
 
 
 def shows_itself(context, running: Session) -> bool:
-    """Return whether the viewport renders the material that was kept, which is what there is to see then."""
+    """Return whether the viewport renders the kept material."""
     return running.kept and not running.active and context.space_data.shading.type in ("MATERIAL", "RENDERED")
 
 
 def _unknown_from(view, running: Session, name: str) -> float:
-    """Return the deviation from which on a map's number is marked as unknown; 0 for no marks, as while it is sought."""
+    """Return the deviation above which a map's value is marked as unknown; 0 for no marks, as during the search."""
     p = running.job.model.parameter(name)
     if not view.mark_unknown or running.active or p.kind != "search" or p.components > 1 or name in running.job.fixed:
         return 0.0

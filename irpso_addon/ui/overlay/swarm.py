@@ -1,4 +1,4 @@
-"""The swarm of one texel: its particles as points in the space that they search, as in Fig. 2 of Nagano et al."""
+"""The swarm of one texel: its particles as points in their search space, as in Fig. 2 of Nagano et al."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .layout import Rectangle
 from .paint import DIM, HALO, SMALL, Painter
 from .scales import label
 
-TRAIL = 12  # positions of each particle that are remembered
+TRAIL = 12  # stored positions per particle
 _AXES = ((0.98, 0.32, 0.36, 1.0), (0.55, 0.85, 0.22, 1.0), (0.36, 0.62, 1.0, 1.0))  # as Blender colours x, y and z
 _BEST = (1.0, 0.84, 0.30, 1.0)
 _LIGHT_RIM = (0.85, 0.85, 0.88, 0.8)
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, of display values, which is near enough to tell dark from light
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709, applied to display values: enough to separate dark from light
 _GOAL = (1.0, 1.0, 1.0, 1.0)
 _WIDTH, _HEIGHT = 264.0, 294.0  # pixels at scale 1
-_EMPTY = 56.0  # high, without a swarm
-_TURN = 40.0  # seconds of work in which the box turns round once
-_START = 0.62  # of the box's turn, in radians
+_EMPTY = 56.0  # height without a swarm
+_TURN = 40.0  # seconds of work per turn of the box
+_START = 0.62  # first azimuth of the box, in radians
 _ELEVATION = 0.38
 _FAR, _NEAR = (1.0, 1.0, 1.0, 0.13), (1.0, 1.0, 1.0, 0.28)
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -36,7 +36,7 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(_CORNERS[a
 
 @dataclass(frozen=True)
 class Axis:
-    """One side of the box: a searched component, its place among the particles' numbers, and its range."""
+    """One side of the box: a searched component, its index in the particles' positions, and its range."""
 
     name: str
     index: int
@@ -45,7 +45,7 @@ class Axis:
 
 
 class Trail:
-    """Where the particles of a texel have been lately. live: whether they search now; else they are the last seen."""
+    """The last positions of a texel's particles. live: whether they search now; else they are the last ones read."""
 
     def __init__(self) -> None:
         self.particles: Particles | None = None
@@ -54,9 +54,9 @@ class Trail:
         self._of: object = None
 
     def follow(self, particles: Particles | None, of: object) -> None:
-        """Take what was read last, None where no swarm searches. of: what tells texels apart.
+        """Add the particles read last, None if no swarm is searching. of: identity of the texel.
 
-        Of another texel, or with other components, the trail begins anew.
+        Another texel, or particles with other components, clear the trail.
         """
         self.live = particles is not None
         if of != self._of:
@@ -74,7 +74,7 @@ class Trail:
 
 
 def choose_axes(names: Sequence[str], chosen: Sequence[str], model: ReflectanceModel) -> list[Axis]:
-    """Return one to three axes: those that are chosen and searched, then a whole colour, then the first searched."""
+    """Return one to three axes: the chosen ones that are searched, then a whole colour, then the first searched."""
     colors = [p.name for p in model.parameters if p.components == 3 and not p.is_normal]
     whole = next((c for c in colors if all(f"{c}.{part}" in names for part in "rgb")), None)
     usual = [f"{whole}.{part}" for part in "rgb"] if whole else []
@@ -83,7 +83,7 @@ def choose_axes(names: Sequence[str], chosen: Sequence[str], model: ReflectanceM
 
 
 def in_box(axes: Sequence[Axis], values: np.ndarray) -> np.ndarray:
-    """Return (…, 3) places in the unit box of values (…, n); 0 along an axis that is not there."""
+    """Return places (…, 3) in the unit box of values (…, n); 0 along missing axes."""
     places = np.zeros((*values.shape[:-1], 3))
     for i, axis in enumerate(axes):
         places[..., i] = (values[..., axis.index] - axis.low) / (axis.high - axis.low)
@@ -91,19 +91,19 @@ def in_box(axes: Sequence[Axis], values: np.ndarray) -> np.ndarray:
 
 
 def view_of(azimuth: float, elevation: float) -> np.ndarray:
-    """Return (3, 3) rows right, up and toward the viewer, of a look at the box with z upright, from above."""
+    """Return (3, 3) with rows right, up and toward the viewer, for a view of the box from above with z upright."""
     right = np.array([np.cos(azimuth), np.sin(azimuth), 0])
     toward = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     return np.stack([right, np.cross(toward, right), toward])
 
 
 def box_pixels(places: np.ndarray, view: np.ndarray, area: Rectangle) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (…, 2) of places in the unit box, and how near they are to the viewer, larger being nearer.
+    """Return pixels (…, 2) of places in the unit box, and their nearness to the viewer (larger is nearer).
 
-    The box fits into the area however it is turned about its upright axis.
+    The box fits into the area at every turn about its upright axis.
     """
     turned = (np.asarray(places) - 0.5) @ view.T
-    # Its corners are √½ from the upright axis, and reach so far up and down.
+    # The corners are √½ from the upright axis, which gives their largest height in the view.
     rise = 0.5 * view[1, 2] + np.sqrt(0.5) * np.sqrt(max(0.0, 1 - view[1, 2] ** 2))
     size = min(area.width / np.sqrt(2), area.height / (2 * rise))
     centre = np.array([area.x + area.width / 2, area.y + area.height / 2])
@@ -111,12 +111,12 @@ def box_pixels(places: np.ndarray, view: np.ndarray, area: Rectangle) -> tuple[n
 
 
 def swarm_size(scale: float, trail: Trail) -> tuple[float, float]:
-    """Return width and height of the panel in pixels: little where there is no swarm to be drawn."""
+    """Return width and height of the panel in pixels. Without a swarm the panel is low."""
     return _WIDTH * scale, (_HEIGHT if trail.particles is not None else _EMPTY) * scale
 
 
 def goal_place(axes: Sequence[Axis], parameter: Parameter, value: np.ndarray) -> np.ndarray | None:
-    """Return (3,) the place in the box of a parameter's true value (components,), None where axes are of others."""
+    """Return a parameter's true value (components,) as a place (3,) in the box, None if an axis is of another one."""
     names = component_names(parameter)
     if not axes or not all(axis.name in names for axis in axes):
         return None
@@ -133,19 +133,19 @@ def draw_swarm(
     seconds: float,
     goal: np.ndarray | None,
 ) -> None:
-    """Draw the box, the particles with their trails and bests, the best of all, and the goal where it is known.
+    """Draw the box, the particles with trails and personal bests, the global best, and the goal.
 
-    color: of the probe. seconds: of work so far, by which the box turns. goal: (3,) place in the box.
+    color: of the probe. seconds: of work so far, which turn the box. goal: (3,) place in the box, None if unknown.
     """
     s, particles = painter.scale, trail.particles
     painter.panel(area)
     painter.dots(np.array([[area.x + 15 * s, area.top - 16 * s]]), color, 8)
     painter.text(title, area.x + 24 * s, area.top - 20 * s)
     if particles is None:
-        painter.text("No swarm searches it now", area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
+        painter.text("No swarm is searching it", area.x + 24 * s, area.top - 40 * s, DIM, SMALL)
         return
     if not trail.live:
-        painter.text("the last that searched", area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
+        painter.text("the last swarm", area.x + 24 * s, area.top - 36 * s, DIM, SMALL)
     _draw_key(painter, area, goal is not None)
     inside = area.inset(26 * s, 44 * s, 26 * s, 52 * s)
     view = view_of(_START + 2 * np.pi * seconds / _TURN, _ELEVATION) if len(axes) == 3 else np.eye(3)
@@ -166,7 +166,7 @@ def draw_swarm(
 
 
 def particle_colors(axes: Sequence[Axis], positions: np.ndarray, color: Sequence[float]) -> np.ndarray:
-    """Return (m, 4): of colours and of normals a particle has the colour that its map would have, else its probe's."""
+    """Return (m, 4) colours: with axes of a colour or a normal, the particle's colour in the map, else the probe's."""
     parts = [axis.name.rpartition(".")[2] for axis in axes]
     values = positions[:, [axis.index for axis in axes]]
     if parts == list("rgb"):
@@ -177,7 +177,7 @@ def particle_colors(axes: Sequence[Axis], positions: np.ndarray, color: Sequence
 
 
 def _rims(colors: np.ndarray) -> np.ndarray:
-    """Return (m, 4) what particles are edged with to stand out from the panel: dark ones light, light ones dark."""
+    """Return (m, 4) colours of the particles' rims: light for dark particles, dark for light ones."""
     dark = colors[:, :3] @ _LUMINANCE < 0.35
     return np.where(dark[:, None], _LIGHT_RIM, HALO)
 
@@ -188,11 +188,11 @@ def _prefit() -> ReflectanceModel:
 
 
 def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
-    """Return the range of a component; a prefit searches parameters of a model of its own."""
-    parameter, _, part = name.partition(".")
-    for known in (*model.parameters, *_prefit().parameters):
-        if known.name == parameter:
-            return (0.0, 1.0) if known.is_normal and part == "z" else known.range  # it faces the viewer
+    """Return the range of a component of the model, or of the prefit's own model."""
+    parameter_name, _, part = name.partition(".")
+    for parameter in (*model.parameters, *_prefit().parameters):
+        if parameter.name == parameter_name:
+            return (0.0, 1.0) if parameter.is_normal and part == "z" else parameter.range  # it faces the viewer
     return 0.0, 1.0
 
 
@@ -216,7 +216,7 @@ def _draw_box(painter: Painter, axes: Sequence[Axis], view: np.ndarray, inside: 
 
 
 def _draw_trails(painter: Painter, path: np.ndarray, colors: np.ndarray) -> None:
-    """path: (times, m, 2) pixels, oldest first."""
+    """Draw the trails. path: (times, m, 2) pixels, oldest first. colors: (m, 4)."""
     times, count = path.shape[:2]
     if times < 2:
         return
@@ -228,7 +228,7 @@ def _draw_trails(painter: Painter, path: np.ndarray, colors: np.ndarray) -> None
 
 
 def _draw_best(painter: Painter, place: np.ndarray, view: np.ndarray, area: Rectangle) -> None:
-    """Draw a star, and a line down to the floor, which tells where in the box it is."""
+    """Draw a star, and a line down to the floor, which shows its depth in the box."""
     ends, _ = box_pixels(np.stack([place, place * [1, 1, 0]]), view, area)
     painter.line(ends[0], ends[1], (*_BEST[:3], 0.45))
     painter.dots(ends[1:], (*_BEST[:3], 0.6), 3)

@@ -1,4 +1,4 @@
-"""Panels of the sidebar before a recovery: capture, subject, material."""
+"""Sidebar panels before a recovery: capture, subject, maps."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .sidebar import BeforeRun
 
 _SEVERITIES = {"error": "CANCEL", "warning": "ERROR"}  # Blender's icon "ERROR" is the triangle of a warning
 _MOST_FINDINGS = 8
-_FIRST_FACTS = 3  # kind, images, and what they are enough for; the rest is in a panel of its own
+_FIRST_FACTS = 3  # kind, number of images, maps that they suffice for; the panel Details has the rest
 
 
 class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
-    """What was photographed, and what is wrong with it."""
+    """The capture and its faults."""
 
     bl_label = "Capture"
 
     def draw(self, context) -> None:
-        """Draw the source, what is in it, and findings."""
+        """Draw the source, the facts and the findings."""
         layout, settings = self.layout, context.scene.irpso
         layout.row().prop(settings, "source", expand=True)
         if settings.source == "FILES":
@@ -54,7 +54,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
 
 
 def draw_observation(layout, context) -> None:
-    """Draw the switch between the capture's lights in the scene, where there are any."""
+    """Draw the choice of the observation, if the capture has lights in the scene."""
     lights, view = capture_lights(context.scene), context.scene.irpso.view
     if not lights:
         return
@@ -65,10 +65,10 @@ def draw_observation(layout, context) -> None:
 
 
 def _draw_light(layout, context) -> None:
-    """Draw what the active light was photographed under it with, or say where to set that."""
+    """Draw the active light's photograph and camera, or a hint to select a light."""
     obj = context.object
     if obj is None or obj.type != "LIGHT":
-        drawing.wrapped(layout, context, "Select a light to give it its photograph", "INFO")
+        drawing.wrapped(layout, context, "Select a light to choose its photograph", "INFO")
         return
     box = layout.box()
     box.label(text=obj.name, icon="LIGHT", translate=False)
@@ -84,13 +84,13 @@ def _draw_fact(layout, context, line: str) -> None:
 
 
 def _summary(context) -> list[str]:
-    """Return what is known of the capture, a fact a line; nothing where it is another one by now."""
+    """Return the facts about the capture, one per line; [] if they belong to another capture."""
     settings = context.scene.irpso
     return settings.summary.splitlines() if findings.is_checked(settings) or checking(context.scene) else []
 
 
 def _draw_check(layout, context, settings) -> None:
-    """Draw what the capture holds, what is wrong with it, and the button that looks it over."""
+    """Draw the capture's first facts, its findings and the button of the check."""
     doing, lines = checking(context.scene), _summary(context)
     if lines:
         column = layout.column(align=True)
@@ -100,23 +100,23 @@ def _draw_check(layout, context, settings) -> None:
     if doing:
         layout.label(text=doing, icon="SORTTIME", translate=False)
         return
-    found = findings.shown(settings)
-    for item in found[:_MOST_FINDINGS]:
+    faults = findings.shown(settings)
+    for item in faults[:_MOST_FINDINGS]:
         row = layout.row()
         row.alert = item.severity == "error"
         drawing.wrapped(row, context, item.message, _SEVERITIES.get(item.severity, "INFO"))
-    if len(found) > _MOST_FINDINGS:
-        layout.label(text=f"and {len(found) - _MOST_FINDINGS} more like these", icon="BLANK1")
-    if lines and not found:
+    if len(faults) > _MOST_FINDINGS:
+        layout.label(text=f"and {len(faults) - _MOST_FINDINGS} more", icon="BLANK1")
+    if lines and not faults:
         layout.label(text="Nothing Suspicious", icon="CHECKMARK")
-    # The check of a scene looks at headers alone: that pixels are cut short shows when they are read.
-    if settings.skip_damaged or settings.source == "SCENE" or any(item.code in DAMAGE for item in found):
+    # The check of a scene reads headers only, so it does not see damaged pixels.
+    if settings.skip_damaged or settings.source == "SCENE" or any(item.code in DAMAGE for item in faults):
         layout.prop(settings, "skip_damaged")
     layout.operator("irpso.check_capture", text="Check Again" if lines else "Check", icon="VIEWZOOM")
 
 
 class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
-    """All that the check has found out about the capture."""
+    """The other facts about the capture."""
 
     bl_label = "Details"
     bl_parent_id = "IRPSO_PT_capture"
@@ -124,7 +124,7 @@ class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is more to say than the panel above says."""
+        """Whether there are more facts than the panel above shows."""
         return super().poll(context) and len(_summary(context)) > _FIRST_FACTS
 
     def draw(self, context) -> None:
@@ -136,12 +136,12 @@ class IRPSO_PT_capture_facts(BeforeRun, bpy.types.Panel):
 
 
 class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
-    """What the maps are recovered of."""
+    """The subject: a mesh or a flat card."""
 
     bl_label = "Subject"
 
     def draw(self, context) -> None:
-        """Draw mesh or card."""
+        """Draw the settings of the mesh or the card."""
         layout, settings = self.layout, context.scene.irpso
         layout.row().prop(settings, "subject", expand=True)
         if settings.subject != "MESH":
@@ -155,8 +155,8 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
         chosen = subject_object(context)
         if chosen is not None and len(chosen.material_slots) > 1:
             column.prop(settings, "slots")
-            if settings.slots == "ACTIVE" and (made := chosen.active_material) is not None:
-                column.label(text=f"Active: {made.name}", icon="MATERIAL", translate=False)
+            if settings.slots == "ACTIVE" and (material := chosen.active_material) is not None:
+                column.label(text=f"Active: {material.name}", icon="MATERIAL", translate=False)
             if settings.slots == "NAMED":
                 column.prop(settings, "slot_list", text="Names")
         column.prop(settings, "resolution")
@@ -164,25 +164,25 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
 
 
 def _draw_distance(layout, scene) -> None:
-    """Draw how far the card lies from its camera, where anything depends on it."""
+    """Draw the distance from camera to card, if the result depends on it."""
     settings = scene.irpso
     if not wants_distance(scene):
         return
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
-    files = settings.source == "FILES"  # whose unit is their own; what is of the scene is shown in the scene's unit
+    files = settings.source == "FILES"  # files have a unit of their own; a scene's distance uses the scene's unit
     column.prop(settings, "card_distance" if files else "card_length")
     if files and settings.stated_distance and not settings.card_distance:
         column.label(text=f"The capture says {settings.stated_distance:g}", icon="INFO", translate=False)
 
 
 class IRPSO_PT_material(BeforeRun, bpy.types.Panel):
-    """What is recovered."""
+    """The model and its maps."""
 
     bl_label = "Maps"
 
     def draw(self, context) -> None:
-        """Draw the model, and each of its parameters with what is given where it is not recovered."""
+        """Draw the model and its parameters, those not recovered with their fixed value or image."""
         layout, settings = self.layout, context.scene.irpso
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -195,14 +195,14 @@ class IRPSO_PT_material(BeforeRun, bpy.types.Panel):
         for item in settings.parameters:
             column.prop(item, "recover", text=bpy.path.display_name(item.name), translate=False)
             if not item.recover:
-                _draw_given(column, item)
+                _draw_fixed(column, item)
 
 
-def _draw_given(layout, item) -> None:
-    """Draw the image that is taken for a parameter, or the value where there is none."""
+def _draw_fixed(layout, item) -> None:
+    """Draw a fixed parameter's image, and its value if it has no image."""
     box = layout.box().column(align=True)
     if item.image is None and item.is_normal:
-        box.label(text="Taken as flat, or from an image:")
+        box.label(text="Flat, or from an image:")
     elif item.image is None:
         box.prop(item, "color" if item.components == 3 else "value", text="")
     box.template_ID(item, "image", open="image.open")

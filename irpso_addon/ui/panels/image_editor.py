@@ -1,4 +1,4 @@
-"""The panels of the Image editor's sidebar: the maps flat, and what can be done with them."""
+"""Panels of the Image editor's sidebar: the displayed map, progress or result, probes."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ class _ImageSidebar:
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are maps to be seen."""
+        """Whether there are maps to show."""
         running = session.current()
         return running is not None and running.display is not None
 
 
 class IRPSO_PT_image_failures(Failures, _ImageSidebar, bpy.types.Panel):
-    """What has failed."""
+    """Messages of failures."""
 
 
 class IRPSO_PT_image_maps(_ImageSidebar, bpy.types.Panel):
-    """The maps while they converge, flat."""
+    """The converging maps, flat."""
 
     bl_label = "Maps"
 
     def draw_header(self, context) -> None:
-        """Draw the switch of it all."""
+        """Draw the switch of the overlay."""
         self.layout.prop(context.scene.irpso.view, "show", text="")
 
     def draw(self, context) -> None:
-        """Draw what is shown."""
+        """Draw the choice of the picture."""
         if context.scene.irpso.view.show:
             draw_shown(self.layout, context, session.current())
 
 
 class IRPSO_PT_image_recover(_ImageSidebar, bpy.types.Panel):
-    """How far it is, and what can be done with it."""
+    """Progress or result of the recovery, with its buttons."""
 
     bl_label = "Recover"
 
@@ -53,7 +53,7 @@ class IRPSO_PT_image_recover(_ImageSidebar, bpy.types.Panel):
 
 
 class IRPSO_PT_image_probes(_ImageSidebar, bpy.types.Panel):
-    """Texels that are watched."""
+    """The probed texels."""
 
     bl_label = "Probes"
 

@@ -1,4 +1,4 @@
-"""Panels of the sidebar during a recovery: start, progress, result, search settings."""
+"""Sidebar panels of the recovery: start, progress, result, search settings."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .sidebar import Sidebar
 
 
 class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
-    """The button, and how far it is."""
+    """The button Recover, the progress, the result."""
 
     bl_label = "Recover"
 
     def draw(self, context) -> None:
-        """Draw what can be done now."""
+        """Draw the start, the progress or the result."""
         running = session.current()
         if running is None:
             draw_unkept(self.layout, context)
@@ -35,7 +35,7 @@ class IRPSO_PT_recover(Sidebar, bpy.types.Panel):
 
 
 def draw_presets(layout, settings) -> None:
-    """Draw the menu of presets with its + and −; shipped ones have no −."""
+    """Draw the menu of presets with its buttons + and −. A shipped preset has no −."""
     row = layout.row(align=True)
     row.menu("IRPSO_MT_presets", text=label_of(settings.schedule), translate=False)
     row.operator("irpso.preset_add", text="", icon="ADD")
@@ -50,13 +50,13 @@ def _draw_start(layout, context, text: str) -> None:
     row.operator("irpso.recover", text=text, icon="PLAY")
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
-    column.prop(context.scene.irpso, "hold_out")  # below the button, which a row above would push out of sight
+    column.prop(context.scene.irpso, "hold_out")  # below the button: a row above could push it out of view
     if wanting := missing(context):
         drawing.wrapped(layout, context, wanting, "INFO")
 
 
 def draw_progress(layout, context, running: session.Session) -> None:
-    """Draw what is done, how far it is, how well, how fast, how long still; and the buttons."""
+    """Draw stage, progress, error, speed and remaining time; and the buttons."""
     layout.label(text=running.job.name, icon="TEXTURE", translate=False)
     progress = running.progress
     title = running.title.replace("_", " ").replace(" + ", ", ")
@@ -89,7 +89,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
 
 
 def draw_result(layout, context, running: session.Session) -> None:
-    """Draw what has been found, and what can be done with it."""
+    """Draw the result's figures and warnings, and the buttons."""
     kept, stopped = running.kept, running.stopped
     column = layout.column(align=True)
     state = ["Stopped Early"] * stopped + ["Kept"] * kept or ["Done"]
@@ -126,7 +126,7 @@ def draw_result(layout, context, running: session.Session) -> None:
 
 
 def _draw_displacement(layout, context) -> None:
-    """Draw what Keep adds to the material."""
+    """Draw the options of Keep."""
     column = layout.column(heading="Keep With")
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(context.scene.irpso, "displacement")
@@ -141,12 +141,12 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether settings are heeded now: before and after a run, and while it is paused."""
+        """Whether settings have an effect now: not while a recovery runs."""
         running = session.current()
         return running is None or running.state in ("paused", "done")
 
     def draw(self, context) -> None:
-        """Draw the seed, which one that is paused keeps; the rest is in panels of its own."""
+        """Draw the seed, except during a pause, when it cannot change. Panels below have the other settings."""
         running = session.current()
         if running is not None and running.state == "paused":
             return
@@ -156,7 +156,7 @@ class IRPSO_PT_search(Sidebar, bpy.types.Panel):
 
 
 def _shown(settings, name: str) -> bool:
-    """Return whether a setting does anything with the others as they are."""
+    """Return whether a setting has an effect with the present values of the others."""
     schedule = settings.schedule
     switch = {"prefit": "prefit_iterations", "refinement": "refinement_iterations", "prior": "prior_rounds"}
     part = name.partition("_")[0]

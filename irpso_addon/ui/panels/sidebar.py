@@ -1,4 +1,4 @@
-"""The sidebar of the 3D viewport: what its panels have in common, and the panel of failures."""
+"""Base classes of the sidebar's panels, and the panel of failures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..session import session
 
 
 class Sidebar:
-    """The tab that the panels are in."""
+    """Base of the panels in the 3D viewport's sidebar."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -17,27 +17,27 @@ class Sidebar:
 
 
 class Failures:
-    """What has failed where no operator could report it, above all else."""
+    """Messages of failures that no operator could report. The panel comes first."""
 
     bl_label = "Failed"
     bl_options = {"HIDE_HEADER"}
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is anything to tell."""
+        """Whether there are messages."""
         return bool(failures.said())
 
     def draw(self, context) -> None:
-        """Draw it, and the button that takes it away."""
+        """Draw the messages and the button that dismisses them."""
         failures.draw(self.layout, context)
 
 
 class IRPSO_PT_failures(Failures, Sidebar, bpy.types.Panel):
-    """What has failed."""
+    """Messages of failures."""
 
 
 class BeforeRun(Sidebar):
-    """A panel of settings that count before a recovery only; it leaves while one is there."""
+    """Base of panels with settings for the start of a recovery, hidden while there is a recovery."""
 
     @classmethod
     def poll(cls, context) -> bool:

@@ -1,4 +1,4 @@
-"""What is drawn of a recovery, chosen in the 3D viewport's sidebar and in the Image editor's."""
+"""Sidebar panels of the overlay: displayed map, lights and cameras, probes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..session import session
 from .capture import draw_observation
 from .sidebar import Sidebar
 
-# Icons of Blender's that have the colours of the probes' marks and curves, in the order of maps.pictures.MARK_COLORS.
+# Blender's icons in the colours of the probes' marks and curves, in the order of results.preview.MARK_COLORS.
 _PROBE_ICONS = ("COLLECTION_COLOR_01", "COLLECTION_COLOR_04", "COLLECTION_COLOR_05", "COLLECTION_COLOR_03")
 _OF_A_MAP = ("PARAMETER", "CONFIDENCE")
 _OF_A_LIGHT = ("RENDER", "REFERENCE", "SPLIT", "BLINK")
@@ -19,7 +19,7 @@ _IN_FALSE_COLORS = ("ERROR", "CONFIDENCE")
 
 
 def draw_shown(layout, context, running: session.Session) -> None:
-    """Draw which picture is shown, and the settings that matter for it."""
+    """Draw the choice of the picture and its settings."""
     view, column = context.scene.irpso.view, layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(view, "shown")
@@ -47,7 +47,7 @@ def draw_shown(layout, context, running: session.Session) -> None:
 
 
 def _red_of(view, running: session.Session) -> str:
-    """Return the property that says what is drawn red, in the unit of the legend."""
+    """Return the name of the property for the value drawn red, in the legend's unit."""
     if view.shown == "ERROR":
         return "red_error"
     normal = any(p.is_normal and p.name == view.parameter for p in running.job.model.parameters)
@@ -55,25 +55,25 @@ def _red_of(view, running: session.Session) -> str:
 
 
 class IRPSO_PT_view(Sidebar, bpy.types.Panel):
-    """The maps while they converge, on the subject."""
+    """The converging maps on the subject."""
 
     bl_label = "View"
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are maps to be seen."""
+        """Whether there are maps to show."""
         running = session.current()
         return running is not None and running.recovery is not None
 
     def draw_header(self, context) -> None:
-        """Draw the switch of it all."""
+        """Draw the switch of the overlay."""
         self.layout.prop(context.scene.irpso.view, "show", text="")
 
     def draw(self, context) -> None:
-        """Draw what is shown and how."""
+        """Draw the choice of the picture and its opacity."""
         view = context.scene.irpso.view
         if not view.show:
-            self.layout.label(text="Switched off in this panel's header", icon="HIDE_ON")
+            self.layout.label(text="Off: switch on in this panel's header", icon="HIDE_ON")
             return
         draw_shown(self.layout, context, session.current())
         column = self.layout.column()
@@ -89,7 +89,7 @@ class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there is a capture to be drawn."""
+        """Whether there is a recovery, whose capture is drawn."""
         return session.current() is not None
 
     def draw(self, context) -> None:
@@ -105,7 +105,7 @@ class IRPSO_PT_dome(Sidebar, bpy.types.Panel):
 
 
 def draw_probes(layout, context) -> None:
-    """Draw the probed texels with their errors, and what is drawn of them."""
+    """Draw the list of probed texels with their errors, and the settings of curves and swarm."""
     view, running = context.scene.irpso.view, session.current()
     layout.operator("irpso.probe", icon="EYEDROPPER")
     column = layout.column(align=True)
@@ -131,13 +131,13 @@ def draw_probes(layout, context) -> None:
 
 
 class IRPSO_PT_probes(Sidebar, bpy.types.Panel):
-    """Texels that are watched."""
+    """The probed texels."""
 
     bl_label = "Probes"
 
     @classmethod
     def poll(cls, context) -> bool:
-        """Whether there are texels to be watched."""
+        """Whether there are texels to probe."""
         running = session.current()
         return running is not None and running.display is not None
 

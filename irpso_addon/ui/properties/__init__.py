@@ -1,1 +1,1 @@
-"""What the user sets: scene settings, schedule, preferences; and the same as plain data."""
+"""The user's settings: scene, schedule, preferences; and the same as plain data."""

@@ -1,4 +1,4 @@
-"""What the check of a capture has found, kept in the scene's settings: what the panel shows, and what bars Recover."""
+"""Findings of the capture check, kept in the scene's settings: the panel shows them, and errors block Recover."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from ...capture.inspect.report import Finding
 
 
 def is_checked(settings) -> bool:
-    """Return whether findings are of the capture that is chosen now."""
+    """Return whether the findings belong to the current capture."""
     return settings.source == "SCENE" or settings.checked_path == settings.capture_path
 
 
 def keep(settings, found: Iterable[Finding], known: str = "") -> None:
-    """Keep findings as settings. known: how the paths in them begin, which is left out: a panel is narrow."""
+    """Store findings in the settings. known: a prefix removed from their paths, because a panel is narrow."""
     settings.findings.clear()
     for finding in found:
         item = settings.findings.add()
@@ -22,7 +22,7 @@ def keep(settings, found: Iterable[Finding], known: str = "") -> None:
 
 
 def shown(settings) -> list:
-    """Return the findings that matter for what is to be recovered now, errors first."""
+    """Return the findings that concern the maps to be recovered, errors first."""
     if not is_checked(settings):
         return []
     found = [item for item in settings.findings if item.ask != "normals" or wants_normal(settings)]
@@ -30,13 +30,13 @@ def shown(settings) -> list:
 
 
 def wants_normal(settings) -> bool:
-    """Return whether normals are to be recovered; a list that is not filled yet holds all parameters."""
+    """Return whether normals are to be recovered. An empty list stands for all parameters."""
     return not settings.parameters or any(item.is_normal and item.recover for item in settings.parameters)
 
 
 def obstacle(settings) -> str:
-    """Return why the files that are chosen cannot be used, "" where that is not known."""
-    if settings.source != "FILES":  # a scene changes with every edit, and is looked at anew by Recover
+    """Return why the chosen files cannot be used, "" if no reason is known."""
+    if settings.source != "FILES":  # a scene changes with every edit: Recover checks it itself
         return ""
     first = next((item.message for item in shown(settings) if item.severity == "error"), "")
     return first and f"This capture cannot be used: {first}. Then check again"

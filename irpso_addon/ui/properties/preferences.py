@@ -1,4 +1,4 @@
-"""The add-on's preferences: memory, passes, how often pictures are drawn, where maps go; and a report on the GPU."""
+"""The add-on's preferences: memory, passes, display rate, output folder; and a report on the GPU."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from ...solver.planning.memory import parse_memory
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 
-DISPLAY_RATE = 10  # pictures a second
-_SPARING_SECONDS = 10.0  # between two pictures where draws are numbered (gpu/context.py)
+DISPLAY_RATE = 10  # pictures per second
+_SPARING_SECONDS = 10.0  # between pictures under software Vulkan, which limits the number of draws (gpu/context.py)
 _ENTRIES = (
-    ("auto", "Automatic", "Compute shaders where a test finds them at least 1.5 times as fast, else fragment passes"),
-    ("fragment", "Fragment", "Always draw, as the paper does: the fastest on most GPUs for desktops and laptops"),
-    ("compute", "Compute", "Always use compute shaders: the fastest on most GPUs for data centres"),
+    ("auto", "Automatic", "Compute shaders if a test finds them at least 1.5 times as fast, else fragment passes"),
+    ("fragment", "Fragment", "Always draw, like the paper: fastest on most desktop and laptop GPUs"),
+    ("compute", "Compute", "Always use compute shaders: fastest on most data center GPUs"),
 )
 
-_report: dict[str, str] = {}  # the facts of the last report on this machine; gone with the session
+_report: dict[str, str] = {}  # facts of the last report on this machine; not saved
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the preferences say. memory: as --memory has it, None to go by what the machine has.
+    """Values of the preferences. memory: as for --memory, None for the machine's free memory.
 
-    entry: "auto", "fragment" or "compute". display_rate: pictures a second, 1…60. output_folder: where pictures of maps
-    are kept, "" to pack them into the .blend file.
+    entry: "auto", "fragment" or "compute". display_rate: pictures per second, 1…60. output_folder: for the maps' image
+    files, "" to pack them into the .blend file.
     """
 
     memory: str | None = None
@@ -48,7 +48,7 @@ class Wanted:
 
 
 def current(context) -> Wanted:
-    """Return what the preferences say; where the add-on is registered without being enabled, what they say at first."""
+    """Return the preferences; the defaults if the add-on is registered but not enabled."""
     addon = context.preferences.addons.get(BASE_PACKAGE)
     if addon is None or addon.preferences is None:
         return Wanted()
@@ -57,12 +57,12 @@ def current(context) -> Wanted:
 
 
 def picture_seconds(context) -> float:
-    """Return the seconds between two pictures of a recovery that is under way."""
+    """Return the seconds between two pictures of a running recovery."""
     return max(1 / current(context).display_rate, _SPARING_SECONDS if gpu_context.on_software_vulkan() else 0.0)
 
 
 def memory_fault(text: str) -> str:
-    """Return what is wrong with a budget of memory, "" where nothing is."""
+    """Return the fault of a memory budget, "" if it is valid."""
     try:
         if text.strip():
             parse_memory(text)
@@ -72,28 +72,28 @@ def memory_fault(text: str) -> str:
 
 
 def report() -> str:
-    """Return the last report on this machine as text, "" where there was none."""
+    """Return the last report on this machine as text, "" if there is none."""
     return "\n".join(fact_lines(_report)) if _report else ""
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """What holds for all files of this user."""
+    """Settings for all files of this user."""
 
     bl_idname = BASE_PACKAGE
 
     memory: StringProperty(
         name="Memory Budget",
-        description="How much memory a recovery may take, as in 4G, or device=4G,host=8G; larger ones are solved in"
-        " tiles. Empty goes by what the machine has free",
+        description="Most memory that a recovery may use, as in 4G, or device=4G,host=8G. Larger recoveries are solved"
+        " in tiles. Empty: the machine's free memory",
     )
-    entry: EnumProperty(name="Passes", description="How the GPU is made to work", items=_ENTRIES, default="auto")
+    entry: EnumProperty(name="Passes", description="How the GPU does the work", items=_ENTRIES, default="auto")
     display_rate: IntProperty(
-        name="Display Rate", description="How many times a second the converging maps are drawn, at most", min=1,
-        max=60, default=DISPLAY_RATE,
+        name="Display Rate", description="Most redraws per second of the converging maps", min=1, max=60,
+        default=DISPLAY_RATE,
     )  # fmt: skip
     output_folder: StringProperty(
         name="Output Folder",
-        description="Where the pictures of recovered maps are kept. Empty packs them into the .blend file",
+        description="Folder for the image files of the recovered maps. Empty: they are packed into the .blend file",
         subtype="DIR_PATH",
         **RELATIVE_PATH,
     )
@@ -121,25 +121,25 @@ class Preferences(bpy.types.AddonPreferences):
                 row.label(text=value)
 
 
-# Since Blender 4.3 an empty field can say what it means.
+# Since Blender 4.3 an empty field can show a placeholder.
 _HAS_PLACEHOLDER = "placeholder" in bpy.types.UILayout.bl_rna.functions["prop"].parameters
 _PLACEHOLDER = {"placeholder": "Automatic"} if _HAS_PLACEHOLDER else {}
 
 
 class Doctor(bpy.types.Operator):
-    """Test the GPU with a real kernel and tell what it is, what it can hold, and what will be used"""
+    """Test the GPU with a real kernel, and report its name, its limits and the passes that will be used"""
 
     bl_idname = "irpso.doctor"
     bl_label = "Examine This Machine"
 
     def execute(self, context):
-        """Examine the machine; the report is kept until the next one."""
+        """Examine the machine and keep the report until the next one."""
         _report.clear()
         try:
-            _report.update(machine_facts(_found()))
+            _report.update(machine_facts(_probed()))
         except GpuUnavailableError as error:
             _report.update({f"version of {name}": value for name, value in versions().items()})
-            _report["GPU"] = f"none that is of use: {error}"
+            _report["GPU"] = f"none usable: {error}"
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({"INFO"}, "The report is in the add-on's preferences")
@@ -147,7 +147,7 @@ class Doctor(bpy.types.Operator):
 
 
 class CopyReport(bpy.types.Operator):
-    """Copy the report on this machine, to be pasted where help is asked for"""
+    """Copy the report on this machine, to paste it into a request for help"""
 
     bl_idname = "irpso.copy_report"
     bl_label = "Copy Report"
@@ -160,7 +160,7 @@ class CopyReport(bpy.types.Operator):
         return bool(_report)
 
     def execute(self, context):
-        """Put the report into the clipboard."""
+        """Copy the report to the clipboard."""
         context.window_manager.clipboard = report()
         self.report({"INFO"}, "The report is in the clipboard")
         return {"FINISHED"}
@@ -174,10 +174,10 @@ def unregister() -> None:
     _report.clear()
 
 
-def _found() -> dict:
-    """Return what a probe finds: here where there is a window, for its own context is the one that will be used.
+def _probed() -> dict:
+    """Return the result of a GPU probe, in the window's own context if there is a window.
 
-    Without one a child process is asked, since a machine that has no usable EGL kills the process that tries.
+    In background a child process makes the probe: without a usable EGL the driver kills the process that tries.
     """
     if bpy.app.background:
         return probe.probe()

@@ -1,4 +1,4 @@
-"""What a scene's settings ask of a recovery, as plain data that outlive the file, and set again from them."""
+"""A scene's settings as plain data that outlives the file; and the settings restored from it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ...solver.settings.schedule import SETTINGS
 from ..common.file_paths import absolute
 from .scene_settings import CUSTOM
 
-_KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # of settings that are data by themselves
+_KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of property with a plain value
 _NOT_ASKED = {"name", "checked_path", "summary", "slots", "slot_list"}
 _SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it fills the others
 _PARAMETER = ("recover", "value")
 
 
 def asked_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
-    """Return the settings of a scene. obj: the mesh object, None for a card. slots: those that are asked for.
+    """Return the settings of a scene. obj: the mesh object, None for a card. slots: the material slots to recover.
 
-    Objects and images are named; paths are whole. Raises InputError as ``absolute`` does.
+    Objects and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
     """
     return {
         "settings": {name: _data(getattr(settings, name)) for name in _plain(settings)}
@@ -41,13 +41,13 @@ def asked_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, 
 
 
 def _plain(settings: Any) -> list[str]:
-    """Return the names of the settings that are numbers, texts or choices."""
+    """Return the names of the settings of type number, text or choice."""
     known = settings.bl_rna.properties
     return [p.identifier for p in known if p.type in _KINDS and not p.is_readonly and p.identifier not in _NOT_ASKED]
 
 
 def _data(value: Any) -> Any:
-    """Return a setting's value as JSON has it: a list for a vector."""
+    """Return a setting's value for JSON: a list for a vector."""
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
@@ -57,7 +57,7 @@ def schedule_asked(schedule: Any) -> dict[str, Any]:
 
 
 def ask_again(settings: Any, asked: dict[str, Any]) -> None:
-    """Set a scene's settings to what ``asked_of`` returned. Raises InputError where an object or an image is gone."""
+    """Set a scene's settings to those of ``asked_of``. Raises InputError if an object or an image is missing."""
     objects, images = bpy.data.objects, bpy.data.images
     if (name := asked["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")

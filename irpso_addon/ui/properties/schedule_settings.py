@@ -1,7 +1,6 @@
-"""The schedule as settings of the scene: a preset's name, and every setting at the value that is in effect.
+"""The schedule as scene settings: the preset's name, and every setting with its effective value.
 
-The properties are made of the schedule's own table of settings: defaults are those of the preset a new scene has,
-limits are those that schedules are checked by.
+The properties come from the schedule's table of settings, which gives their limits. FIRST gives the defaults.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from ...solver.settings.setting import Setting
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene
-_ABOVE = 1e-6  # Blender's limits may themselves be set; this stands for "above zero"
-_DIGITS = 6  # the most that Blender shows behind the point
+_ABOVE = 1e-6  # an open limit in Blender, whose limits are closed
+_DIGITS = 6  # most decimals that Blender shows
 
 
 def _fill(self: ScheduleSettings, context: Any) -> None:
     try:
         fill(self, base_schedule(self))
     except InputError:
-        return  # said by schedule_of when it is needed; the values stay as they are
+        return  # the values stay; schedule_of raises the error when it is called
 
 
 def _make_odd(self: ScheduleSettings, context: Any) -> None:
@@ -36,7 +35,7 @@ def _make_odd(self: ScheduleSettings, context: Any) -> None:
 
 
 class ScheduleSettings(bpy.types.PropertyGroup):
-    """A preset's name, and the settings; choosing a preset fills them."""
+    """A preset's name, and the settings. Choosing a preset sets them."""
 
 
 @cache
@@ -45,9 +44,9 @@ def _shipped(name: str) -> Schedule:
 
 
 def base_schedule(settings: ScheduleSettings) -> Schedule:
-    """Return the schedule that the settings begin from, as it stands in its file. Raises InputError.
+    """Return the preset's schedule as in its file. Raises InputError.
 
-    Shipped ones are read once, so that panels may ask at every redraw; a .toml of the user's own is read every time.
+    Shipped files are read once, because panels call this at every redraw. The user's own .toml is read every time.
     """
     name = settings.preset
     return _shipped(name) if name in _names() else load_schedule(absolute(name, "Preset"))
@@ -59,36 +58,36 @@ def _names() -> frozenset[str]:
 
 
 def is_shipped(settings: ScheduleSettings) -> bool:
-    """Return whether the settings begin from a schedule that comes with the program."""
+    """Return whether the preset is a shipped schedule."""
     return settings.preset in _names()
 
 
 def fill(settings: ScheduleSettings, schedule: Schedule) -> None:
-    """Set all settings to what the schedule has."""
+    """Set all settings to those of a schedule."""
     for name, value in schedule.settings().items():
         setattr(settings, name, value)
 
 
 def differences(settings: ScheduleSettings) -> dict[str, Any]:
-    """Return setting → value for those that differ from the preset, as ``Schedule.replaced`` takes them.
+    """Return setting → value of those that differ from the preset, for ``Schedule.replaced``. Raises InputError.
 
-    Blender keeps numbers in 32 bits, in which 0.03 is 0.02999999933: numbers are compared in 32 bits, and one that the
-    user has set is taken for the shortest decimal that rounds to it, which is what was typed. Raises InputError.
+    Blender stores numbers in 32 bits: 0.03 becomes 0.02999999933. So numbers are compared in 32 bits, and a changed one
+    is returned as the shortest decimal that rounds to it: the number that the user typed.
     """
     base = base_schedule(settings).settings()
-    found = {}
+    changed = {}
     for name, value in base.items():
         shown = getattr(settings, name)
         if SETTINGS[name].kind is float:
             if np.float32(shown) != np.float32(value):
-                found[name] = float(str(np.float32(shown)))
+                changed[name] = float(str(np.float32(shown)))
         elif shown != value:
-            found[name] = shown
-    return found
+            changed[name] = shown
+    return changed
 
 
 def schedule_of(settings: ScheduleSettings) -> Schedule:
-    """Return the schedule that the settings describe: the preset's own where nothing differs. Raises InputError."""
+    """Return the schedule of the settings: the preset's own if none differs. Raises InputError."""
     changes = differences(settings)
     base = base_schedule(settings)
     return base.replaced(**changes) if changes else base
@@ -118,15 +117,15 @@ def _property(setting: Setting, default: Any) -> Any:
 
 
 def _declare() -> None:
-    defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # all are read now: panels open no file
+    defaults = {name: _shipped(name) for name in _names()}[FIRST].settings()  # reads all: panels open no file
     declared = {name: _property(setting, defaults[name]) for name, setting in SETTINGS.items()}
     ScheduleSettings.__annotations__ = {
         "preset": StringProperty(
-            name="Preset", description="The schedule of the search, or a .toml file of your own", default=FIRST,
+            name="Preset", description="The schedule of the search, or your own .toml file", default=FIRST,
             update=_fill,
         ),
-        "own": StringProperty(description="The preset of the user's own that was chosen last"),
-        "own_text": StringProperty(description="What its file holds"),
+        "own": StringProperty(description="The last preset of the user's own that was chosen"),
+        "own_text": StringProperty(description="The text of its file"),
         **declared,
     }  # fmt: skip
 

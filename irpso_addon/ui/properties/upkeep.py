@@ -1,4 +1,4 @@
-"""Filling the list of parameters of scenes that have none yet: a fresh file, a new scene, one from before."""
+"""Fills the parameter list of scenes without one: in new files, new scenes and files from older versions."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from .scene_settings import CUSTOM, refresh_parameters
 
 @failures.told("Listing the maps of the model")
 def fill_lists() -> None:
-    """Give every scene the parameters of its model. Panels may not: while they are drawn nothing can be changed."""
+    """Give every scene the parameters of its model. Panels cannot: Blender forbids changes during drawing."""
     for scene in bpy.data.scenes:
         if is_wanting(scene.irpso):
             refresh_parameters(scene.irpso)
 
 
 def is_wanting(settings) -> bool:
-    """Return whether the list is empty that should not be; a model of the user's own may not be readable."""
+    """Return whether the list is wrongly empty. With the user's own model it may be: the file may be unreadable."""
     return not settings.parameters and settings.model != CUSTOM
 
 
 def ask() -> None:
-    """Have the lists filled as soon as Blender is done with what it is doing now."""
+    """Schedule ``fill_lists`` for the next turn of Blender's event loop."""
     if not bpy.app.timers.is_registered(fill_lists):
         bpy.app.timers.register(fill_lists, first_interval=0)
 
@@ -37,16 +37,16 @@ CLASSES = ()
 
 
 def register() -> None:
-    """Watch for files being loaded; what is open already is filled as soon as it may be changed."""
+    """Fill the lists of every loaded file, and of the open one as soon as it may be changed."""
     bpy.app.handlers.load_post.append(_on_load)
-    if hasattr(bpy.data, "scenes"):  # while Blender enables add-ons at its start, data are out of reach
+    if hasattr(bpy.data, "scenes"):  # absent while Blender enables add-ons at its start
         fill_lists()
     else:
         ask()
 
 
 def unregister() -> None:
-    """Stop watching."""
+    """Remove the handler and the timer."""
     bpy.app.handlers.load_post.remove(_on_load)
     if bpy.app.timers.is_registered(fill_lists):
         bpy.app.timers.unregister(fill_lists)

@@ -68,7 +68,7 @@ def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, 
 @pytest.mark.parametrize("operator", [recover.IRPSO_OT_run, probes.IRPSO_OT_probe])
 def test_a_modal_operator_that_fails_leaves_and_is_told(monkeypatch, operator):
     left = []
-    one = SimpleNamespace(_heed=broken, _leave=lambda context: left.append(True) or {"FINISHED"},
+    one = SimpleNamespace(_handle=broken, _leave=lambda context: left.append(True) or {"FINISHED"},
                           _session=SimpleNamespace(pause=lambda: left.append("paused")))  # fmt: skip
     assert operator.modal(one, bpy.context, SimpleNamespace(type="TIMER", value="NOTHING")) == {"FINISHED"}
     assert left[-1] is True and failures.said()[0].endswith("has ended: index -1 is out of bounds")

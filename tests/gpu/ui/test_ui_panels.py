@@ -187,7 +187,7 @@ def test_findings_are_shown_errors_first_and_no_more_than_fit(settings):
     shown = [text for text in texts if text.startswith("number") and "is wrong" in text]
     assert shown[0] == "number 9 is wrong" and len(shown) == 8
     assert "This capture cannot be used: number 9 is wrong. Then check again" in " ".join(texts)  # below the button
-    assert "and 4 more like these" in texts and "Images" in texts and "Details" in labels()
+    assert "and 4 more" in texts and "Images" in texts and "Details" in labels()
     settings.checked_path = "/another"
     assert not any("is wrong" in text for text in drawn().texts)
 
