@@ -115,7 +115,7 @@ def test_a_place_that_cannot_be_written_is_told_in_one_line(settings, tmp_path):
         said = refusal(filepath=str(tmp_path / "file" / "set"), format=kind)
         assert "is a file" in said and "with -o" not in said and len(said.splitlines()) == 1
     assert (tmp_path / "file").read_text() == "in the way"
-    assert "choose where" in refusal(filepath="")
+    assert "choose a file or folder" in refusal(filepath="")
 
 
 @pytest.mark.parametrize(
