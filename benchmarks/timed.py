@@ -139,7 +139,7 @@ def _synchronise(recovery: Any) -> np.ndarray:
     Draws are asynchronous: only a look at the maps, which reads them back, waits for all that was ordered. Where tiles
     take turns nothing is left to wait for: what leaves the device is read back.
     """
-    if isinstance(recovery, TiledRecovery) and not recovery.resident:
+    if recovery.capabilities.turns:
         return np.zeros(2)
     began = now()
     recovery.maps(confidence=False)

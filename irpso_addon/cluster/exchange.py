@@ -1,63 +1,60 @@
-"""What ranks tell one another before an iteration that reads neighbours."""
+"""The transport of halos between ranks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..geometry.domain import Domain
-from ..solver.engine.halo import HaloOverlap, Place, ghosts_of, overlap
-from ..solver.engine.recovery import Recovery
+from ..solver.engine.halo import HaloOverlap, Place, cells_of, overlap_of
+from ..solver.engine.lockstep import Received, taken
 from .transport import Ranks
 
 
-class Exchange:
-    """The borders of one rank's tile: which of its texels others read, and which of theirs it does.
+class RankTransport:
+    """A ``HaloTransport`` (solver/engine/lockstep.py) of ranks that have one tile each.
 
-    places: of all ranks that have texels. domain: this rank's tile.
+    team: the ranks that have texels. places: of their tiles, by number of the rank in ``ranks``.
     """
 
-    def __init__(self, ranks: Ranks, places: Mapping[int, Place], domain: Domain):
-        self._ranks, self._places, self._domain = ranks, places, domain
-        self._found: dict[int | None, tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]] = {}
+    def __init__(self, ranks: Ranks, team: Ranks, places: Mapping[int, Place]):
+        self._ranks, self._team, self._places = ranks, team, places
+        self._seams = any(len(place.ghosts) for place in places.values())
+        self.connected = len(places) > 1
+        self._overlaps: dict[int | None, tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]] = {}
+        self._outgoing: dict[int, np.ndarray] = {}
+        self._read: dict[int, HaloOverlap] = {}
+        self._size = 0
+        self._received: list[Received] = []
 
-    def before_iteration(self, recovery: Recovery) -> None:
-        """Tell the others, and hear from them, what the iteration that is next reads, if it reads any."""
-        reach = recovery.reach
-        if not reach or len(self._places) == 1:
-            return
+    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+        """Give what this rank's texels have found; nothing in a stage that searches nothing, solved in closed form."""
         # Across a seam a texel may see any of the halo, however far from the box it lies.
-        told, heard = self._overlaps(reach if self._domain.seams is None else None)
-        found = recovery.halo()
-        size = found.shape[-1]
-        if size == 0:  # a stage that searches nothing: all is solved in closed form
-            return
-        outgoing = {
-            rank: np.concatenate([found[one.here].reshape(-1, size), found[one.seen]]) for rank, one in told.items()
-        }
-        incoming = {rank: (_cells(one) + len(one.ghosts), size) for rank, one in heard.items()}
-        received = self._ranks.exchanged(outgoing, incoming)
-        values = np.full((*self._domain.shape, size), np.nan, np.float32)
-        ghosts = np.full((ghosts_of(self._domain), size), np.nan, np.float32)
-        for rank, one in heard.items():
-            cells = _cells(one)
-            place = values[one.there]
-            place[:] = received[rank][:cells].reshape(place.shape)
-            ghosts[one.ghosts] = received[rank][cells:]
-        recovery.set_halo(values, ghosts)
+        sent, read = self._between(None if self._seams else reach)
+        self._size = found.shape[-1]
+        self._outgoing = {rank: taken(one, found) for rank, one in sent.items()} if self._size else {}
+        self._read = read if self._size else {}
 
-    def _overlaps(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
-        """Return what is told to and what is heard from each other rank, no more of halos than is read."""
-        if reach not in self._found:
+    def exchange(self) -> None:
+        """Send what was published, and wait for what this rank reads."""
+        shapes = {rank: (cells_of(one) + len(one.ghosts), self._size) for rank, one in self._read.items()}
+        received = self._ranks.exchanged(self._outgoing, shapes)
+        self._received = [(one, received[rank]) for rank, one in self._read.items()]
+
+    def received(self, tile: int) -> Sequence[Received]:
+        """Return what other ranks have published of the texels that this one reads."""
+        return self._received
+
+    def all(self, value: object) -> list:
+        """Return what each rank with texels gives."""
+        return self._team.all(value)
+
+    def _between(self, reach: int | None) -> tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]:
+        """Return what is sent to and what is read from each other rank, no more of halos than ``reach``."""
+        if reach not in self._overlaps:
             here, own = self._ranks.rank, self._places[self._ranks.rank]
             others = {rank: place for rank, place in self._places.items() if rank != here}
-            told = {rank: overlap(own, place, rank, reach) for rank, place in others.items()}
-            heard = {rank: overlap(place, own, here, reach) for rank, place in others.items()}
-            self._found[reach] = tuple({r: one for r, one in m.items() if one is not None} for m in (told, heard))
-        return self._found[reach]
-
-
-def _cells(one: HaloOverlap) -> int:
-    rows, columns = one.there
-    return (rows.stop - rows.start) * (columns.stop - columns.start)
+            sent = {rank: overlap_of(own, place, rank, reach) for rank, place in others.items()}
+            read = {rank: overlap_of(place, own, here, reach) for rank, place in others.items()}
+            self._overlaps[reach] = tuple({r: one for r, one in m.items() if one is not None} for m in (sent, read))
+        return self._overlaps[reach]

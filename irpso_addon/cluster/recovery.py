@@ -1,24 +1,22 @@
-"""A recovery over the ranks of an MPI job, with the face of Recovery on rank 0."""
+"""A recovery over the ranks of an MPI job, driven on rank 0."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Concatenate, TypeVar
 
 import numpy as np
 
-from ..core.errors import InputError
 from ..geometry.domain import Domain, with_lights
 from ..gpu import probe
 from ..results.maps import Maps
+from ..solver.engine.engine import Capabilities, RecoveryEngine
 from ..solver.engine.progress import Progress
-from ..solver.settings.schedule import Schedule
 from ..solver.state import checkpoint
+from ..solver.state.checkpoint import Checkpoint
 from .samples import RankedStack
 from .worker import P, Worker
 
@@ -69,11 +67,11 @@ def serve(worker: Worker) -> int:
         order(worker, *arguments)
 
 
-class RankedRecovery:
-    """One run over all ranks, with the face of Recovery: the maps are those of one process, bit for bit.
+class RankedRecovery(RecoveryEngine):
+    """A ``RecoveryEngine`` over all ranks: the maps are those of one process, bit for bit.
 
     To be made on rank 0 while the others ``serve``. fitted: the observations, by number, that are fitted. entry: as for
-    a Recovery. There is no view(): no textures hold the whole. A checkpoint does not know how many ranks there were.
+    a Recovery.
     """
 
     def __init__(self, leader: Leader, fitted: Sequence[int], entry: str = "auto"):
@@ -84,12 +82,17 @@ class RankedRecovery:
         self.domain: Domain = replace(worker.domain, stack=leader.domain.stack.subset(np.asarray(fitted, np.intp)))
 
     @property
+    def capabilities(self) -> Capabilities:
+        """Nothing but stepping to the maps."""
+        return Capabilities("none", reconfigure=False)
+
+    @property
     def progress(self) -> Progress:
         """How far the recovery is."""
         return self._progress
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations, or for about so long, or to the end; return the progress, as Recovery.step."""
+        """Advance on all ranks, as RecoveryEngine.step."""
         if time_budget_s is None:
             self._progress = self._leader.ask(Worker.advance, iterations)
             return self._progress
@@ -100,46 +103,32 @@ class RankedRecovery:
         return self._progress
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as Recovery.maps."""
+        """Return what has been found so far, as RecoveryEngine.maps."""
         return self._leader.ask(Worker.maps, confidence)
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each rank, as Recovery.mean_error."""
+        """Return the mean error over a few thousand texels of each rank, as RecoveryEngine.mean_error."""
         return self._leader.ask(Worker.mean_error)
 
-    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
-        """Write a checkpoint, as Recovery.save, from which any number of ranks goes on to the same maps bit for bit."""
-        state = self._leader.ask(Worker.state)
-        checkpoint.write(Path(path), self._identity, replace(state, notes=notes))
+    def state(self) -> Checkpoint:
+        """Return the state of all ranks' texels, gathered here."""
+        return self._leader.ask(Worker.state)
 
-    def load(self, path: str | Path) -> dict[str, np.ndarray]:
-        """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
-        saved = checkpoint.read(Path(path), self._identity)
+    def restore(self, saved: Checkpoint) -> None:
+        """Go on from what ``state`` returned, or a recovery of the whole or of tiles."""
         self._progress = self._leader.deal(Worker.restore, saved)
-        return dict(saved.notes)
-
-    def changed(self, schedule: Schedule, seed: int | None = None) -> RankedRecovery:
-        """Raise InputError: a recovery over ranks does not change its settings midway."""
-        raise InputError("a recovery over ranks takes no other settings in mid-run: stop, and recover again with them")
-
-    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Return True: ranks find theirs in maps()."""
-        return True
 
     def close(self) -> None:
         """Free all that lies on the GPUs."""
         self._leader.ask(Worker.close)
-
-    def __enter__(self) -> RankedRecovery:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if not self._leader.busy:  # else some ranks wait for one that has failed
             self.close()
 
     @cached_property
-    def _identity(self) -> dict[str, Any]:
-        """Who this is to a checkpoint; found once: it reads all samples."""
+    def identity(self) -> dict[str, Any]:
+        """What must be equal for a checkpoint to be resumed; found once: it reads all samples."""
         worker = self._leader.worker
         settings = (self.model, self.schedule, self.seed, self.entry, worker.fixed)
         return checkpoint.identity(worker.domain, *settings, samples=self._leader.ask(Worker.digest))

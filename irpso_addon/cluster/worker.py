@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
@@ -13,16 +13,16 @@ from ..geometry.samples import SampleStack
 from ..gpu import context
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
-from ..solver.engine.halo import own_of, part_of, place_of, rectangle
+from ..solver.engine.halo import held_rows, own_of, own_rows, part_of, rectangle
+from ..solver.engine.lockstep import LockStep
 from ..solver.engine.progress import Progress
-from ..solver.engine.tiled import TileRecovery
-from ..solver.phases.mixture import merged
+from ..solver.engine.tiles import Tile, TilePool
 from ..solver.settings.fixed import full_map
 from ..solver.settings.schedule import Schedule
 from ..solver.state import prepare
 from ..solver.state.checkpoint import Checkpoint, named
-from ..solver.state.layout import digest_of_texels
-from .exchange import Exchange
+from ..solver.state.layout import digest_of_texels, joined, numbered
+from .exchange import RankTransport
 from .partition import Partition
 from .transport import Ranks
 
@@ -57,8 +57,8 @@ class Worker:
         self.fixed = {name: full_map(model, name, value, partition.whole.shape) for name, value in fixed.items()}
         self._box = partition.boxes[ranks.rank]
         self.domain: Domain | None = None  # the whole, of the observations that are fitted
-        self._recovery: TileRecovery | None = None
-        self._exchange: Exchange | None = None
+        self._pool: TilePool | None = None  # of this rank's one tile
+        self._driver: LockStep | None = None
         self._progress: Progress | None = None
         self.partition = partition
         lit = self.lit(range(partition.whole.observations))
@@ -110,41 +110,29 @@ class Worker:
         works[0] |= not any(works)
         self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
         works_here = works[self.ranks.rank]
-        part = self._tile(fitted) if works_here else None
+        part = self._part(fitted) if works_here else None
         brightness = self._brightness(part)
-        self._team = self.ranks.among(works_here)
+        team = self.ranks.among(works_here)
         if part is not None:
-            self._solved = int(np.count_nonzero(solvable[part_of(self._box)]))
-            self._recovery = self._begun(part, brightness, entry)
-        places = self.ranks.all(None if part is None else place_of(self._box, part))
+            self._pool = self._pool_of(part, brightness, entry)
+        places = self.ranks.all(None if self._tile is None else self._tile.place)
         self.places = {rank: place for rank, place in enumerate(places) if place is not None}
-        if part is not None:
-            self._exchange = Exchange(self.ranks, self.places, part)
+        if self._pool is not None:
+            self._driver = LockStep(self._pool, RankTransport(self.ranks, team, self.places), self.partition.halo)
         return self._told_progress()
 
     def advance(self, iterations: int | None) -> Progress:
         """Make so many iterations, or all, in step with the others."""
-        recovery, threshold = self._recovery, self.schedule.threshold
-        if recovery is not None:
-            recovery.step(iterations=0)
-            made = 0
-            while not recovery.progress.done and (iterations is None or made < iterations):
-                self._exchange.before_iteration(recovery)
-                if (sample := recovery.sample()) is not None:
-                    recovery.take_sample(merged(self._team.all(sample)))
-                recovery.reached = False
-                recovery.step(iterations=1)
-                made += 1
-                if threshold and all(self._team.all(recovery.reached)):
-                    recovery.finish_stage()
+        if self._driver is not None:
+            self._driver.step(iterations)
         return self._told_progress()
 
     def maps(self, confidence: bool) -> Maps | None:
         """Return what has been found so far."""
         parts = None
-        if self._recovery is not None:
-            found = self._recovery.maps(confidence)
-            own = own_of(self._recovery.domain)
+        if self._tile is not None:
+            found = self._tile.recovery.maps(confidence)
+            own = own_of(self._tile.domain)
             parts = {"residual": found.residual[own]}
             parts |= {f"value {name}": value[own] for name, value in found.values.items()}
             parts |= {f"deviation {name}": value[own] for name, value in (found.confidence or {}).items()}
@@ -165,45 +153,37 @@ class Worker:
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""
-        told = self.ranks.all(None if self._recovery is None else (self._recovery.mean_error(), self._solved))
+        told = self.ranks.all(None if self._tile is None else (self._tile.recovery.mean_error(), self._tile.solved))
         told = [one for one in told if one is not None]
         return float(np.average([error for error, _ in told], weights=[max(1, count) for _, count in told]))
 
     def state(self) -> Checkpoint | None:
-        """Return the state of the whole domain, texel by texel of those that are solved, row by row."""
-        rows, at = None, None
-        if self._recovery is not None:
-            state = self._recovery.rows()
-            rows, at = state.arrays, (state.stage, state.iteration)
-        at = self.ranks.given(at, self._lead)
-        parts = self.ranks.collected(rows)
+        """Return the state of the whole domain."""
+        found = None if self._tile is None else self._tile.recovery.state()
+        at = self.ranks.given(found and (found.stage, found.iteration), self._lead)
+        parts = self.ranks.collected(found and found.arrays)
         if not self.ranks.leads:
             return None
-        numbers = self._numbers()
-        whole: dict[str, np.ndarray] = {}
-        for rank, arrays in enumerate(parts):
-            if arrays is None:
-                continue
-            box = part_of(self.partition.boxes[rank])
-            chosen = numbers[box][self.domain.solvable[box]]
-            for name, value in arrays.items():
-                held = whole.setdefault(name, np.zeros((self._total, *value.shape[1:]), np.float32))
-                held[chosen] = value
-        return Checkpoint(*at, self._progress.evaluations, whole)
+        numbers = numbered(self.domain.solvable)
+        rows = ((own_rows(numbers, self.places[r].box), arrays) for r, arrays in enumerate(parts) if arrays is not None)
+        return Checkpoint(*at, self._progress.evaluations, joined(self._total, rows))
 
     def restore(self, saved: Checkpoint | None) -> Progress:
         """Go on from what ``state`` returned to rank 0; the others give None."""
         at = self.ranks.given(saved and (saved.stage, saved.iteration, saved.evaluations))
         parts: list[dict[str, np.ndarray] | None] = []
         if saved is not None:
-            for rank in range(self.ranks.size):
-                chosen = self._texels(self.places[rank]) if rank in self.places else None
-                parts.append(None if chosen is None else {name: value[chosen] for name, value in saved.arrays.items()})
+            numbers = numbered(self.domain.solvable)
+            for place in map(self.places.get, range(self.ranks.size)):
+                held = None if place is None else held_rows(numbers, place)
+                parts.append(None if held is None else {name: rows[held] for name, rows in saved.arrays.items()})
         arrays = self.ranks.dealt(parts)
-        if self._recovery is not None:
+        if self._driver is not None:
             stage, iteration, evaluations = at
-            here = evaluations // max(1, self._total) * self._solved
-            self._recovery.take_rows(Checkpoint(stage, iteration, here, arrays))
+            here = evaluations // max(1, self._total) * self._tile.solved
+            self._tile.recovery.restore(Checkpoint(stage, iteration, here, arrays))
+            self._tile.progress = self._tile.recovery.progress
+            self._driver.restart()
         return self._told_progress()
 
     def renderers(self) -> list[str]:
@@ -217,23 +197,29 @@ class Worker:
     def digest(self) -> int:
         """Return a number that tells the samples of all solved texels, however the domain is cut."""
         found = 0
-        if self._recovery is not None:
-            found = digest_of_texels(self._recovery.domain)
+        if self._tile is not None:
+            found = digest_of_texels(self._tile.domain)
         return sum(self.ranks.all(found)) % 2**64
 
     def close(self) -> None:
         """Free what lies on the GPU."""
-        if self._recovery is not None:
-            self._recovery.close()
-        self._recovery = self._exchange = None
+        if self._pool is not None:
+            self._pool.close()
+        self._pool = self._driver = None
 
-    def _begun(self, part: Domain, brightness: float, entry: str) -> TileRecovery:
+    @property
+    def _tile(self) -> Tile | None:
+        """This rank's tile, None where it is left without texels."""
+        return None if self._pool is None else self._pool.tiles[0]
+
+    def _pool_of(self, part: Domain, brightness: float, entry: str) -> TilePool:
         prepared = replace(prepare.prepare(part, self.model, self.schedule, pack=False), brightness=brightness)
-        texels = rectangle(self._box, part.halo)
-        fixed = {name: value[texels] for name, value in self.fixed.items()}
-        return TileRecovery(part, self.model, self.schedule, self.seed, fixed, entry, prepared)
+        fixed = {name: value[rectangle(self._box, part.halo)] for name, value in self.fixed.items()}
+        solved = int(np.count_nonzero(self.domain.solvable[part_of(self._box)]))
+        tile = Tile(self._box, part, prepared, fixed, solved)
+        return TilePool([tile], self.model, self.schedule, self.seed, entry)
 
-    def _tile(self, fitted: Sequence[int]) -> Domain:
+    def _part(self, fitted: Sequence[int]) -> Domain:
         """This rank's own texels with their halo, as a tile of the whole would be."""
         cut = tile(self.domain, *self._box, halo=self.partition.halo)
         return replace(cut, stack=self.partition.window.stack.subset(np.asarray(fitted, np.intp)))
@@ -249,11 +235,11 @@ class Worker:
         return prepare.brightness_of(self.domain, sum(s for s, _ in found), sum(count for _, count in found))
 
     def _told_progress(self) -> Progress:
-        """The progress of the whole, told to every rank: in lock step it is the same but for the evaluations."""
+        """Return the progress of the whole on every rank: in lock step only the evaluations differ."""
         progress = None
         if self.ranks.rank == self._lead:
-            progress = self._recovery.progress
-            each = progress.evaluations // max(1, self._solved)
+            progress = self._tile.recovery.progress
+            each = progress.evaluations // max(1, self._tile.solved)
             progress = replace(progress, evaluations=each * self._total)
         self._progress = self.ranks.given(progress, self._lead)
         return self._progress
@@ -275,14 +261,3 @@ class Worker:
                 held = whole.setdefault(name, np.zeros((*self.partition.whole.shape, *value.shape[2:]), value.dtype))
                 held[part_of(self.partition.boxes[rank])] = value
         return whole
-
-    def _numbers(self) -> np.ndarray:
-        numbers = np.full(self.domain.shape, -1)
-        numbers[self.domain.solvable] = np.arange(self._total)
-        return numbers
-
-    def _texels(self, place: Any) -> np.ndarray:
-        """Return which of the solved texels a rank holds, in the order of its textures: own, halo, ghosts."""
-        numbers, texels = self._numbers(), rectangle(place.box, place.halo)
-        x, y = place.ghosts.T
-        return np.concatenate([numbers[texels][self.domain.solvable[texels]], numbers[y, x]])

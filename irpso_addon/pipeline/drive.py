@@ -12,9 +12,8 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.files import remove_partials
 from ..core.progress_bar import ProgressBar
+from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.progress import TimeLeft
-from ..solver.engine.tiled import TiledRecovery
-from ..solver.planning.planning import AnyRecovery
 from ..solver.views.history import History
 from .interrupt import held_back
 
@@ -39,7 +38,7 @@ def check_every(seconds: float | None) -> None:
         raise InputError(f"--checkpoint-every {seconds:g}: give seconds, 0 or more, as in --checkpoint-every 60")
 
 
-def drive(recovery: AnyRecovery, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
+def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
     """Run a recovery to its end; return the seconds, with those before a resume, and a warning of unsaved checkpoints.
 
     What stops a checkpoint between (a full disk) does not stop the run, and leaves the one before as it was. An
@@ -85,9 +84,9 @@ class _Saver:
     before: seconds that the run took before it was gone on with.
     """
 
-    def __init__(self, recovery: AnyRecovery, history: History, saving: Saving):
+    def __init__(self, recovery: RecoveryEngine, history: History, saving: Saving):
         self._recovery, self._history, self._saving = recovery, history, saving
-        self.turns = isinstance(recovery, TiledRecovery) and not recovery.resident
+        self.turns = recovery.capabilities.turns
         self.warnings: list[str] = []
         self.before = 0.0
         self._began = self._last = time.perf_counter()

@@ -9,7 +9,7 @@ from ..core.errors import InputError
 from ..core.files import remove_partials
 from ..core.png import encode_png
 from ..results.maps import Maps
-from ..solver.planning.planning import AnyRecovery
+from ..solver.engine.engine import RecoveryEngine
 from ..solver.views.pictures import maps_so_far
 
 LIVE = "live.png"
@@ -21,7 +21,7 @@ class LivePicture:
     warnings: that it could not be written, if so.
     """
 
-    def __init__(self, path: Path, recovery: AnyRecovery):
+    def __init__(self, path: Path, recovery: RecoveryEngine):
         self._path, self._recovery = path, recovery
         self.warnings: list[str] = []
         remove_partials(path)

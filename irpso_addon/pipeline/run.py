@@ -23,7 +23,8 @@ from ..solver.lights.refine import Lights, can_tell, chosen_steps
 from ..solver.lights.sample import draw
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
-from ..solver.planning.planning import AnyRecovery, covered_texels, make_plan, planned_recovery, untiled
+from ..solver.engine.engine import RecoveryEngine
+from ..solver.planning.planning import covered_texels, make_plan, planned_recovery, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
 from ..solver.views.held_out import relit_steps
@@ -78,7 +79,7 @@ class Run:
         self.domain: Domain | None = None
         self.fitted: Domain | None = None
         self.lights: Lights | None = None
-        self.recovery: AnyRecovery | None = None
+        self.recovery: RecoveryEngine | None = None
         self.fixed, self.truth = job.fixed, job.truth
         self.seconds: dict[str, float] = {}
         self.progress: Progress | None = None
@@ -135,7 +136,7 @@ class Run:
         """Go on with another schedule from what has been found. Raises InputError; then nothing has changed."""
         if schedule.levels != self.job.schedule.levels:
             raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
-        changed = self.recovery.changed(schedule)
+        changed = self.recovery.reconfigure(schedule)
         self.recovery.close()
         self.recovery, self.job = changed, replace(self.job, schedule=schedule)
 
@@ -199,7 +200,7 @@ class Run:
         job = self.job
         return make_plan(
             coverage, job.model, job.schedule, job.fixed, len(job.capture.observations), len(job.held_out),
-            memory=job.memory, entry=job.entry, stack_on=stack_on, mesh=job.mesh, resumed=job.resumed,
+            memory=job.memory, entry=job.entry, stack_on=stack_on, mesh=job.mesh,
         )  # fmt: skip
 
     def _begin(self) -> Generator[None, None, None]:

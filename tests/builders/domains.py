@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, tile, with_samples
+from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of, with_samples
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.phases.mixture import merged
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from tests.oracles.swarm import MODELS, direction_to, frames, turned
@@ -132,41 +131,11 @@ def recoveries():
         recovery.close()
 
 
-def tiles_of(domain, halo):
-    """Cut a domain of 17×13 into tiles of uneven sizes; return them with their places."""
-    cuts = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 3), (5, 8, 11, 5), (16, 8, 1, 5)]
-    return [(cut, tile(domain, *cut, halo=halo)) for cut in cuts]
+def run_tiled(domain, model, schedule, halo, entry="fragment"):
+    """Recover a domain of 17×13 in tiles of uneven sizes; return the bits of its maps."""
+    from irpso_addon.solver.engine.tiled import TiledRecovery  # needs Blender
 
-
-def exchange_halos(domain, runs):
-    """Give every tile what the others have found."""
-    bests = np.full((*domain.shape, runs[0][1].halo().shape[-1]), np.nan, np.float32)
-    for (x, y, w, h), recovery in runs:
-        left, _, bottom, _ = recovery.domain.halo
-        bests[y : y + h, x : x + w] = recovery.halo()[bottom : bottom + h, left : left + w]
-    for _, recovery in runs:
-        x, y = recovery.domain.origin
-        h, w = recovery.domain.shape
-        recovery.set_halo(bests[y : y + h, x : x + w])
-    samples = [recovery.sample() for _, recovery in runs]
-    for _, recovery in runs:
-        if samples[0] is not None:
-            recovery.take_sample(merged(samples))
-
-
-def run_tiled(domain, model, schedule, recover, halo, entry="fragment"):
-    """Recover every tile, exchanging bests before every iteration that reads them; return the maps put together."""
-    runs = [(cut, recover(part, model, schedule, entry=entry)) for cut, part in tiles_of(domain, halo)]
-    for _, recovery in runs:
-        recovery.step(iterations=0)
-    while not runs[0][1].progress.done:
-        if runs[0][1].reach > 0:
-            exchange_halos(domain, runs)
-        for _, recovery in runs:
-            recovery.step(iterations=1)
-    values = {p.name: np.zeros((*domain.shape, p.components), np.float32) for p in model.parameters}
-    for (x, y, w, h), recovery in runs:
-        left, _, bottom, _ = recovery.domain.halo
-        for name, value in recovery.maps().values.items():
-            values[name][y : y + h, x : x + w] = value[bottom : bottom + h, left : left + w]
-    return {name: np.ascontiguousarray(value[domain.solvable]).tobytes() for name, value in values.items()}
+    boxes = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 3), (5, 8, 11, 5), (16, 8, 1, 5)]
+    with TiledRecovery(domain, model, schedule, 1, entry=entry, boxes=boxes, halo=halo) as recovery:
+        recovery.step()
+        return bits_of(recovery.maps())

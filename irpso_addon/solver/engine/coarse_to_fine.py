@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -20,12 +18,14 @@ from ...gpu import probe
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
+from ..phases.phase import Phase
 from ..planning.cost import work_of
 from ..settings.fixed import full_map
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from ..state import checkpoint, prepare
 from ..state.checkpoint import Checkpoint
+from .engine import Capabilities, RecoveryEngine
 from .progress import Progress
 from .reconfigure import given
 from .recovery import Recovery
@@ -33,8 +33,8 @@ from .recovery import Recovery
 _AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations made at those before it
 
 
-class Pyramid:
-    """One run over ``levels`` sizes of a domain, driven as a Recovery is, which it is where levels is 1.
+class Pyramid(RecoveryEngine):
+    """A ``RecoveryEngine`` over ``levels`` sizes of a domain, driven as a Recovery is, which it is where levels is 1.
 
     schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest
     make. The others are as Recovery has them. The same seed, settings and device give the same maps bit for bit,
@@ -58,10 +58,10 @@ class Pyramid:
         self.entry = probe.faster_entry() if entry == "auto" else entry
         self._count()
         self._level, self._before = 0, 0  # evaluations of the levels that are done
-        self._live = self._begin(None, None)
+        self._live = self._begin(None)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations of whichever level, or for about so long, or to the end; as Recovery.step.
+        """Advance by whole iterations of whichever level, as RecoveryEngine.step.
 
         A level that is done hands over to the next one in the step that ends it.
         """
@@ -101,67 +101,64 @@ class Pyramid:
         )
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as Recovery.maps; a coarse level's between its texels."""
+        """Return what has been found so far, as RecoveryEngine.maps; a coarse level's between its texels."""
         found = self._live.maps(confidence)
         for level in range(self._level, self.schedule.levels - 1):
             found = self._finer(found, level)
         return found
 
     def mean_error(self) -> float:
-        """Return the mean error of the level that is being solved, as Recovery.mean_error."""
+        """Return the mean error of the level that is being solved, as RecoveryEngine.mean_error."""
         return self._live.mean_error()
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Find what maps() tells of the level that is being solved, as Recovery.refresh_confidence."""
+        """Find what maps() tells of the level that is being solved, as RecoveryEngine.refresh_confidence."""
         return self._live.refresh_confidence(time_budget_s)
 
     def view(self) -> AbstractContextManager[dict[str, Any]]:
-        """Lend the live textures of the level that is being solved, as Recovery.view."""
+        """Lend the live textures of the level that is being solved, as RecoveryEngine.view."""
         return self._live.view()
 
-    def confidence_view(self) -> AbstractContextManager[dict[str, Any]]:
-        """Lend the deviations of the level that is being solved, as Recovery.confidence_view."""
-        return self._live.confidence_view()
+    @property
+    def capabilities(self) -> Capabilities:
+        """Those of a recovery of the whole."""
+        return self._live.capabilities
+
+    @property
+    def phase(self) -> Phase | None:
+        """The phase under way of the level that is being solved."""
+        return self._live.phase
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         """Return what Recovery.deviation_pass does."""
         return self._live.deviation_pass()
 
-    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
-        """Write a checkpoint, as Recovery.save."""
+    def state(self) -> Checkpoint:
+        """Return the state of the level that is being solved, which it is, and what those before it have taken."""
         state = self._live.state()
-        arrays = state.arrays | {_AT: np.array([self._level, self._before])}
-        checkpoint.write(Path(path), self._identity, replace(state, arrays=arrays, notes=notes))
+        return replace(state, arrays=state.arrays | {_AT: np.array([self._level, self._before])})
 
-    def load(self, path: str | Path) -> dict[str, np.ndarray]:
-        """Go on from a checkpoint of the same domain and settings, and return its notes, as Recovery.load."""
-        saved = checkpoint.read(Path(path), self._identity)
-        level, before = (int(number) for number in saved.arrays[_AT])
+    def restore(self, saved: Checkpoint) -> None:
+        """Go on from what ``state`` returned."""
         self._live.close()
-        self._level, self._before = level, before
-        self._live = self._begin(None, saved)
-        return dict(saved.notes)
+        self._level, self._before = (int(number) for number in saved.arrays[_AT])
+        self._live = self._begin(None)
+        self._live.restore(replace(saved, arrays={n: a for n, a in saved.arrays.items() if n != _AT}))
 
-    def changed(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
-        """Return a run that goes on from here under another schedule, as Recovery.changed; levels must be as many."""
+    def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
+        """Return a run that goes on from here, as Recovery.reconfigure; there must be as many levels."""
         if schedule.levels != self.schedule.levels:
             raise InputError(f"levels = {schedule.levels}: a run under way has {self.schedule.levels}; begin another")
         result = copy(self)
         result.schedule, result.seed = schedule, self.seed if seed is None else seed
         result._schedules = level_schedules(schedule)
-        result._live = self._live.changed(result._schedules[self._level], seed)
+        result._live = self._live.reconfigure(result._schedules[self._level], seed)
         result._count()
         return result
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
         self._live.close()
-
-    def __enter__(self) -> Pyramid:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _count(self) -> None:
         fixed, observations = set(self._fixed[-1]), self.domain.observations
@@ -172,21 +169,21 @@ class Pyramid:
             self._iterations.append(sum(stage.iterations for stage in stages))
             self._costs.append(work * int(np.count_nonzero(domain.solvable)))
 
-    def _begin(self, guess: Maps | None, state: Checkpoint | None) -> Recovery:
+    def _begin(self, guess: Maps | None) -> Recovery:
         """Return the recovery of the level that is next. guess: at its size, None where there is no coarser one."""
         domain, schedule = self._domains[self._level], self._schedules[self._level]
         prepared = prepare.prepare(domain, self.model, schedule)
         if guess is not None:
             prepared = replace(prepared, guess=guess.values)
         fixed = self._fixed[self._level]
-        return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, prepared, state)
+        return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, prepared)
 
     def _next(self) -> None:
         guess = self._finer(self._live.maps(confidence=False), self._level)
         self._before += self._live.progress.evaluations
         self._live.close()
         self._level += 1
-        self._live = self._begin(guess, None)
+        self._live = self._begin(guess)
 
     def _finer(self, maps: Maps, level: int) -> Maps:
         """Return the maps of a level at the size of the next finer one."""
@@ -203,7 +200,8 @@ class Pyramid:
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
 
     @property
-    def _identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, Any]:
+        """What must be equal for a checkpoint to be resumed."""
         fixed = self._fixed[-1]
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, fixed)
 

@@ -69,10 +69,6 @@ class Confidence:
         constants = loss_constants(domain, self._fitness.delta)
         yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 
-    def bindings(self) -> dict[str, Any]:
-        """Return u_deviation_0 …, packed as the estimates are: each parameter's components where its own begin."""
-        return {f"u_deviation_{i}": texture for i, texture in enumerate(self._targets)}
-
     def read(self) -> dict[str, np.ndarray]:
         """Return what was measured last, as ``deviations`` does."""
         packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)

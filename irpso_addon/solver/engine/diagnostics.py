@@ -83,10 +83,6 @@ class Diagnostics:
             alternatives = {name: packing.unpack(value) for name, value in self._alternatives.read().items()}
         return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
-    def deviations(self) -> dict[str, Any]:
-        """Return the textures of the deviations by sampler name, none where they were never found."""
-        return self._confidence.bindings() if self._confidence is not None else {}
-
     def mean_error(self, shown: Mapping[str, Any]) -> float:
         """Return the mean residual of some thousand texels, NaN where none is solved. shown: estimates by sampler name.
 

@@ -48,16 +48,16 @@ def place_of(box: Box, domain: Domain) -> Place:
 def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
     """Return for each tile which others read its own texels."""
     pairs = [
-        [overlap(place, there, other) for other, there in enumerate(places) if number != other]
+        [overlap_of(place, there, other) for other, there in enumerate(places) if number != other]
         for number, place in enumerate(places)
     ]
     return [[found for found in of_one if found is not None] for of_one in pairs]
 
 
-def overlap(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
+def overlap_of(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
     """Return what of a tile's own texels another reads, None where it reads none.
 
-    other: the number that the meeting names. reach: how much of the other's halo is read; all of it where None.
+    other: the number that the overlap names. reach: how much of the other's halo is read; all of it where None.
     """
     here, beside = _in_halo(place, there, reach)
     seen, ghosts = _in_ghosts(place, there)
@@ -86,9 +86,23 @@ def own_of(domain: Domain) -> Part:
     return slice(bottom, height - top), slice(left, width - right)
 
 
-def ghosts_of(domain: Domain) -> int:
-    """Return how many texels a tile sees across seams."""
-    return 0 if domain.seams is None else len(domain.seams.ghosts)
+def cells_of(overlap: HaloOverlap) -> int:
+    """Return how many texels of the halo an overlap has."""
+    rows, columns = overlap.there
+    return (rows.stop - rows.start) * (columns.stop - columns.start)
+
+
+def own_rows(numbers: np.ndarray, box: Box) -> np.ndarray:
+    """Return the rows of a tile's own texels. numbers: of ``layout.numbered``."""
+    found = numbers[part_of(box)]
+    return found[found >= 0]
+
+
+def held_rows(numbers: np.ndarray, place: Place) -> np.ndarray:
+    """Return the rows of all texels that a tile holds, as its textures do: own and halo, then the ghosts."""
+    rows, columns = rectangle(place.box, place.halo)
+    found, (x, y) = numbers[rows, columns], (place.ghosts - place.origin + (columns.start, rows.start)).T
+    return np.concatenate([found[found >= 0], numbers[y, x]])
 
 
 def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:

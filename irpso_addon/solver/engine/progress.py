@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from ..settings.resolve import Resolved
 
 _LEAST_FRACTION = 0.003  # of the work, before a pace is believed
 _LEAST_OF_STAGE = 0.02  # of the work, before a stage's own pace is
@@ -27,6 +32,44 @@ class Progress:
     stage_end: float
     evaluations: int
     done: bool
+
+
+class Course:
+    """The stages of a recovery, and how much of all work is done at an iteration of one of them.
+
+    works: for each stage the work of its iterations, those of its placing first.
+    """
+
+    def __init__(self, stages: Sequence[Resolved], works: Sequence[Sequence[float]]):
+        total = sum(map(sum, works))
+        self._stages = stages
+        self._done = [np.cumsum([0.0, *work]) / total for work in works]
+        self._ends = np.cumsum([0.0, *(done[-1] for done in self._done)])
+
+    def at(self, index: int, iteration: int | None, part: float, evaluations: int) -> Progress:
+        """Return the progress at an iteration of stage ``index``, None where all are done.
+
+        part: how much of the iteration under way is done, 0 to 1.
+        """
+        stages, done = self._stages, iteration is None
+        total = sum(stage.iterations for stage in stages)
+        index = min(index, len(stages) - 1)
+        running = stages[index]
+        if iteration is None:
+            iteration, made, fractions = running.iterations, total, (1.0, 1.0)
+        else:
+            made = sum(stage.iterations for stage in stages[:index]) + max(iteration, 0)
+            fractions = self._fractions(index, iteration, part)
+        return Progress(
+            index, len(stages), running.title, iteration, running.iterations, made, total, *fractions, evaluations, done
+        )
+
+    def _fractions(self, index: int, iteration: int, part: float) -> tuple[float, float]:
+        """Return how much of all work is done, and will be with the stage."""
+        done = self._done[index]
+        made = min(len(done) - 1 - self._stages[index].iterations + iteration, len(done) - 1)
+        step = part * (done[min(made + 1, len(done) - 1)] - done[made])
+        return float(self._ends[index] + done[made] + step), float(self._ends[index + 1])
 
 
 class TimeLeft:

@@ -1,14 +1,12 @@
-"""The one engine of the program: a recovery, stepped by whoever drives it."""
+"""A recovery of a domain solved whole."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -29,38 +27,49 @@ from ..phases.spatial_prior import SpatialPriorPhase
 from ..phases.synchronous_swarm import SynchronousSwarmPhase
 from ..planning.cost import particle_tiles, work_of
 from ..settings.fixed import full_map
-from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement, resolve
+from ..settings.resolve import ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement, resolve
 from ..settings.schedule import Schedule
-from ..state import checkpoint, layout, prepare
+from ..state import checkpoint, prepare
 from ..state.checkpoint import Checkpoint, named
+from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
-from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, packed_states, texel_states
-from . import reconfigure as changes
+from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
 from .diagnostics import Diagnostics
-from .progress import Progress
+from .engine import Capabilities, RecoveryEngine
+from .progress import Course, Progress
+from .reconfigure import given, kept
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
 _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
-_FLAT = frozenset({"prefit_fitness"})  # arrays of a state that have no channels
-_WHOLE = frozenset({_PHASE + "materials"})  # and no texels: who goes on without them finds them again
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
 _BANDS = 8  # that a long time budget is cut into
 _SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
 
 
-class Recovery:
-    """One run: domain, model and schedule to maps (Nagano et al., Eq. 2–4; past them: settings/schedule.py).
+@dataclass
+class _Begin:
+    """What a recovery begins with, or takes over from another. stack: of the textures, until it is uploaded."""
 
-    The same seed, settings and device give the same maps bit for bit, however the steps were sliced, the domain
-    tiled or the run interrupted. Needs a GPU context (GpuUnavailableError); a model that does not compile raises
-    ShaderError, settings that do not fit InputError.
+    textures: DomainTextures
+    stack: np.ndarray | None
+    estimates: Estimates
+    index: int = 0
+    evaluations: int = 0
+    prefit_fitness: np.ndarray | None = None
+
+
+class Recovery(RecoveryEngine):
+    """The ``RecoveryEngine`` of a domain solved whole (Nagano et al., Eq. 2–4; past them: settings/schedule.py).
+
+    Needs a GPU context (GpuUnavailableError); a model that does not compile raises ShaderError, settings that do not
+    fit InputError.
 
     domain: what was observed. seed: −2³¹ to 2³¹ − 1. known: parameter name → (H, W, components) or (components,) in
     the parameter's own units, taken as given and not searched. entry: "fragment", "compute", or "auto" for what the
-    probe finds faster. prepared: of ``prepare``, where it has been found already. state: where it begins, of
-    ``state``.
+    probe finds faster. prepared: of ``prepare``, where it has been found already. memory: where it begins, of
+    ``memory``.
     """
 
     def __init__(
@@ -72,49 +81,24 @@ class Recovery:
         fixed: Mapping[str, np.ndarray] | None = None,
         entry: Literal["auto", "fragment", "compute"] = "auto",
         prepared: Prepared | None = None,
-        state: Checkpoint | None = None,
+        memory: Checkpoint | None = None,
+        begin: _Begin | None = None,
     ):
-        self._check(schedule, seed)
+        _check(schedule, seed)
         context.ensure()
         self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
         self.entry = probe.faster_entry() if entry == "auto" else entry
-        fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        stages = resolve(schedule, model, set(fixed), domain.observations)
-        prepared = (prepared or prepare.prepare(domain, model, schedule)).packed(domain, schedule)
-        packing, guess = prepared.packing, {**prepared.guess, **fixed}
-        scale = packing.pack(prepared.scale)
-        self._set_up(
-            DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays),
-            prepared.stack,
-            Estimates(model, {name: packing.pack(value) for name, value in guess.items()}),
-            fixed,
-            stages,
-        )
-        if state is None:
-            self._phase = self._begin(0, schedule)
-        else:
-            self.restore(state)
-
-    def _set_up(
-        self,
-        textures: DomainTextures,
-        stack: np.ndarray | None,
-        estimates: Estimates,
-        fixed: dict[str, np.ndarray],
-        stages: tuple[Resolved, ...],
-    ) -> None:
-        """Take what a recovery works with. stack: of ``textures``, until it is on the GPU."""
-        self._stages, self._fixed = stages, fixed
-        observations = self.domain.observations
-        works = [work_of(stage, self.model, self.schedule, observations) for stage in stages]
-        total = sum(map(sum, works))
-        self._work_done = [np.cumsum([0.0, *work]) / total for work in works]
-        self._ends = np.cumsum([0.0, *(done[-1] for done in self._work_done)])
-        self._textures, self._stack, self._estimates = textures, stack, estimates
-        self._packing = textures.packing
-        self._solved = int((texel_states(self.domain) == SOLVED).sum())
+        self._fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
+        self._stages = resolve(schedule, model, set(self._fixed), domain.observations)
+        works = [work_of(stage, model, schedule, domain.observations) for stage in self._stages]
+        self._course = Course(self._stages, works)
+        fresh = begin is None
+        begin = begin or self._prepared(prepared)
+        self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
+        self._packing = self._textures.packing
+        self._solved = int((texel_states(domain) == SOLVED).sum())
         self._diagnostics = Diagnostics(
-            self._believing(self.schedule), self.schedule.fitness, textures, estimates, fixed
+            self._believing(schedule), schedule.fitness, self._textures, self._estimates, self._fixed
         )
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
@@ -123,17 +107,43 @@ class Recovery:
         self._bands = Bands()
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the iteration that was made last is one of the stage's, not of its placing
-        self._index = 0
-        self._prefit_fitness: np.ndarray | None = None  # the prefit's fitness, packed, once there is one
-        self._evaluations = 0
+        self._index, self._evaluations = begin.index, begin.evaluations
+        self._prefit_fitness = begin.prefit_fitness  # the prefit's fitness, packed, once there is one
         self._phase: Phase | None = None
+        if memory is not None:
+            self.remember(memory)
+        elif fresh:
+            self._phase = self._begin(0, schedule)
+
+    def _prepared(self, prepared: Prepared | None) -> _Begin:
+        """Return what a new recovery begins with."""
+        textures, stack, prepared = self._samples(self.schedule, prepared)
+        guess = {**prepared.guess, **self._fixed}
+        values = {name: textures.packing.pack(value) for name, value in guess.items()}
+        return _Begin(textures, stack, Estimates(self.model, values))
+
+    def _samples(
+        self, schedule: Schedule, prepared: Prepared | None
+    ) -> tuple[DomainTextures, np.ndarray | None, Prepared]:
+        """Return the domain on the GPU, its sample stack that is to follow, and what they were made of."""
+        domain = self.domain
+        prepared = (prepared or prepare.prepare(domain, self.model, schedule)).packed(domain, schedule)
+        scale = prepared.packing.pack(prepared.scale)
+        held = DomainTextures(domain, prepared.packing, None, scale, prepared.brightness, prepared.arrays)
+        return held, prepared.stack, prepared
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Live textures of the whole, and other settings in mid-run."""
+        return Capabilities("whole", reconfigure=True)
+
+    @property
+    def phase(self) -> Phase | None:
+        """The phase under way, None where all are done."""
+        return self._phase
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations, or for about so long, or to the end; return the progress.
-
-        Placing a stage's swarms is no iteration: it comes with the step that begins the stage, and step(0) does no
-        more. With a time budget it may stop inside an iteration, between bands of rows, and goes on there next time.
-        """
+        """Advance as RecoveryEngine.step; with a time budget it may stop between bands of rows."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         self._bands.paced = deadline is not None
         left = iterations
@@ -149,47 +159,26 @@ class Recovery:
 
     @property
     def progress(self) -> Progress:
-        """How far the recovery is."""
-        stages = self._stages
-        total = sum(stage.iterations for stage in stages)
-        before = sum(stage.iterations for stage in stages[: self._index])
-        running = stages[min(self._index, len(stages) - 1)]
-        iteration = self._phase.iteration if self._phase else running.iterations
-        made = before + max(iteration, 0) if self._phase else total
-        return Progress(
-            min(self._index, len(stages) - 1), len(stages), running.title, iteration, running.iterations, made, total,
-            *self._fractions(iteration), self._evaluations, self._phase is None,
-        )  # fmt: skip
-
-    def _fractions(self, iteration: int) -> tuple[float, float]:
-        """Return how much of all work is done, bands of the iteration under way counted, and will be with the stage."""
-        if self._phase is None:
-            return 1.0, 1.0
-        done = self._work_done[self._index]
-        made = min(len(done) - 1 - self._stages[self._index].iterations + iteration, len(done) - 1)
-        step = self._bands.part * (done[min(made + 1, len(done) - 1)] - done[made])
-        return float(self._ends[self._index] + done[made] + step), float(self._ends[self._index + 1])
+        """How far it is, bands of the iteration under way counted."""
+        iteration = None if self._phase is None else self._phase.iteration
+        return self._course.at(self._index, iteration, self._bands.part, self._evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, with the mean absolute error of its render.
-
-        confidence: whether to tell standard deviations and alternatives too, which takes as long as ten to fifteen
-        iterations.
-        """
-        at = self._at
+        """Return what has been found so far, as RecoveryEngine.maps."""
+        at = self.at
         if self._work is not None or self._found != at or (confidence and self._trusted != at):
             for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
                 pass
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Find what ``maps`` tells, for about so long; return whether it is found: then maps() itself is quick.
+        """Find what ``maps`` returns, for about so long; return whether it is found.
 
         An iteration under way is finished first. A step in between begins it anew.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         if self._finding is None:
-            if self._work is None and self._found == self._trusted == self._at:
+            if self._work is None and self._found == self._trusted == self.at:
                 return True
             self._finding = self._look(True, _band_seconds(time_budget_s), deadline is not None)
         for _ in self._finding:
@@ -199,36 +188,21 @@ class Recovery:
         return True
 
     def mean_error(self) -> float:
-        """Return the mean absolute error of the render of what has been found so far, over a few thousand texels.
-
-        They are drawn at random, once; NaN where none is solved. It takes milliseconds, where maps() may take a second.
-        """
+        """Return the mean error of a few thousand texels, as RecoveryEngine.mean_error."""
         self._give_stack()
         return self._diagnostics.mean_error(self._show())
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
-        """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
+        """Lend the live textures, as RecoveryEngine.view.
 
-        u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
-        texel of the domain lies in them. No copy is read back. What a stage has found is brought up to date when its
-        iteration is another; until it has found something they are what it began with, at first the seed. What the
-        prefit thinks of a refinement, and the prior, show once they are done.
+        They follow the stage under way; what the acceptance test and the prior decide shows once they are done.
         """
         self._give_stack()
         yield {**self._textures.textures, **self._show()}
 
-    @contextmanager
-    def confidence_view(self) -> Iterator[dict[str, Any]]:
-        """Lend u_deviation_0 …, the standard deviations that were found last, as ``view`` lends the estimates.
-
-        A parameter's lie where its own components do; a normal has one. Empty before the first refresh_confidence() or
-        maps().
-        """
-        yield self._diagnostics.deviations()
-
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        """Return the pass that tells the deviations of what ``view`` lends, and its constants."""
+        """Return the pass that finds the deviations of what ``view`` lends, and its constants."""
         fixed, fitness, defines = self._fixed, self.schedule.fitness, self._textures.defines
         made = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
         return made, loss_constants(self._textures, fitness.delta)
@@ -261,37 +235,34 @@ class Recovery:
         """How many texels away the next iteration reads what others have found; 0 where no halo is needed before it."""
         return self._phase.reach if self._phase else 0
 
-    def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
-        """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all.
-
-        notes: arrays of the caller's own, which ``load`` gives back. That of a whole domain does not tell how it was
-        solved: as one, or by any number of ranks.
-        """
-        state = self.state() if self._is_tile else self.rows()
-        checkpoint.write(Path(path), self._identity, replace(state, notes=notes))
-
-    def load(self, path: str | Path) -> dict[str, np.ndarray]:
-        """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
-
-        Raises InputError for another's.
-        """
-        saved = checkpoint.read(Path(path), self._identity)
-        (self.restore if self._is_tile else self.take_rows)(saved)
-        return dict(saved.notes)
-
     def state(self) -> Checkpoint:
-        """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit."""
+        """Return the state of the texels that are solved here, row by row, as RecoveryEngine.state."""
+        memory = self.memory()
+        rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
+        return replace(memory, arrays=rows)
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Go on from the state of all texels that lie here: own and halo, row by row, then the ghosts."""
+        layout = TexelLayout(self.domain, self._packing)
+        self.remember(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
+
+    @property
+    def particle_tiles(self) -> int:
+        """Of how many W×H tiles the atlas of the running stage's particles is; 1 where it has none."""
+        return particle_tiles(self._stages[self._index], self.schedule) if self._phase is not None else 1
+
+    def memory(self) -> Checkpoint:
+        """Return the contents of all textures that outlive an iteration, for ``remember`` of the same domain."""
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None:
             arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
         if self._prefit_fitness is not None:
             arrays["prefit_fitness"] = self._prefit_fitness
-        iteration = self._phase.iteration if self._phase else 0
-        return Checkpoint(self._index, iteration, self._evaluations, arrays)
+        return Checkpoint(*self.at, self._evaluations, arrays)
 
-    def restore(self, saved: Checkpoint) -> None:
-        """Go on from what ``state`` returned."""
+    def remember(self, saved: Checkpoint) -> None:
+        """Go on from what ``memory`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
@@ -303,43 +274,44 @@ class Recovery:
         if self._phase is not None:
             self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
 
-    def rows(self) -> Checkpoint:
-        """Return ``state`` texel by texel of those that are solved here, row by row, whatever the tile."""
-        state, packing = self.state(), self._packing
-        own = packed_states(self.domain, packing).ravel()[: packing.count] == SOLVED
-        size = packing.width, packing.height
-        texels = {name: array for name, array in state.arrays.items() if name not in _WHOLE}
-        rows = layout.rows_of(texels, size, self._particle_tiles(state.stage), packing.count)
-        return replace(state, arrays={name: value[own] for name, value in rows.items()})
-
-    def take_rows(self, saved: Checkpoint) -> None:
-        """Go on from what ``rows`` gave of all texels that this tile holds: own and halo, then the ghosts."""
-        size, limit = (self._packing.width, self._packing.height), context.max_texture_size()
-        tiles = self._particle_tiles(saved.stage)
-        self.restore(replace(saved, arrays=layout.arrays_of(saved.arrays, size, tiles, limit, _FLAT)))
-
-    @property
-    def _is_tile(self) -> bool:
-        seams = self.domain.seams
-        return any(self.domain.halo) or (seams is not None and len(seams.ghosts) > 0)
-
-    def _particle_tiles(self, stage: int) -> int:
-        return particle_tiles(self._stages[stage], self.schedule) if stage < len(self._stages) else 1
-
-    def changed(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
+    def reconfigure(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
         """Return a recovery that goes on from here under another schedule. This one can only be closed then.
 
         What the domain has on the GPU serves both. Stages that are finished, and that the other schedule has too, are
-        not made again, whatever their settings are now. The stage under way goes on in mid-search where its swarms have
-        as many particles and the fitness is the same: other constants then count from the next iteration on. Else it
-        begins anew, as does every stage from the first on that is another: swarms around what has been found, the
-        refinement and the prior from there. So the error can rise for a while where the fitness is another, and a prior
-        that was under way is made from the start. A checkpoint goes on bit for bit
-        once its swarms are placed. prepared: of ``prepare`` with the other schedule, where its
-        percentile or shadow differ; found here otherwise, which may take a second. Raises InputError, with this one
-        left as it was but for an iteration that was under way.
+        not repeated, whatever their settings are now. The stage under way continues where its swarms have as many
+        particles and the fitness is the same; else it begins anew around what has been found, as does every stage from
+        the first different one on. The error can rise for a while where the fitness is another. prepared: of
+        ``prepare`` with the other schedule, where its percentile or shadow differ; found here otherwise, which may take
+        a second. Raises InputError, with this one left as it was but for an iteration that was under way.
         """
-        return changes.changed(self, schedule, seed, prepared)
+        seed = self.seed if seed is None else seed
+        _check(schedule, seed)
+        stages = resolve(schedule, self.model, set(self._fixed), self.domain.observations)
+        self._finish_iteration()
+        goes_on = kept(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
+        held, stack = self._textures, self._stack
+        if not goes_on.samples:
+            held, stack, _ = self._samples(schedule, prepared)
+        estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
+        prefit_fitness = self._prefit_fitness if goes_on.index > 0 else None
+        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, prefit_fitness)
+        new = Recovery(self.domain, self.model, schedule, seed, self._fixed, self.entry, begin=begin)
+        if goes_on.phase:
+            self._phase, new._phase = None, self._phase
+        elif goes_on.index < len(stages):
+            found = goes_on.index < self._index or self._phase.placed
+            new._phase = new._begin(goes_on.index, given(schedule) if found else schedule)
+            if goes_on.swarms:
+                new._phase.inherit(self._phase)
+        return new
+
+    def _copied(self) -> Estimates:
+        """Return what has been found so far, as estimates of their own: this recovery stays as it is."""
+        resolved = self._phase is not None and self._phase.placed
+        if resolved:
+            self._give_stack()
+            self._phase.resolve()
+        return Estimates(self.model, self._estimates.values(resolved))
 
     def close(self) -> None:
         """Free all that lies on the GPU."""
@@ -349,19 +321,6 @@ class Recovery:
         if self._diagnostics is not None:
             self._diagnostics.close()
         self._phase = self._textures = self._estimates = self._diagnostics = None
-
-    def __enter__(self) -> Recovery:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @staticmethod
-    def _check(schedule: Schedule, seed: int) -> None:
-        if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
-            raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
-        if schedule.levels > 1:
-            raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
@@ -390,7 +349,8 @@ class Recovery:
         return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit_fitness)
 
     @property
-    def _at(self) -> tuple[int, int]:
+    def at(self) -> tuple[int, int]:
+        """The stage and the iteration, as a checkpoint counts them."""
         return self._index, self._phase.iteration if self._phase is not None else 0
 
     def _give_stack(self) -> None:
@@ -438,7 +398,7 @@ class Recovery:
             for _ in self._work:
                 yield
             self._work = None
-        at = self._at
+        at = self.at
         self._found = self._trusted = None
         yield from self._diagnostics.finding(self._phase, confidence, seconds, paced)
         self._found, self._trusted = at, at if confidence else None
@@ -448,16 +408,19 @@ class Recovery:
         phase = self._phase
         if phase is None or not phase.placed:
             return self._estimates.bindings()
-        if self._shown != self._at:
+        if self._shown != self.at:
             phase.preview(self._estimates.shown)
-            self._shown = self._at
+            self._shown = self.at
         return {f"u_estimate_{i}": texture for i, texture in enumerate(self._estimates.shown)}
 
+    @property
+    def looks_at_threshold(self) -> bool:
+        """Whether the iteration that was made last is one after which swarms are compared with the threshold."""
+        made = self._phase.iteration if self._phase is not None else 0
+        return self.schedule.threshold > 0 and made > 0 and made % _THRESHOLD_EVERY == 0
+
     def _reached_threshold(self) -> bool:
-        threshold, phase = self.schedule.threshold, self._phase
-        if threshold == 0 or phase.iteration <= 0 or phase.iteration % _THRESHOLD_EVERY:
-            return False
-        return phase.reached(threshold)
+        return self.looks_at_threshold and self._phase.reached(self.schedule.threshold)
 
     def _running(self) -> Phase:
         if self._phase is None:
@@ -465,9 +428,16 @@ class Recovery:
         return self._phase
 
     @cached_property
-    def _identity(self) -> dict[str, Any]:
-        """Who this is to a checkpoint; found once: it reads all samples."""
+    def identity(self) -> dict[str, Any]:
+        """What must be equal for a checkpoint to be resumed; found once: it reads all samples."""
         return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._fixed)
+
+
+def _check(schedule: Schedule, seed: int) -> None:
+    if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
+        raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
+    if schedule.levels > 1:
+        raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
 
 
 def _band_seconds(time_budget_s: float | None) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -214,8 +215,7 @@ class AcceptanceTest:
 
 def grey(domain: DomainTextures, schedule: Schedule) -> DomainTextures:
     """Return a domain's textures, shared, for kernels that see grey samples under lights of intensity 1."""
-    result = object.__new__(DomainTextures)
-    result.__dict__.update(domain.__dict__)
+    result = copy(domain)
     result.defines = {**domain.defines, "GREY": 1, "GREY_SHADOW": f"{schedule.prefit.shadow:.9f}"}
     result.brightness = 1.0
     return result

@@ -130,7 +130,6 @@ def plan_recovery(
     memory: Memory,
     limits: Limits = Limits(),
     stack_on: str | None = None,
-    boxes: Sequence[Box] = (),
     borders: Borders | None = None,
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool, with the fewest tiles that fit.
@@ -147,9 +146,8 @@ def plan_recovery(
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
-    if not boxes:
-        fits = _fits(coverage, whole, cost, memory, limits, borders)
-        boxes = [whole] if fits else _cut(coverage, cost, memory, limits, borders)
+    fits = _fits(coverage, whole, cost, memory, limits, borders)
+    boxes = [whole] if fits else _cut(coverage, cost, memory, limits, borders)
     tiles = tuple(tile_of(coverage, box, cost, borders) for box in boxes)
     largest = max(tile.device for tile in tiles)
     restored = max(tile.restored for tile in tiles)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from ...capture.types import Capture
-from ...core.errors import CheckpointError
 from ...geometry.build import check_card
 from ...geometry.domain import Domain
 from ...geometry.seams.edges import seam_edges
@@ -18,16 +17,14 @@ from ...geometry.surface.mesh import MeshData
 from ...gpu import context
 from ...reflectance.model import ReflectanceModel
 from ..engine.coarse_to_fine import Pyramid
+from ..engine.engine import RecoveryEngine
 from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
 from ..settings.schedule import Schedule, refuse_levels
-from ..state import checkpoint
 from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import machine_memory
 from .plan import Borders, Limits, Plan, plan_recovery
-
-AnyRecovery = Recovery | Pyramid | TiledRecovery
 
 
 def covered_texels(capture: Capture, mesh: MeshData | None, resolution: tuple[int, int]) -> np.ndarray:
@@ -46,25 +43,19 @@ def make_plan(
     memory: str | None = None,
     entry: str = "auto",
     stack_on: str | None = None,
-    resumed: Path | None = None,
     mesh: MeshData | None = None,
 ) -> Plan:
     """Return the plan of a recovery of the covered texels, (H, W) bool. Raises InputError.
 
     memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on: the
-    sample stack's place where it exists. resumed: the checkpoint of a resumed run, which keeps its tiles. mesh: of the
-    texels; its seams need memory too.
+    sample stack's place where it exists. mesh: of the texels; its seams need memory too.
     """
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
     cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment")
-    boxes = []
-    if resumed is not None:
-        boxes = checkpoint.tiles_of(resumed)[0] or [(0, 0, coverage.shape[1], coverage.shape[0])]
-        _check_boxes(boxes, coverage)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
-    plan = plan_recovery(coverage, cost, allowed, limits, stack_on, boxes, borders)
+    plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
         refuse_levels(schedule)
     return plan
@@ -75,19 +66,6 @@ def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
     edges, _ = seam_edges(mesh, shape[1], shape[0])
     edges = edges.some(edges.other >= 0)
     return Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))
-
-
-def _check_boxes(boxes: list[tuple[int, ...]], coverage: np.ndarray) -> None:
-    """Raise CheckpointError unless a checkpoint's tiles hold all texels of this domain."""
-    rows, columns = coverage.shape
-    left = coverage.copy()
-    for box in boxes:
-        x, y, width, height = box if len(box) == 4 else (0, 0, 0, 0)
-        if not (width > 0 and height > 0 and 0 <= x <= columns - width and 0 <= y <= rows - height):
-            raise CheckpointError("--resume: the checkpoint is of a domain of another size; run without --resume")
-        left[y : y + height, x : x + width] = False
-    if left.any():
-        raise CheckpointError("--resume: the checkpoint's tiles leave some of this domain out; run without --resume")
 
 
 def scratch_folder(output: Path) -> Path:
@@ -110,7 +88,7 @@ def planned_recovery(
     entry: str,
     scratch: Path,
     prepared: Prepared | None = None,
-) -> AnyRecovery:
+) -> RecoveryEngine:
     """Return the recovery of the plan and the schedule.
 
     scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of

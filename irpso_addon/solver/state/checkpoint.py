@@ -24,7 +24,7 @@ from ..kernels.kernels import model_includes
 from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
-_VERSION = 4
+_VERSION = 5
 _NOTE = "note_"  # before the names of arrays in the file that are the caller's
 
 
@@ -32,8 +32,8 @@ _NOTE = "note_"  # before the names of arrays in the file that are the caller's
 class Checkpoint:
     """The state of a recovery, and what its caller wants to find again.
 
-    stage: index of the running stage. iteration: as the phase counts. arrays: texture contents by name. notes: arrays
-    of the caller's own by name.
+    stage: index of the running stage. iteration: as the phase counts. arrays: by name rows of all solvable texels
+    (layout.py), or textures of a recovery that goes on in the same process. notes: arrays of the caller's own by name.
     """
 
     stage: int
@@ -72,7 +72,6 @@ def identity(
         "observations": [_digest((domain.lights, domain.intensities, domain.views)), f"{samples:016x}"],
         "geometry": _digest(shape),
         "fixed": {name: _digest([fixed[name]]) for name in sorted(fixed)},
-        "tiles": None,
     }
 
 
@@ -135,16 +134,6 @@ def read_note(path: Path, name: str) -> np.ndarray:
         return file[_NOTE + name]
 
 
-def tiles_of(path: Path) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Return the boxes and the halo of the tiles that a checkpoint's recovery had; no boxes where it was of the whole.
-
-    Raises CheckpointError where it is missing or damaged.
-    """
-    with _said_of(path):
-        tiles = glance(path, {}).get("tiles") or []
-        return [tuple(int(n) for n in tile[:4]) for tile in tiles], max((int(tile[4]) for tile in tiles), default=0)
-
-
 # What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
 
@@ -162,7 +151,7 @@ def _said_of(path: Path) -> Iterator[None]:
 
 def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
     if about["version"] != _VERSION:
-        raise CheckpointError(f"{path}: is a checkpoint of another version; start without --resume")
+        raise CheckpointError(f"{path}: is of another version of the program; finish it there, or leave out --resume")
     found, ours = about["identity"], json.loads(json.dumps(who))
     differing = [name for name in ours if found.get(name) != ours[name]]
     if differing:

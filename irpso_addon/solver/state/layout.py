@@ -1,31 +1,63 @@
-"""The state of a recovery, and what it was observed from, texel by texel: for whoever cuts the domain otherwise."""
+"""The state of a recovery, and the digest of its samples, texel by texel: the same however the domain is cut."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from ...geometry.domain import Domain
-from .textures import plan_atlas
+from .packing import Packing
+from .textures import SOLVED, Atlas, packed_states, plan_atlas
+
+_FLAT = frozenset({"prefit_fitness"})  # arrays without channels
+_TABLE = "phase_materials"  # not of texels: who goes on without it finds it again
 
 _ODD = np.uint64(0x9E3779B97F4A7C15)  # of Steele, Lea and Flood 2014 (SplitMix64), as are the two below
 _MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB)))
 
 
-def rows_of(arrays: Mapping[str, np.ndarray], size: tuple[int, int], tiles: int, texels: int) -> dict[str, np.ndarray]:
-    """Return (T, tiles or 1, C) float32 of each of a state's arrays: T packed texels, row by row, then the ghosts's.
+class TexelLayout:
+    """Between a recovery's textures and rows of texels, the layout that whole, tiled and ranked recoveries share.
 
-    size: (w, h) of the packed grid. tiles: of the particles' atlas. texels: T.
+    A row is (tiles or 1, C) float32, of one solvable texel; texels come row by row, after them those of the ghosts.
+    packing: of the domain, where it has been made already.
     """
-    return {name: _rows(array, size, tiles, texels) for name, array in arrays.items()}
+
+    def __init__(self, domain: Domain, packing: Packing | None = None):
+        self._packing = packing or Packing(domain.solvable, domain.seams)
+        self._own = packed_states(domain, self._packing).ravel()[: self._packing.count] == SOLVED
+
+    def rows(self, arrays: Mapping[str, np.ndarray], tiles: int) -> dict[str, np.ndarray]:
+        """Return the rows of the texels that are solved here. tiles: of the particles' atlas."""
+        size = self._packing.width, self._packing.height
+        texels = {name: _rows(array, size, tiles) for name, array in arrays.items() if name != _TABLE}
+        return {name: rows[: len(self._own)][self._own] for name, rows in texels.items()}
+
+    def arrays(self, rows: Mapping[str, np.ndarray], limit: int) -> dict[str, np.ndarray]:
+        """Return textures of the rows of all texels, halo and ghosts too. limit: texels along a texture's side."""
+        size = self._packing.width, self._packing.height
+        return {name: _array(value, size, limit, name in _FLAT) for name, value in rows.items()}
 
 
-def arrays_of(
-    rows: Mapping[str, np.ndarray], size: tuple[int, int], tiles: int, limit: int, flat: frozenset[str] = frozenset()
+def numbered(solvable: np.ndarray) -> np.ndarray:
+    """Return (H, W) the number of each solvable texel's row, −1 elsewhere."""
+    return np.where(solvable, np.cumsum(solvable).reshape(solvable.shape) - 1, -1)
+
+
+def joined(
+    total: int,
+    parts: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray]]],
+    empty: Callable[[tuple[int, ...]], np.ndarray] = lambda shape: np.zeros(shape, np.float32),
 ) -> dict[str, np.ndarray]:
-    """Return a state's arrays of what ``rows_of`` gave. limit: texels along a texture's side. flat: those without C."""
-    return {name: _array(value, size, tiles, limit, name in flat) for name, value in rows.items()}
+    """Return the rows of ``total`` texels, of parts that have some: their numbers, and their rows."""
+    whole: dict[str, np.ndarray] = {}
+    for chosen, rows in parts:
+        for name, value in rows.items():
+            if name not in whole:
+                whole[name] = empty((total, *value.shape[1:]))
+            whole[name][chosen] = value
+    return whole
 
 
 def digest_of_texels(domain: Domain) -> int:
@@ -50,25 +82,22 @@ def digest_of_texels(domain: Domain) -> int:
     return int(_mixed(found).sum(dtype=np.uint64))
 
 
-def _rows(array: np.ndarray, size: tuple[int, int], tiles: int, texels: int) -> np.ndarray:
+def _rows(array: np.ndarray, size: tuple[int, int], tiles: int) -> np.ndarray:
     width, height = size
     array = array.reshape(*array.shape[:2], -1)
     down, across = array.shape[0] // height, array.shape[1] // width
     cells = array.reshape(down, height, across, width, -1).transpose(1, 3, 0, 2, 4)
-    return np.ascontiguousarray(cells.reshape(height * width, down * across, -1)[:texels, :tiles])
+    return cells.reshape(height * width, down * across, -1)[:, :tiles]
 
 
-def _array(rows: np.ndarray, size: tuple[int, int], tiles: int, limit: int, flat: bool) -> np.ndarray:
+def _array(rows: np.ndarray, size: tuple[int, int], limit: int, flat: bool) -> np.ndarray:
     width, height = size
-    texels, held, channels = rows.shape
-    down, across = 1, 1
-    if held > 1:
-        atlas = plan_atlas(width, height, tiles, limit)
-        down, across = atlas.down, atlas.across
-    cells = np.zeros((height * width, down * across, channels), np.float32)
-    cells[:texels, :held] = rows
-    array = cells.reshape(height, width, down, across, channels).transpose(2, 0, 3, 1, 4)
-    array = np.ascontiguousarray(array).reshape(down * height, across * width, channels)
+    texels, tiles, channels = rows.shape
+    atlas = plan_atlas(width, height, tiles, limit) if tiles > 1 else Atlas(1, 1)
+    cells = np.zeros((height * width, atlas.down * atlas.across, channels), np.float32)
+    cells[:texels, :tiles] = rows
+    array = cells.reshape(height, width, atlas.down, atlas.across, channels).transpose(2, 0, 3, 1, 4)
+    array = np.ascontiguousarray(array).reshape(atlas.down * height, atlas.across * width, channels)
     return array[..., 0] if flat else array
 
 

@@ -17,8 +17,8 @@ from ...gpu.library import defined
 from ...gpu.passes import Kernel, Output, Packed, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
-from ..engine.coarse_to_fine import Pyramid
-from ..engine.recovery import Progress, Recovery
+from ..engine.engine import RecoveryEngine
+from ..engine.progress import Progress
 from ..kernels import kernels
 from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
 from ..state.packing import level_size
@@ -64,8 +64,8 @@ class Display:
     fixed: names of fixed parameters, which have no confidence. Raises InputError for a recovery in tiles.
     """
 
-    def __init__(self, recovery: Recovery | Pyramid, fixed: Collection[str] = ()):
-        if not hasattr(recovery, "view"):
+    def __init__(self, recovery: RecoveryEngine, fixed: Collection[str] = ()):
+        if recovery.capabilities.view != "whole":
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
         self._recovery, self._fixed = recovery, frozenset(fixed)
         domain = recovery.domain

@@ -9,9 +9,7 @@ import numpy as np
 from ...results.maps import Maps
 from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
-from ..engine.coarse_to_fine import Pyramid
-from ..engine.recovery import Recovery
-from ..engine.tiled import TiledRecovery
+from ..engine.engine import RecoveryEngine
 
 _ITERATIONS = "iterations"
 _LOOKS = 40  # per run: each costs a render and a read-back, as much as one or two iterations
@@ -26,7 +24,7 @@ class History:
 
     def __init__(
         self,
-        recovery: Recovery | Pyramid | TiledRecovery,
+        recovery: RecoveryEngine,
         truth: Mapping[str, np.ndarray] | None,
         show: Callable[[Maps], None] | None = None,
     ):

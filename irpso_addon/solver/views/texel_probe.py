@@ -12,8 +12,7 @@ from ...core.errors import InputError
 from ...gpu import textures
 from ...gpu.passes import Kernel, Output, Pass
 from ...reflectance.model import Parameter, ReflectanceModel
-from ..engine.coarse_to_fine import Pyramid
-from ..engine.recovery import Recovery
+from ..engine.engine import RecoveryEngine
 from ..kernels import kernels
 from ..phases.prefit import PrefitPhase
 from ..phases.swarm import SwarmPhase
@@ -60,8 +59,8 @@ class TexelState:
 class TexelProbe:
     """Reads texels of one recovery repeatedly. Close it before the recovery."""
 
-    def __init__(self, recovery: Recovery | Pyramid):
-        if not hasattr(recovery, "view"):
+    def __init__(self, recovery: RecoveryEngine):
+        if recovery.capabilities.view != "whole":
             raise InputError("the recovery runs in tiles, of which no texel can be watched; lower the resolution")
         self._recovery = recovery
         domain = recovery.domain
@@ -131,11 +130,10 @@ class TexelProbe:
 
 
 def running_swarm(
-    recovery: Recovery | Pyramid,
+    recovery: RecoveryEngine,
 ) -> tuple[SwarmPhase, ReflectanceModel] | None:
     """Return the phase whose swarms are searching and their model, or None."""
-    live = recovery._live if isinstance(recovery, Pyramid) else recovery
-    phase, model = live._phase, live.model
+    phase, model = recovery.phase, recovery.model
     if isinstance(phase, PrefitPhase):
         phase, model = phase._inner, prefit_model()
     searches = isinstance(phase, SwarmPhase) and phase.encoding.dimensions > 0

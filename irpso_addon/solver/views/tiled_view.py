@@ -9,10 +9,9 @@ from typing import Any
 from ...geometry.domain import Domain
 from ...gpu import textures
 from ...gpu.passes import Kernel, Output, Pass
+from ..engine.engine import RecoveryEngine
 from ..engine.halo import Box
-from ..engine.tiled import TiledRecovery, TileRecovery
 from ..kernels.kernels import FLOAT_2D
-from ..planning.planning import AnyRecovery
 from .display import KEPT, Display, Shown
 from .texel_probe import TexelProbe, TexelState
 
@@ -23,16 +22,16 @@ _PLACE = {
 }
 
 
-def display_of(recovery: AnyRecovery, fixed: Collection[str] = ()) -> Display | TiledDisplay:
+def display_of(recovery: RecoveryEngine, fixed: Collection[str] = ()) -> Display | TiledDisplay:
     """Return the Display of a recovery. fixed: as for a Display."""
-    if isinstance(recovery, TiledRecovery):
+    if recovery.capabilities.view == "tiles":
         return TiledDisplay(recovery, fixed)
     return Display(recovery, fixed)
 
 
-def texel_probe_of(recovery: AnyRecovery) -> TexelProbe | TiledTexelProbe:
+def texel_probe_of(recovery: RecoveryEngine) -> TexelProbe | TiledTexelProbe:
     """Return the texel probe of a recovery."""
-    return TiledTexelProbe(recovery) if isinstance(recovery, TiledRecovery) else TexelProbe(recovery)
+    return TiledTexelProbe(recovery) if recovery.capabilities.view == "tiles" else TexelProbe(recovery)
 
 
 class TiledDisplay:
@@ -42,9 +41,9 @@ class TiledDisplay:
     the device; a tile that waits shows its last state there, or nothing before its first turn.
     """
 
-    def __init__(self, recovery: TiledRecovery, fixed: Collection[str] = ()):
+    def __init__(self, recovery: RecoveryEngine, fixed: Collection[str] = ()):
         self._recovery, self._fixed = recovery, frozenset(fixed)
-        self._displays: dict[TileRecovery, Display] = {}
+        self._displays: dict[RecoveryEngine, Display] = {}
         self._pictures: OrderedDict[Shown, Any] = OrderedDict()
         self._lay = Pass(
             Kernel("view/lay_tile.glsl", (Output("o_picture", "RGBA16F"),), {"u_tile": FLOAT_2D}, _PLACE, {})
@@ -52,7 +51,7 @@ class TiledDisplay:
 
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
         """Return a texture like Display.picture; the budget is for all tiles together."""
-        live = self._recovery.live
+        live = self._recovery.tiles()
         share = None if time_budget_s is None else time_budget_s / len(live)
         _follow(self._displays, live, self._display)
         target = self._kept(shown)
@@ -63,7 +62,7 @@ class TiledDisplay:
 
     def pending(self, shown: Shown) -> bool:
         """Return whether the picture lags behind the recovery, like Display.pending."""
-        tiles = [tile for _, tile in self._recovery.live]
+        tiles = [tile for _, tile in self._recovery.tiles()]
         return shown not in self._pictures or any(
             tile not in self._displays or self._displays[tile].pending(shown) for tile in tiles
         )
@@ -74,7 +73,7 @@ class TiledDisplay:
         self._lay.close()
         self._pictures.clear()
 
-    def _display(self, tile: TileRecovery) -> Display:
+    def _display(self, tile: RecoveryEngine) -> Display:
         return Display(tile, self._fixed)
 
     def _kept(self, shown: Shown) -> Any:
@@ -88,7 +87,7 @@ class TiledDisplay:
         self._pictures.move_to_end(shown)
         return self._pictures[shown]
 
-    def _place(self, box: Box, tile: TileRecovery, target: Any) -> dict[str, int | float]:
+    def _place(self, box: Box, tile: RecoveryEngine, target: Any) -> dict[str, int | float]:
         whole = self._recovery.domain
         (x, y), (left, bottom, width, height) = _corner(whole, tile), box
         return {
@@ -100,13 +99,13 @@ class TiledDisplay:
 class TiledTexelProbe:
     """Reads texels of a recovery in tiles, with the interface of TexelProbe; ``close`` it before the recovery."""
 
-    def __init__(self, recovery: TiledRecovery):
+    def __init__(self, recovery: RecoveryEngine):
         self._recovery = recovery
-        self._probes: dict[TileRecovery, TexelProbe] = {}
+        self._probes: dict[RecoveryEngine, TexelProbe] = {}
 
     def read(self, row: int, column: int) -> TexelState | None:
         """Return the state of a texel of the domain; None where it is not solved or its tile waits for its turn."""
-        live = self._recovery.live
+        live = self._recovery.tiles()
         _follow(self._probes, live, TexelProbe)
         for (left, bottom, width, height), tile in live:
             if 0 <= column - left < width and 0 <= row - bottom < height:
@@ -119,14 +118,14 @@ class TiledTexelProbe:
         _follow(self._probes, [], TexelProbe)
 
 
-def _corner(whole: Domain, tile: TileRecovery) -> tuple[int, int]:
+def _corner(whole: Domain, tile: RecoveryEngine) -> tuple[int, int]:
     """Return the texel of the domain at the corner of a tile with its halo."""
     (x, y), (x0, y0) = tile.domain.origin, whole.origin
     return x - x0, y - y0
 
 
 def _follow(
-    made: dict[TileRecovery, Any], live: list[tuple[Box, TileRecovery]], make: Callable[[TileRecovery], Any]
+    made: dict[RecoveryEngine, Any], live: list[tuple[Box, RecoveryEngine]], make: Callable[[RecoveryEngine], Any]
 ) -> None:
     """Update ``made`` in place: make one for each tile on the device, close those of tiles that have left."""
     tiles = [tile for _, tile in live]

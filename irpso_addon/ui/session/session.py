@@ -20,9 +20,10 @@ from ...gpu import context
 from ...gpu.context_guard import ContextGuard
 from ...pipeline.run import LIGHTS, PREPARE, READ, Kept, Run
 from ...results.maps import Maps
+from ...solver.engine.engine import RecoveryEngine
 from ...solver.engine.progress import Progress, TimeLeft
 from ...solver.lights.refine import Lights
-from ...solver.planning.planning import AnyRecovery
+from ...solver.engine.engine import RecoveryEngine
 from ...solver.settings.schedule import Schedule
 from ...solver.views.display import Display
 from ...solver.views.held_out import relit_line
@@ -102,7 +103,7 @@ class Session:
         return self.work.fitted
 
     @property
-    def recovery(self) -> AnyRecovery | None:
+    def recovery(self) -> RecoveryEngine | None:
         """The recovery, None before it has begun."""
         return self.work.recovery
 

@@ -108,7 +108,7 @@ def test_tiles_that_are_interrupted_go_on_to_the_same_files(capture, whole, tmp_
     assert run_cli(*options)[0] == 130
     assert os.listdir(tmp_path / "out") == ["checkpoint.npz"]
     monkeypatch.setattr(TiledRecovery, "step", step)
-    # More memory when it goes on makes no difference: the tiles are the checkpoint's.
+    # With more memory it goes on as a whole.
     assert run_cli(*options_of(capture, tmp_path / "out"), "--resume")[0] == 0
     assert {name: (tmp_path / "out" / name).read_bytes() for name in SAME} == whole
 

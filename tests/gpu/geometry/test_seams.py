@@ -119,7 +119,7 @@ def tiled(domain, model, schedule, boxes, on_device=None):
     halo = recovery_cost(model, schedule, (), domain.observations).reach
     options = {"boxes": BOXES[boxes], "halo": halo, "on_device": on_device}
     recovery = TiledRecovery(domain, model, schedule, 1, entry="fragment", **options)
-    assert sum(len(part.domain.seams.ghosts) for part in recovery._tiles) > 8
+    assert sum(len(part.domain.seams.ghosts) for part in recovery._pool.tiles) > 8
     return recovery
 
 

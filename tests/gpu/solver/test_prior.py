@@ -306,7 +306,7 @@ def test_tiles_with_a_halo_of_its_reach_give_the_same_bits(recover, card):
     schedule = schedule_of()
     whole = recover(noisy(domain), TWO_LOBES, schedule)
     whole.step()
-    assert run_tiled(noisy(domain), TWO_LOBES, schedule, recover, 4) == bits_of(whole.maps())
+    assert run_tiled(noisy(domain), TWO_LOBES, schedule, 4) == bits_of(whole.maps())
 
 
 @pytest.mark.parametrize("on_device", [None, 1])

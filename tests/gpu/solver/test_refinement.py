@@ -475,7 +475,7 @@ def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, 
     )
     whole = recover(domain, model, schedule, entry=entry)
     whole.step()
-    assert run_tiled(domain, model, schedule, recover, SPREAD_REACH, entry) == bits_of(whole.maps())
+    assert run_tiled(domain, model, schedule, SPREAD_REACH, entry) == bits_of(whole.maps())
 
 
 def test_a_known_parameter_and_one_that_no_stage_searches_stay(recover):

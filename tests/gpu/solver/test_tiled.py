@@ -1,11 +1,11 @@
 """Recoveries tile by tile: the maps of the whole domain, bit for bit, whatever the tiles and wherever they wait."""
 
 import sys
+from itertools import permutations
 
 import numpy as np
 import pytest
 
-from irpso_addon.core.errors import InputError
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -15,7 +15,6 @@ from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.planning.plan import Limits, device_bytes, plan_recovery
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
-from irpso_addon.solver.state.checkpoint import tiles_of
 from tests.builders.domains import SHORT, masked, subject
 
 TWO_LOBES = load_model("cook_torrance_two_lobe")
@@ -87,7 +86,7 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
     with tiled(domain, SCHEDULES[name], FEW, resident=False, scratch=tmp_path if on_scratch else None) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
-        assert sum(part.recovery is not None for part in recovery._tiles) == 1
+        assert sum(part.recovery is not None for part in recovery._pool.tiles) == 1
     assert not list(tmp_path.iterdir())
 
 
@@ -112,8 +111,8 @@ def test_as_many_tiles_as_are_allowed_stay_on_the_device(on_device):
     boxes = [(0, 0, 9, 6), (9, 0, 8, 6), (0, 6, 4, 7), (4, 6, 5, 7), (9, 6, 8, 7)]
     with tiled(domain, SCHEDULES["wide window"], boxes, model=LAMBERT, on_device=on_device) as recovery:
         while not recovery.step(iterations=1).done:
-            assert sum(part.recovery is not None for part in recovery._tiles) == on_device
-        assert recovery.progress == progress and not recovery.resident
+            assert sum(part.recovery is not None for part in recovery._pool.tiles) == on_device
+        assert recovery.progress == progress and recovery.capabilities.turns
         assert everything(recovery.maps()) == wanted
 
 
@@ -170,39 +169,27 @@ def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
         assert second.step() == progress
         assert everything(second.maps()) == wanted
         second.save(tmp_path / "run.npz")
-        assert tiles_of(tmp_path / "run.npz") == (FEW[1:], 2)  # in the first nothing is covered
     with tiled(domain, schedule, FEW, **options) as third:
         third.load(tmp_path / "run.npz")
         assert third.progress.done and everything(third.maps()) == wanted
 
 
-@pytest.mark.parametrize(("how", "stop"), [("resident", 5), ("turns", 6), ("turns", 8)])
-def test_tiles_go_on_within_a_round_of_shared_materials(how, stop, tmp_path):
-    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES["materials"]
+@pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
+def test_a_checkpoint_does_not_know_how_the_domain_was_divided(name, tmp_path):
+    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES[name]
     wanted, progress = whole_of(domain, schedule)
-    with tiled(domain, schedule, FEW, resident=how == "resident") as first:
-        first.step(iterations=stop)
-        first.save(tmp_path / "run.npz")
-    with tiled(domain, schedule, FEW, resident=how == "resident") as second:
-        second.load(tmp_path / "run.npz")
-        while not second.progress.done:
-            second.step(iterations=1)
-        assert second.progress == progress and everything(second.maps()) == wanted
-
-
-def test_a_checkpoint_of_other_tiles_is_refused(tmp_path):
-    domain = with_hole()
-    with tiled(domain, SHORT, FEW, model=LAMBERT) as recovery:
-        recovery.save(tmp_path / "tiled")
-    with Recovery(domain, LAMBERT, SHORT, 1, entry="fragment") as whole:
-        whole.save(tmp_path / "whole")
-        with pytest.raises(InputError, match="tiles differ"):
-            whole.load(tmp_path / "tiled")
-    with tiled(domain, SHORT, BOXES, model=LAMBERT) as recovery:
-        for name in ("tiled", "whole"):
-            with pytest.raises(InputError, match="tiles differ"):
-                recovery.load(tmp_path / name)
-    assert tiles_of(tmp_path / "whole") == ([], 0)
+    makes = {
+        "whole": lambda: Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment"),
+        "tiles": lambda: tiled(domain, schedule, FEW),
+        "turns": lambda: tiled(domain, schedule, BOXES, resident=False, scratch=tmp_path),
+    }
+    for stop, (first, second) in enumerate(permutations(makes, 2), 3):
+        with makes[first]() as recovery:
+            recovery.step(iterations=stop)
+            recovery.save(tmp_path / "run.npz")
+        with makes[second]() as recovery:
+            recovery.load(tmp_path / "run.npz")
+            assert recovery.step() == progress and everything(recovery.maps()) == wanted, (first, second, stop)
 
 
 @pytest.mark.parametrize("resident", [True, False])

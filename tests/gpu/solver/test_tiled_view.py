@@ -104,6 +104,6 @@ def test_the_mean_error_of_tiles_that_take_turns_counts_them_all(domain, whole):
     with tiled(domain, on_device=1) as recovery:
         recovery.step()
         for number in range(len(BOXES)):
-            recovery._recovery(number)
+            recovery._pool.recovery(number)
             found = recovery.mean_error()
         assert found == pytest.approx(whole.mean_error(), rel=1e-5)

@@ -1,4 +1,4 @@
-"""The pieces of runs over ranks that need no other process: cuts, meetings, shared samples, devices, agreement."""
+"""The pieces of runs over ranks that need no other process: cuts, overlaps, shared samples, devices, agreement."""
 
 import sys
 from argparse import Namespace
@@ -16,7 +16,7 @@ from irpso_addon.cluster.worker import Worker
 from irpso_addon.core.errors import GpuUnavailableError, InputError
 from irpso_addon.geometry.domain import subset, tile
 from irpso_addon.reflectance.model import load_model
-from irpso_addon.solver.engine.halo import overlap, place_of
+from irpso_addon.solver.engine.halo import overlap_of, place_of
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.memory import Memory
 from irpso_addon.solver.settings.schedule import load_schedule
@@ -87,7 +87,7 @@ def test_as_much_of_a_halo_is_told_as_is_read(reach):
         wanted[y0 : y0 + height, x0 : x0 + width] = False
         heard = set()
         for other, box in enumerate(boxes):
-            found = None if other == reader else overlap(places[other], places[reader], reader, reach)
+            found = None if other == reader else overlap_of(places[other], places[reader], reader, reach)
             if found is None:
                 continue
             theirs = numbers[window(domain, box)][found.here]

@@ -11,8 +11,7 @@ from irpso_addon.geometry.seams.edges import seam_edges
 from irpso_addon.geometry.seams.seams import seams_of
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning.cost import recovery_cost
-from irpso_addon.solver.planning.memory import Memory
-from irpso_addon.solver.planning.plan import Borders, plan_recovery
+from irpso_addon.solver.planning.plan import Borders, tile_of
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from tests.builders.seams import LEFT, START, TURNS, sheet
@@ -201,9 +200,9 @@ def test_a_plan_leaves_room_for_what_seams_take(preset, model, reach, most):
     assert need.reach == reach
     boxes = [(0, 0, 20, 50), (20, 0, 42, 50)]
     for chosen in (boxes, [(0, 0, 62, 50)]):
-        plan = plan_recovery(domain.solvable, need, Memory(1 << 40, 1 << 40), boxes=chosen, borders=borders)
-        for planned, box in zip(plan.tiles, chosen, strict=True):
-            part = tile(domain, *box, halo=plan.halo) if len(chosen) > 1 else domain
+        for box in chosen:
+            planned = tile_of(domain.solvable, box, need, borders)
+            part = tile(domain, *box, halo=need.reach) if len(chosen) > 1 else domain
             packing = Packing(part.solvable, part.seams)
             held = sum(array.nbytes for array in packing.arrays())
             places = packing.width * packing.height

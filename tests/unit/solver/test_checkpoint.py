@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.paths import SHADERS
 from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.halo import held_rows, own_rows, place_of
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import checkpoint
-from irpso_addon.solver.state.layout import arrays_of, digest_of_texels, rows_of
+from irpso_addon.solver.state.layout import TexelLayout, digest_of_texels, joined, numbered
+from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import plan_atlas
 from tests.builders.domains import make_domain
 
@@ -237,22 +240,32 @@ def test_what_a_sample_without_weight_looks_like_is_no_part_of_what_was_observed
 @pytest.mark.parametrize("tiles", [1, 5, 6])
 def test_a_state_texel_by_texel_is_what_the_atlas_holds(tiles):
     rng = np.random.default_rng(2)
-    small, texels = (4, 3), 10
-    atlas = plan_atlas(*small, tiles, 64)
-    large = rng.random((3 * atlas.down, 4 * atlas.across, 4), np.float32)
-    state = {"position": large, "best": rng.random((3, 4, 1), np.float32), "told": rng.random((3, 4), np.float32)}
-    rows = rows_of(state, small, tiles, texels)
-    assert {name: value.shape for name, value in rows.items()} == {
-        "position": (10, tiles, 4), "best": (10, 1, 1), "told": (10, 1, 1),
+    solvable = np.ones((3, 4), bool)
+    solvable[1, 1] = solvable[2, 3] = False
+    domain = replace(make_domain(3, 4, holes=False), solvable=solvable)
+    layout = TexelLayout(domain)
+    width, height = Packing(solvable).width, Packing(solvable).height
+    atlas = plan_atlas(width, height, tiles, 64)
+    large = rng.random((height * atlas.down, width * atlas.across, 4), np.float32)
+    state = {
+        "position": large, "best": rng.random((height, width, 1), np.float32),
+        "prefit_fitness": rng.random((height, width), np.float32), "phase_materials": np.zeros((7, 3), np.float32),
     }  # fmt: skip
-    for texel in range(texels):
-        y, x = divmod(texel, 4)
+    rows = layout.rows(state, tiles)
+    assert {name: value.shape for name, value in rows.items()} == {
+        "position": (10, tiles, 4), "best": (10, 1, 1), "prefit_fitness": (10, 1, 1),
+    }  # fmt: skip
+    for texel in range(10):
+        y, x = divmod(texel, width)
         for number in range(tiles):
             down, across = divmod(number, atlas.across)
-            np.testing.assert_array_equal(rows["position"][texel, number], large[3 * down + y, 4 * across + x])
-    # Packed otherwise, as in another cut, it is the same texel by texel.
-    moved = arrays_of(rows, (5, 2), tiles, 64, frozenset({"told"}))
-    assert moved["told"].shape == (2, 5)
-    again = rows_of(moved, (5, 2), tiles, texels)
-    for name, value in rows.items():
-        np.testing.assert_array_equal(again[name], value)
+            np.testing.assert_array_equal(rows["position"][texel, number], large[height * down + y, width * across + x])
+    # Packed otherwise, as the tiles of another cut, it is the same texel by texel.
+    numbers, parts = numbered(solvable), []
+    for box in ((0, 0, 3, 3), (3, 0, 1, 3)):
+        held = tile(domain, *box, halo=1)
+        moved = TexelLayout(held).arrays({n: r[held_rows(numbers, place_of(box, held))] for n, r in rows.items()}, 64)
+        assert moved["prefit_fitness"].ndim == 2
+        parts.append((own_rows(numbers, box), TexelLayout(held).rows(moved, tiles)))
+    again = joined(10, parts)
+    assert again.keys() == rows.keys() and all((again[name] == rows[name]).all() for name in rows)

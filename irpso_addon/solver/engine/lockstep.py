@@ -1,0 +1,215 @@
+"""The lock-step driver of tiles and of ranks: both make the same rounds and differ in the transport of halos alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ..phases.mixture import merged
+from ..phases.phase import BAND_SECONDS
+from .halo import HaloOverlap, Place, cells_of, overlaps_of
+from .tiles import TilePool, TileRecovery
+
+Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): those of the halo, then the ghosts'
+
+
+class HaloTransport(Protocol):
+    """Brings what tiles' own texels have found to the tiles in whose halos, or behind whose seams, they lie.
+
+    Tiles are numbered in their process. All processes call ``exchange``, ``all`` and ``publish`` in the same order.
+    """
+
+    connected: bool  # whether any tile reads another
+
+    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+        """Give (H, W, n) what a tile's texels have found. reach: how much of the halos the next iteration reads."""
+
+    def exchange(self) -> None:
+        """Bring over what was published: all tiles of this process have, and are at the same iteration."""
+
+    def received(self, tile: int) -> Sequence[Received]:
+        """Return what others have published of the texels that a tile reads."""
+
+    def all(self, value: object) -> list:
+        """Return what each process gives."""
+
+
+class LocalTransport:
+    """Between tiles of one process, whose places these are."""
+
+    def __init__(self, places: Sequence[Place]):
+        self._overlaps = overlaps_of(places)
+        self.connected = any(self._overlaps)
+        self._coming: list[dict[int, Received]] = [{} for _ in places]
+        self._held: list[dict[int, Received]] = [{} for _ in places]
+
+    def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
+        """Copy what each tile that reads this one needs of it."""
+        for overlap in self._overlaps[tile]:
+            self._coming[overlap.other][tile] = overlap, taken(overlap, found)
+
+    def exchange(self) -> None:
+        """Let tiles read what was published since the last exchange."""
+        self._held, self._coming = self._coming, [{} for _ in self._held]
+
+    def received(self, tile: int) -> Sequence[Received]:
+        """Return what others have published of the texels that a tile reads."""
+        return list(self._held[tile].values())
+
+    def all(self, value: object) -> list:
+        """Return the value of the only process."""
+        return [value]
+
+
+class LockStep:
+    """Drives the tiles of one process so that all tiles of the domain make the same iterations.
+
+    halo: texels around every tile. A round makes as many iterations as need nothing more of neighbours: it receives
+    what was published, iterates tile after tile, and publishes what the next round reads.
+    """
+
+    def __init__(self, pool: TilePool, transport: HaloTransport, halo: int):
+        self._pool, self._transport, self._halo = pool, transport, halo
+        self._published = False  # whether what the next iteration reads has been exchanged
+        self._samples: list[np.ndarray] = []  # of this process's tiles, for the next iteration
+        self._sample: np.ndarray | None = None  # of all tiles
+        self._made = 0  # iterations of the last round
+        self._work: Iterator[None] | None = None
+
+    def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> None:
+        """Advance as RecoveryEngine.step.
+
+        With a time budget it may stop while some tiles are ahead of others, and goes on there next time; where tiles
+        take turns, the iterations that were begun are made first, however few are asked for then.
+        """
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        left = iterations
+        while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
+            if self._work is None:
+                # Where nothing is gained by more at a time, the next call shall find little to finish.
+                most = 1 if left is None and deadline is not None and self._pool.resident else left
+                self._work = self._round(0 if self._placing else most, deadline is not None)
+            for _ in self._work:
+                if deadline is not None and time.perf_counter() >= deadline:
+                    return
+            self._work = None
+            left = None if left is None else left - self._made
+
+    def finish_round(self) -> None:
+        """Bring all tiles to the same iteration."""
+        if self._work is not None:
+            for _ in self._work:
+                pass
+            self._work = None
+
+    def restart(self) -> None:
+        """Forget the round under way and what was published: the tiles' recoveries are others."""
+        self._work, self._published, self._sample = None, False, None
+
+    @property
+    def _done(self) -> bool:
+        return all(tile.progress.done for tile in self._pool.tiles)
+
+    @property
+    def _placing(self) -> bool:
+        return any(tile.progress.iteration < 0 for tile in self._pool.tiles)
+
+    def _round(self, most: int | None, paced: bool) -> Iterator[None]:
+        """Let all tiles make the same iterations: ``most``, or as many as need nothing more of neighbours.
+
+        The first tile finds out how many: it stops before an iteration that reads neighbours, and where it has reached
+        the threshold. Yields after each iteration of a tile; paced: every few milliseconds, each band waited for.
+        """
+        order = self._pool.order()
+        if self._pool.recovery(order[0]).reach and not self._published:
+            for number in order:
+                self._publish(number)
+            self._exchange()
+        count, budget = most, BAND_SECONDS if paced else None
+        for turn, number in enumerate(order):
+            tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+            self._receive(number)
+            if most == 0:
+                yield from self._stepping(number, 0, budget)
+            made = 0
+            while (count is None or made < count) and not recovery.progress.done:
+                recovery.reached = False
+                yield from self._stepping(number, 1, budget)
+                made, tile.reached = made + 1, recovery.reached
+                yield
+                if turn == 0 and (recovery.reach or self._reached(recovery)):
+                    break
+            count = made
+            self._publish(number)
+        self._made = count
+        self._exchange()
+        if recovery.looks_at_threshold and all(self._transport.all(all(tile.reached for tile in self._pool.tiles))):
+            yield from self._finish_stage()
+
+    def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
+        """Let a tile make iterations, and keep its progress."""
+        tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+        for _ in recovery.stepping(iterations, budget):
+            tile.progress = recovery.progress
+            yield
+        tile.progress = recovery.progress
+
+    def _reached(self, recovery: TileRecovery) -> bool:
+        """Whether the first tile of any process has reached the threshold."""
+        return recovery.looks_at_threshold and any(self._transport.all(recovery.reached))
+
+    def _finish_stage(self) -> Iterator[None]:
+        """Let all tiles go on to the next stage: the whole domain has reached the threshold."""
+        for number in self._pool.order():
+            tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+            recovery.finish_stage()
+            tile.progress, tile.reached = recovery.progress, False
+            self._publish(number)
+            yield
+        self._exchange()
+
+    def _publish(self, number: int) -> None:
+        """Publish what a tile's texels have found, if the next iteration reads it."""
+        recovery = self._pool.recovery(number)
+        if not recovery.reach:
+            return
+        if recovery.reach > self._halo:
+            raise ValueError(f"halo {self._halo}: the next iteration reads {recovery.reach} texels away")
+        if (sample := recovery.sample()) is not None:
+            self._samples.append(sample)
+        if self._transport.connected:
+            self._transport.publish(number, recovery.halo(), recovery.reach)
+
+    def _exchange(self) -> None:
+        """Exchange what has been published: every tile is at one iteration."""
+        self._published = bool(self._pool.active.reach)
+        samples, self._samples = self._samples, []
+        self._sample = merged([one for part in self._transport.all(samples) for one in part]) if samples else None
+        if self._published and self._transport.connected:
+            self._transport.exchange()
+
+    def _receive(self, number: int) -> None:
+        """Give a tile what others have published, if its next iteration reads it."""
+        tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
+        if not recovery.reach:
+            return
+        if self._sample is not None:
+            recovery.take_sample(self._sample)
+        if received := self._transport.received(number):
+            size = received[0][1].shape[-1]
+            values = np.full((*tile.domain.shape, size), np.nan, np.float32)
+            ghosts = np.full((len(tile.place.ghosts), size), np.nan, np.float32)
+            for overlap, found in received:
+                cells = cells_of(overlap)
+                part = values[overlap.there]
+                part[:] = found[:cells].reshape(part.shape)
+                ghosts[overlap.ghosts] = found[cells:]
+            recovery.set_halo(values, ghosts)
+
+
+def taken(overlap: HaloOverlap, found: np.ndarray) -> np.ndarray:
+    """Return (n, channels) of what (H, W, channels) a tile has found: those of another's halo, then its ghosts'."""
+    return np.concatenate([found[overlap.here].reshape(cells_of(overlap), found.shape[-1]), found[overlap.seen]])

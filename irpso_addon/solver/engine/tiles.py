@@ -1,0 +1,166 @@
+"""Tiles of a domain under recovery: those on the device, and the memory of those that wait for their turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...geometry.domain import Domain
+from ...geometry.samples import mapped_array
+from ...reflectance.model import ReflectanceModel
+from ..phases.phase import BACKGROUND_BAND_SECONDS
+from ..settings.schedule import Schedule
+from ..state.checkpoint import Checkpoint
+from ..state.prepare import Prepared
+from .halo import Box, Place, place_of
+from .progress import Progress
+from .recovery import Recovery
+
+
+class TileRecovery(Recovery):
+    """A recovery that does not stop at the threshold by itself: only the whole domain may."""
+
+    reached = False  # whether the last iteration ended with every swarm of the tile at the threshold
+
+    def finish_stage(self) -> None:
+        """Go on to the next stage, as at the threshold, and place its swarms."""
+        for _ in self._end_stage(BACKGROUND_BAND_SECONDS):
+            pass
+        self.step(iterations=0)
+
+    def stepping(self, iterations: int, time_budget_s: float | None) -> Iterator[None]:
+        """Make iterations as ``step`` does; yields in between whenever about ``time_budget_s`` has gone by."""
+        self.step(iterations, time_budget_s)
+        while self._work is not None:
+            yield
+            self.step(iterations, time_budget_s)
+
+    def _reached_threshold(self) -> bool:
+        self.reached = super()._reached_threshold()
+        return False
+
+
+@dataclass
+class Tile:
+    """A tile and its recovery.
+
+    domain: with its halo. solved: texels of its own. error: their mean when it was measured last. memory: of the
+    recovery while that is not on the device; files: its arrays, if they do not lie in memory.
+    """
+
+    box: Box
+    domain: Domain
+    prepared: Prepared
+    fixed: dict[str, np.ndarray]
+    solved: int
+    recovery: TileRecovery | None = None
+    progress: Progress | None = None
+    reached: bool = False
+    error: float | None = None
+    memory: Checkpoint | None = None
+    files: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def place(self) -> Place:
+        """Where it lies in the whole domain."""
+        return place_of(self.box, self.domain)
+
+
+class TilePool:
+    """The tiles of one process.
+
+    most: how many lie on the device at once, None for all; fewer take turns, and what the others remember waits in
+    memory, or in files in the folder ``scratch``.
+    """
+
+    def __init__(
+        self,
+        tiles: Sequence[Tile],
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        entry: str,
+        most: int | None = None,
+        scratch: Path | None = None,
+    ):
+        self.tiles = list(tiles)
+        self._settings, self._entry, self._scratch = (model, schedule, seed), entry, scratch
+        self._most = len(self.tiles) if most is None else min(most, len(self.tiles))
+        self._last = 0  # the tile that was used last
+        self.fill()
+
+    @property
+    def resident(self) -> bool:
+        """Whether all tiles stay on the device."""
+        return self._most == len(self.tiles)
+
+    def fill(self) -> None:
+        """Put on the device as many as there is room for; the others are where the first one is."""
+        for number in range(self._most):
+            self.recovery(number)
+        for tile in self.tiles:
+            tile.progress = tile.progress or self.tiles[0].progress
+
+    def order(self) -> list[int]:
+        """The tiles, those on the device first: every turn spared is an upload of a part of the sample stack."""
+        return sorted(range(len(self.tiles)), key=lambda number: self.tiles[number].recovery is None)
+
+    def recovery(self, number: int) -> TileRecovery:
+        """Return a tile's recovery, put on the device if it is not there."""
+        tile = self.tiles[number]
+        if tile.recovery is None:
+            if sum(other.recovery is not None for other in self.tiles) == self._most:
+                # The one used last: those before it stay for the next round, which begins with them.
+                last = self.tiles[self._last]
+                last.memory = self._stored(last, last.recovery.memory())
+                last.recovery.close()
+                last.recovery = None
+            tile.recovery = TileRecovery(
+                tile.domain, *self._settings, tile.fixed, self._entry, tile.prepared, tile.memory
+            )
+            tile.memory = None
+            tile.progress = tile.recovery.progress
+        self._last = number
+        return tile.recovery
+
+    @property
+    def active(self) -> TileRecovery:
+        """The recovery of the tile that was used last, which is on the device."""
+        return self.recovery(self._last)
+
+    def wait(self, number: int, memory: Checkpoint) -> None:
+        """Take a tile off the device; it goes on from ``memory`` when its turn comes."""
+        tile = self.tiles[number]
+        if tile.recovery is not None:
+            tile.recovery.close()
+        tile.recovery, tile.progress = None, None
+        tile.memory = self._stored(tile, memory)
+
+    def close(self) -> None:
+        """Free all that lies on the device, and the files."""
+        for tile in self.tiles:
+            if tile.recovery is not None:
+                tile.recovery.close()
+            tile.recovery = tile.memory = None
+            tile.files = {}
+
+    def empty(self, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
+        """Return zeros where memories are kept: in memory, or in a file."""
+        return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
+
+    def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
+        """Return a tile's memory as it lies where memories are kept."""
+        if self._scratch is None:
+            return memory
+        files = {}
+        for name, array in memory.arrays.items():
+            kept = tile.files.get(name)
+            if kept is None or kept.shape != array.shape or kept.dtype != array.dtype:
+                kept = self.empty(array.shape, array.dtype)
+            kept[:] = array
+            files[name] = kept
+        tile.files = files
+        return replace(memory, arrays=files)
