@@ -18,16 +18,12 @@ from ...gpu.bands import Bands
 from ...gpu.passes import Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS, Phase
+from ..phases.begin import begin_phase, check_seed
+from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest, PrefitPhase
-from ..phases.refinement import RefinementPhase
-from ..phases.sequential_swarm import SequentialSwarmPhase
-from ..phases.shared_materials import SharedMaterialsPhase
-from ..phases.spatial_prior import SpatialPriorPhase
-from ..phases.synchronous_swarm import SynchronousSwarmPhase
 from ..planning.cost import particle_tiles, work_of
 from ..settings.fixed import full_map
-from ..settings.resolve import ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement, resolve
+from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from ..state import checkpoint, prepare
 from ..state.checkpoint import Checkpoint, named
@@ -40,12 +36,8 @@ from .engine import Capabilities, RecoveryEngine
 from .progress import Course, Progress
 from .reconfigure import given, kept
 
-_SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
-_SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
 _THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
-_BANDS = 8  # that a long time budget is cut into
-_SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
 
 
 @dataclass
@@ -149,7 +141,7 @@ class Recovery(RecoveryEngine):
         left = iterations
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._work, self._finding = self._iteration(_band_seconds(time_budget_s)), None
+                self._work, self._finding = self._iteration(band_seconds(time_budget_s)), None
             for _ in self._work:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return self.progress
@@ -180,7 +172,7 @@ class Recovery(RecoveryEngine):
         if self._finding is None:
             if self._work is None and self._found == self._trusted == self.at:
                 return True
-            self._finding = self._look(True, _band_seconds(time_budget_s), deadline is not None)
+            self._finding = self._look(True, band_seconds(time_budget_s), deadline is not None)
         for _ in self._finding:
             if deadline is not None and time.perf_counter() >= deadline:
                 return False
@@ -323,20 +315,9 @@ class Recovery(RecoveryEngine):
         self._phase = self._textures = self._estimates = self._diagnostics = None
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
-        seed = (self.seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
-        stage, model = self._stages[index], self._believing(schedule)
-        domain, estimates = self._textures, self._estimates
-        if isinstance(stage, ResolvedRefinement):
-            acceptance = self._acceptance() if any(p.is_normal for p in stage.parameters) else None
-            kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
-            return kind(stage, model, schedule, domain, estimates, self.entry, acceptance)
-        if isinstance(stage, ResolvedPrior):
-            return SpatialPriorPhase(stage, model, schedule, domain, estimates, self.entry, self._acceptance())
-        if isinstance(stage, ResolvedPrefit):
-            return PrefitPhase(stage, model, schedule, seed, domain, estimates, self.entry)
-        kind = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
-        return kind(stage, model, schedule, seed, domain, estimates, self.entry)
+        model, held = self._believing(schedule), (self._textures, self._estimates)
+        stage = self._stages[index]
+        return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance)
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none where the schedule says so, nor of what is known."""
@@ -434,13 +415,6 @@ class Recovery(RecoveryEngine):
 
 
 def _check(schedule: Schedule, seed: int) -> None:
-    if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
-        raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
+    check_seed(seed)
     if schedule.levels > 1:
         raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
-
-
-def _band_seconds(time_budget_s: float | None) -> float:
-    if time_budget_s is None:
-        return BACKGROUND_BAND_SECONDS
-    return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)

@@ -11,6 +11,15 @@ from ...gpu.bands import Bands
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
+_BANDS = 8  # that a long time budget is cut into
+_SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
+
+
+def band_seconds(time_budget_s: float | None) -> float:
+    """Return how long a band of a step takes, by the time budget of the step, None for none."""
+    if time_budget_s is None:
+        return BACKGROUND_BAND_SECONDS
+    return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)
 
 
 class Phase(Protocol):

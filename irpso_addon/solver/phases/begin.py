@@ -1,0 +1,53 @@
+"""The phase that a resolved stage asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ...core.errors import InputError
+from ...reflectance.model import ReflectanceModel
+from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement
+from ..settings.schedule import Schedule
+from ..state.textures import DomainTextures, Estimates
+from .phase import Phase
+from .prefit import AcceptanceTest, PrefitPhase
+from .refinement import RefinementPhase
+from .sequential_swarm import SequentialSwarmPhase
+from .shared_materials import SharedMaterialsPhase
+from .spatial_prior import SpatialPriorPhase
+from .synchronous_swarm import SynchronousSwarmPhase
+
+_SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
+_SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2³² stages share one
+
+
+def check_seed(seed: int) -> None:
+    """Raise InputError where a seed is no whole number from −2³¹ to 2³¹ − 1."""
+    if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
+        raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
+
+
+def begin_phase(
+    stage: Resolved,
+    index: int,
+    model: ReflectanceModel,
+    schedule: Schedule,
+    seed: int,
+    domain: DomainTextures,
+    estimates: Estimates,
+    entry: str,
+    acceptance: Callable[[], AcceptanceTest | None],
+) -> Phase:
+    """Return the phase of stage ``index``. seed: of the recovery. acceptance: makes the test of what it finds."""
+    # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
+    seed = (seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
+    if isinstance(stage, ResolvedRefinement):
+        test = acceptance() if any(p.is_normal for p in stage.parameters) else None
+        kind = SharedMaterialsPhase if isinstance(stage, ResolvedMaterials) else RefinementPhase
+        return kind(stage, model, schedule, domain, estimates, entry, test)
+    if isinstance(stage, ResolvedPrior):
+        return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
+    if isinstance(stage, ResolvedPrefit):
+        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry)
+    swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
+    return swarm(stage, model, schedule, seed, domain, estimates, entry)
