@@ -17,13 +17,13 @@ from ..core.steps import here, run_steps, told_as
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
 from ..results.maps import Maps
+from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
 from ..solver.lights.refine import Lights, can_tell, chosen_steps
 from ..solver.lights.sample import draw
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
-from ..solver.engine.engine import RecoveryEngine
 from ..solver.planning.planning import covered_texels, make_plan, planned_recovery, untiled
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare

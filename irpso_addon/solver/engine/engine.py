@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -40,8 +40,7 @@ class Capabilities:
 class RecoveryEngine(Protocol):
     """One run: domain, model and schedule to maps.
 
-    ``Recovery`` solves a domain whole, ``Pyramid`` coarse to fine, ``TiledRecovery`` in tiles, ``RankedRecovery``
-    (cluster/) over MPI ranks. The same seed, settings and device give the same maps bit for bit, however the steps were
+    The same seed, settings and device give the same maps bit for bit, however the steps were
     sliced, the domain divided or the run interrupted. It is a context manager, which closes it.
     """
 
@@ -82,23 +81,20 @@ class RecoveryEngine(Protocol):
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Find what ``maps`` returns, for about so long; return whether it is found: then maps() itself is quick.
 
-        Without live textures of the whole there is nothing to refresh, and maps() finds it.
+        Of a divided recovery maps() finds it.
         """
         return True
 
-    def view(self) -> Any:
+    def view(self) -> AbstractContextManager[dict[str, Any]]:
         """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
 
         u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
         texel of the domain lies in them. No copy is read back. Raises InputError where no textures hold the whole.
         """
-        return _no_textures()
+        raise InputError(_UNSEEN)
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        """Return the pass that finds the deviations of what ``view`` lends, and its constants.
-
-        Raises InputError as ``view``.
-        """
+        """Return the pass that finds the deviations of what ``view`` lends, and its constants. Raises as ``view``."""
         raise InputError(_UNSEEN)
 
     @property
@@ -158,10 +154,3 @@ class RecoveryEngine(Protocol):
 
 
 _UNSEEN = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
-
-
-@contextmanager
-def _no_textures() -> Iterator[dict[str, Any]]:
-    """Raise InputError when entered."""
-    raise InputError(_UNSEEN)
-    yield {}

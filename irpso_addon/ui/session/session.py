@@ -23,7 +23,6 @@ from ...results.maps import Maps
 from ...solver.engine.engine import RecoveryEngine
 from ...solver.engine.progress import Progress, TimeLeft
 from ...solver.lights.refine import Lights
-from ...solver.engine.engine import RecoveryEngine
 from ...solver.settings.schedule import Schedule
 from ...solver.views.display import Display
 from ...solver.views.held_out import relit_line

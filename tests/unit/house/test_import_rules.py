@@ -24,8 +24,7 @@ ALLOWED = {
     for room in rooms
 }
 # Import circles that are there still, and may not grow.
-CIRCLES = {
-}
+CIRCLES = {}
 MOST_FILES = {"commands": 10}  # of a room; elsewhere MOST
 MOST = 16
 BLENDER = {
