@@ -4,12 +4,12 @@
 #define FITNESS_L1 0
 #define FITNESS_L2 1
 #define FITNESS_ROBUST 2
-#define FITNESS_BOUNDED 3
+#define FITNESS_GEMAN_MCCLURE 3
 
 // Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale (scale_at).
 float loss_scale(float scale)
 {
-#if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_BOUNDED
+#if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE
     return 1.0 / (scale * u_delta);
 #else
     return 1.0;
@@ -22,7 +22,7 @@ float loss_of(vec3 error)
     error = abs(error);
 #elif FITNESS == FITNESS_L2
     error = error * error;
-#elif FITNESS == FITNESS_BOUNDED
+#elif FITNESS == FITNESS_GEMAN_MCCLURE
     // Geman & McClure 1987, Statistical Methods for Tomographic Image Reconstruction: no sample costs more than 1, so
     // that the mean tells how well the bulk is met.
     error = error * error / (1.0 + error * error);
@@ -41,7 +41,7 @@ vec3 loss_weight(vec3 error)
     return 1.0 / max(abs(error), vec3(1e-4));
 #elif FITNESS == FITNESS_L2
     return vec3(1.0);
-#elif FITNESS == FITNESS_BOUNDED
+#elif FITNESS == FITNESS_GEMAN_MCCLURE
     vec3 inside = 1.0 / (1.0 + error * error);
     return inside * inside;
 #else

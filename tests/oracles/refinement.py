@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.oracles import reflectance as oracles
+from tests.oracles.loss import loss, loss_weight
 
 _STEP = 1e-6  # of a range
 _FARTHEST = 0.2  # as in shaders/refine/step.glsl
@@ -47,8 +48,7 @@ class Texel:
     def mean_loss(self, values):
         """Mean loss over weighted samples and channels."""
         e = self.residuals(values)
-        losses = {"l1": np.abs(e), "l2": e**2, "robust": np.log1p(e**2)}
-        return (self.weight * losses[self.loss]).sum() / (3 * self.weight.sum())
+        return (self.weight * loss(self.loss, e)).sum() / (3 * self.weight.sum())
 
     def belief(self, values):
         """−2 log of the model's priors, up to a constant."""
@@ -88,10 +88,7 @@ class Texel:
         """JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
         e = self.error(values)
         scaled = self.unit * self.relative * e
-        weight = {"l1": 1 / np.maximum(np.abs(scaled), 1e-4), "l2": np.ones_like(e), "robust": 1 / (1 + scaled**2)}[
-            self.loss
-        ]
-        weight = (self.weight * self.relative**2 * weight * ~(self.bound & (e == 0))).ravel()
+        weight = (self.weight * self.relative**2 * loss_weight(self.loss, scaled) * ~(self.bound & (e == 0))).ravel()
         j = []
         for u in range(len(self.unknowns)):
             ends = [self.error(self.moved(values, sign * _STEP * np.eye(len(self.unknowns))[u])) for sign in (-1, 1)]

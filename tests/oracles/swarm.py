@@ -15,6 +15,7 @@ from irpso_addon.reflectance.model import Parameter, ReflectanceModel
 from irpso_addon.solver.settings.groups import Fitness
 from irpso_addon.solver.settings.resolve import ResolvedSwarm
 from irpso_addon.solver.settings.schedule import Schedule
+from tests.oracles.loss import loss
 from tests.oracles.random_numbers import random_bits, random_uniform
 
 UNFIT = 1e30
@@ -197,15 +198,11 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
         render = render * domain.intensities[k].astype(np.float64) / squared
         weight = domain.stack.values[k, ..., 3].astype(np.float64)
         error = render - np.where(weight[..., None] > 0, domain.stack.values[k, ..., :3], 0)
-        if settings.loss == "l1":
-            loss = np.abs(error)
-        elif settings.loss == "l2":
-            loss = error**2
-        else:
+        if settings.loss == "robust":
             unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
             unit = delta_of(domain.stack.values[k], unit * problem.scale, settings, domain.noise)
-            loss = np.log1p((error / unit) ** 2)
-        total += weight * loss.sum(axis=-1)
+            error = error / unit
+        total += weight * loss(settings.loss, error).sum(axis=-1)
         weights += weight
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), UNFIT)
 

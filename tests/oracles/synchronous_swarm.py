@@ -14,8 +14,8 @@ import numpy as np
 
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import swarm
+from tests.oracles.loss import loss, loss_weight
 
-SMALLEST = 1e-4  # of an l1 error: smaller errors weigh the same
 EDGE = 3e-6  # of a cosine: in float32 normals at the walls of their square reach the horizon within this
 
 
@@ -93,16 +93,15 @@ def _expanded(samples: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def fitness(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(…, H, W): the mean loss over weighted samples and channels; Eq. 1."""
     e = error(problem, s)
-    loss = {"l1": np.abs, "l2": np.square, "robust": lambda a: np.log1p(a**2)}[problem.schedule.fitness.loss](e)
+    each = loss(problem.schedule.fitness.loss, e)
     weight = _expanded(problem.domain.stack.values[..., 3].astype(np.float64), s["normal"])
-    total, weights = (weight * loss.sum(axis=-1)).sum(axis=0), weight.sum(axis=0)
+    total, weights = (weight * each.sum(axis=-1)).sum(axis=0), weight.sum(axis=0)
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), swarm.UNFIT)
 
 
 def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) -> np.ndarray:
     """(K, H, W, 3): weight of each sample in the least squares, from the incumbent's error."""
     e = error(problem, incumbent)
-    kinds = {"l1": 1 / np.maximum(np.abs(e), SMALLEST), "l2": np.ones_like(e), "robust": 1 / (1 + e**2)}
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
     if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
         level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
@@ -116,7 +115,7 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
             )
             ** 2
         )
-    return weight * kinds[problem.schedule.fitness.loss]
+    return weight * loss_weight(problem.schedule.fitness.loss, e)
 
 
 def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -256,7 +256,7 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[
         "u_estimate": packed, "u_work": packed, "u_prefit_fitness": kernels.FLOAT_2D, **kernels.OBSERVATIONS
     }  # fmt: skip
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "bounded"),
+        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
         "ACCEPTANCE_RATIO": f"{schedule.prefit.acceptance_ratio:.9f}", "ACCEPTANCE_FLOOR": f"{_ACCEPTANCE_FLOOR:.9f}",
     }  # fmt: skip
     outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
@@ -267,7 +267,7 @@ def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str
     samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     free = build_free_parameters(model, ()).count
     defines = {
-        **defines, **kernels.fitness_defines(schedule.fitness, "bounded"),
+        **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
         "LEAST_SAMPLES": max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * free),
     }  # fmt: skip
     outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
