@@ -1,5 +1,7 @@
 """The live maps as pictures, against numpy."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.false_color import COLORS, false_color
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
+from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.display import Display, Shown
 from tests.builders.domains import SHORT, recoveries, subject
@@ -300,4 +303,4 @@ def test_a_picture_does_not_change_what_is_found(recover, show):
 
 def test_a_recovery_without_a_picture_of_the_whole_is_refused():
     with pytest.raises(InputError, match="lower the resolution"):
-        Display(object())
+        Display(SimpleNamespace(capabilities=Capabilities("tiles", reconfigure=False)))
