@@ -94,8 +94,8 @@ class ReflectanceModel:
     bases: names of the linear parameters whose basis the shader defines, and "fixed" where it defines what is left
     without them (shaders/README.md). ordered: names of scalar parameters kept in rising order while searching
     (interchangeable lobes). complement: names of scalars that become 1 − value when the lobes are exchanged. material:
-    the table [material] of the TOML, read by maps.material: ``shader`` names a builder there. starts: places from which
-    a refinement begins besides the estimate.
+    the table [material] of the TOML, read by blender/materials/material.py: ``shader`` names a builder there. starts:
+    places from which a refinement begins besides the estimate.
     """
 
     name: str

@@ -218,7 +218,7 @@ class Recovery(RecoveryEngine):
         return self._phase.sample() if self.reach else None
 
     def take_sample(self, sample: np.ndarray) -> None:
-        """Take the sample of the whole domain, of ``solver.mixture.merged``."""
+        """Take the sample of the whole domain, from ``phases.mixture.merged``."""
         self._finish_iteration()
         self._running().take_sample(sample)
 

@@ -136,7 +136,7 @@ def plan_recovery(
 
     The domain is halved across its longer side by the number of covered texels, recursively, until each tile fits the
     device. Where the host has no room, the sample stack goes into a scratch file, then the state of waiting tiles.
-    stack_on: the stack's place where it exists. boxes: given tiles. borders: of a mesh, whose seams need memory too.
+    stack_on: where the stack is already; None: not read yet. borders: of a mesh, whose seams need memory too.
     Raises InputError, with the setting's name, where even small tiles do not fit or no texel is covered.
     """
     if cost.observations > limits.layers:

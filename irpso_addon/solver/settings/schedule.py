@@ -141,8 +141,8 @@ def shipped_presets() -> list[str]:
 def load_schedule(name_or_path: str | Path) -> Schedule:
     """Read a shipped preset by name, or a .toml file of one's own by path.
 
-    What each constant means and may be: Swarm, Fitness, Prefit, Refinement, Prior and SETTINGS, here; where the shipped
-    values are from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
+    What each constant means and may be: the classes of groups.py, in one table SETTINGS. Where the shipped values are
+    from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
     """
     table, path = load_shipped_table("preset", name_or_path, PRESETS)
     if (found := table.pop("format", 1)) != FORMAT:

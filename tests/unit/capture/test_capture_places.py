@@ -196,15 +196,15 @@ def test_calibration_tells_how_far_a_card_is_that_the_balls_lie_on(balls):
 
 def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
     seen = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
-    with pytest.raises(InputError, match="--distance: is in the unit of --radius; give that too"):
+    with pytest.raises(InputError, match="--distance: needs --radius"):
         calibrated(balls, seen, distance=160.0)
-    with pytest.raises(InputError, match="nothing says its unit; give --fov and --radius"):
+    with pytest.raises(InputError, match="has no unit; give --fov and --radius"):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
 
 
 def test_places_in_radii_do_not_go_into_a_capture_with_lengths_of_its_own(balls):
     spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
-    with pytest.raises(InputError, match="has card_distance, in a unit .*; give --radius in it, or --lights distant"):
+    with pytest.raises(InputError, match="has card_distance; .* give --radius in it, or --lights distant"):
         calibrated(balls, replace(spec, card_distance=DISTANCE))
     calibrated(balls, replace(spec, card_distance=DISTANCE), radius=10.0)
 
