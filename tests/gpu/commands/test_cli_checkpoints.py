@@ -16,6 +16,7 @@ from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.files import replacing_file
 from irpso_addon.pipeline import drive
+from irpso_addon.solver.engine.engine import Capabilities
 from irpso_addon.solver.engine.progress import Progress
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import run_cli
@@ -81,6 +82,8 @@ def test_a_run_goes_on_by_the_kind_of_pass_that_it_was_begun_with(capture, tmp_p
 
 class FullDisk:
     """A recovery of five iterations whose checkpoints find no room."""
+
+    capabilities = Capabilities("none", reconfigure=False)
 
     def __init__(self, fails):
         self.saved, self._fails = 0, fails

@@ -243,14 +243,14 @@ def test_what_was_kept_is_so_until_that_is_undone(running):
         return surface.shows_itself(rendered, running), recover.IRPSO_OT_cancel.description(bpy.context, None)[:4]
 
     running.pause()
-    assert seen() == (False, "Drop")
+    assert seen() == (False, "Disc")
     bpy.ops.irpso.keep()
-    assert seen() == (True, "Let ")
+    assert seen() == (True, "Clos")
     (made,) = bpy.data.materials
     made["irpso_kept"] = "another run"  # what an undo brings back where an earlier run's maps were kept before
-    assert seen() == (False, "Drop")
+    assert seen() == (False, "Disc")
     bpy.data.materials.remove(made)
-    assert seen() == (False, "Drop")
+    assert seen() == (False, "Disc")
 
 
 def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
