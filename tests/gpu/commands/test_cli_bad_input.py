@@ -274,12 +274,12 @@ OPTIONS = {
     "a resolution of zero": (recover("--resolution", "0x8"), r"--resolution 0x8"),
     "a resolution past all limits": (recover("--resolution", "99999"), r"--resolution 99999"),
     "a resolution of a card": (recover("--resolution", "64"), r"--resolution is of a mesh"),
-    "a seed of text": (recover("--seed", "seven"), r"--seed: seven is no whole number"),
+    "a seed of text": (recover("--seed", "seven"), r"--seed: seven is not a whole number"),
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
     "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
     "too many held out": (recover("--hold-out", "0,1,2,3"), r"has 2 lights; a normal needs at least three"),
-    "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: there is no such file"),
+    "no ground truth there": (recover("--ground-truth", "none.exr"), r"none.exr: no such file"),
     "ground truth of no known map": (
         lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model metallic"),
     "ground truth of another size": (
