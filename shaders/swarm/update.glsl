@@ -5,7 +5,7 @@
 #include "common/random.glsl"
 #include "swarm/atlas.glsl"
 #include "swarm/neighbours.glsl"
-#include "codec.glsl"
+#include "particle_encoding.glsl"
 
 #define WALLS_CLAMP 0
 #define WALLS_STOP 1

@@ -36,7 +36,7 @@ class SeamMap:
     there on the surface: y·W + x, or W·H + its ghost number. at: (N, 2) float32 the exact position in texels of the
     whole domain. Sorted by y, x and chart. reach: texels past a border with listed places. edges: the source.
 
-    A tile has an ghosts: M texels of other tiles that its own see across seams. ghosts: (M, 2) int32 x, y in the whole
+    A tile has M ghosts: texels of other tiles that its own see across seams. ghosts: (M, 2) int32 x, y in the whole
     domain; ghost_normal: (M, 3), ghost_tangent: (M, 4), as in GeometryBake.
     """
 

@@ -36,7 +36,7 @@ class Encoding:
 
 
 def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: NormalSearch) -> Encoding:
-    """Return the codec of a stage: its parameters one after the other, each component scaled to its range."""
+    """Return the encoding of a stage: its parameters one after the other, each component scaled to its range."""
     decode, encode, places = [], [], {}
     defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
     at = tells = 0

@@ -24,7 +24,7 @@ class FreeParameters:
 
 
 def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> FreeParameters:
-    """Return the unknowns of a model of which the parameters named ``fixed`` are given.
+    """Return the free parameters of a model: all but those named ``fixed``.
 
     ``bool searched(int u)`` says which are neither a normal nor linear; SEARCHED is how many.
     """

@@ -59,7 +59,7 @@ def build_sequential_swarm_passes(
 ) -> SequentialSwarmPasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
     estimates = packed(model)
-    given = {**model_includes(model), "codec.glsl": encoding.source}
+    given = {**model_includes(model), "particle_encoding.glsl": encoding.source}
     tiling = {"PARTICLES": particles, "TILES_X": across}
     defines = {
         **domain_defines,

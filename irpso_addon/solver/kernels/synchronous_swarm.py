@@ -60,7 +60,7 @@ def build_synchronous_swarm_passes(
         "PARTICLES": particles, "TILES_X": across,
         "CHUNK": min(_CHUNK, particles),
     }  # fmt: skip
-    given = {**kernels.model_includes(model), "codec.glsl": encoding.source, "basis.glsl": linear.source}
+    given = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
 
     def make(source: str, outputs: tuple[Output, ...], samplers: dict, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"

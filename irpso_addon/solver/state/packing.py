@@ -40,7 +40,7 @@ class Packing:
     def pack(self, array: np.ndarray, ghosts: np.ndarray | float = 0.0) -> np.ndarray:
         """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself.
 
-        ghosts: (M, …) of the ghosts's texels, or what broadcasts to it.
+        ghosts: (M, …) of the ghost texels, or what broadcasts to it.
         """
         return array if self._whole else self._grid(array[self._rows, self._columns], ghosts)
 

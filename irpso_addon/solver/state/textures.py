@@ -119,7 +119,7 @@ def texel_states(domain: Domain) -> np.ndarray:
 
 
 def packed_states(domain: Domain, packing: Packing) -> np.ndarray:
-    """Return (h, w) float32 states of packed texels: those of an ghosts are solved by other tiles."""
+    """Return (h, w) float32 states of packed texels: ghosts are solved by other tiles."""
     return packing.pack(texel_states(domain), HALO)
 
 

@@ -164,7 +164,7 @@ class _SwarmProbe:
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
             "u_best": encoding.packed, "u_estimate": kernels.packed(model), **kernels.PACKING,
         }  # fmt: skip
-        given = {**kernels.model_includes(model), "codec.glsl": encoding.source}
+        given = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source}
         constants = {**_AT, "u_width": "INT", "u_height": "INT"}
         self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, given))
         self._target = textures.empty(max(phase.particles, 3), _ROWS)

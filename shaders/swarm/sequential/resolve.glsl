@@ -3,7 +3,7 @@
 
 #include "common/estimate.glsl"
 #include "swarm/neighbours.glsl"
-#include "codec.glsl"
+#include "particle_encoding.glsl"
 
 bool texel_kernel(ivec2 texel)
 {

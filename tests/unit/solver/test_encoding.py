@@ -1,4 +1,4 @@
-"""The codec of a stage: its GLSL, run as Python, is compared with the table of the model."""
+"""The particle encoding of a stage: its GLSL, run as Python, is compared with the table of the model."""
 
 import re
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ TWO_LOBES = load_model("cook_torrance_two_lobe")
 
 
 def encoding_of(search, model=TWO_LOBES, normal="hemisphere"):
-    """Return the codec of a stage that searches ``search``."""
+    """Return the encoding of a stage that searches ``search``."""
     schedule = load_schedule("swarm").replaced(search=search, normal=normal)
     return build_encoding(model, resolve(schedule, model, set())[0], normal)
 
