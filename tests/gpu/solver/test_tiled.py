@@ -126,7 +126,7 @@ def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
 
 @pytest.mark.parametrize("resident", [True, False])
 def test_slices_of_time_and_looks_between_change_nothing(resident, monkeypatch):
-    monkeypatch.setattr("irpso_addon.solver.engine.tiled.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
+    monkeypatch.setattr("irpso_addon.solver.engine.lockstep.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
     domain = with_hole(card=False)
     wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
     with tiled(domain, SCHEDULES["wide window"], FEW, resident=resident, model=LAMBERT) as recovery:
