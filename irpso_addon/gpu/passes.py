@@ -13,6 +13,7 @@ from . import context, context_guard
 from .bands import Bands
 from .compiler import compile_shader
 from .library import read_source
+from .textures import Texture
 
 Entry = Literal["fragment", "compute"]
 MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
@@ -109,8 +110,8 @@ class Pass:
 
     def run(
         self,
-        targets: Sequence[Any],
-        textures: Mapping[str, Any],
+        targets: Sequence[Texture],
+        textures: Mapping[str, Texture],
         constants: Mapping[str, int | float] = {},
         rows: tuple[int, int] | None = None,
     ) -> None:
@@ -138,8 +139,8 @@ class Pass:
         name: str,
         bands: Bands,
         seconds: float,
-        targets: Sequence[Any],
-        textures: Mapping[str, Any],
+        targets: Sequence[Texture],
+        textures: Mapping[str, Texture],
         constants: Mapping[str, int | float] = {},
         counted: bool = False,
     ) -> Iterator[None]:
@@ -152,14 +153,14 @@ class Pass:
     def at_once(
         self,
         bands: Bands,
-        targets: Sequence[Any],
-        textures: Mapping[str, Any],
+        targets: Sequence[Texture],
+        textures: Mapping[str, Texture],
         constants: Mapping[str, int | float] = {},
     ) -> Iterator[None]:
         """Run something short over all rows, then yield."""
         return bands.once(lambda: self.run(targets, textures, constants), lambda: self.fence(targets))
 
-    def framebuffer(self, targets: Sequence[Any]) -> Any:
+    def framebuffer(self, targets: Sequence[Texture]) -> Any:
         """Return the frame buffer that has ``targets`` as attachments, made once for each set of targets and window.
 
         Frame buffers belong to the context in which they are made, and every window has one of its own.
@@ -172,7 +173,7 @@ class Pass:
             self._framebuffers[key] = (gpu.types.GPUFrameBuffer(color_slots=list(targets)), window, tuple(targets))
         return self._framebuffers[key][0]
 
-    def fence(self, targets: Sequence[Any]) -> None:
+    def fence(self, targets: Sequence[Texture]) -> None:
         """Wait until all that was drawn into ``targets`` is there."""
         framebuffer = self.framebuffer(targets)
         with framebuffer.bind():  # its size is not known before
@@ -233,7 +234,7 @@ class Pass:
         info.local_group_size(*_GROUP, 1)
         return info
 
-    def _draw(self, targets: Sequence[Any], first: int, last: int) -> None:
+    def _draw(self, targets: Sequence[Texture], first: int, last: int) -> None:
         import gpu
 
         framebuffer = self.framebuffer(targets)
@@ -246,7 +247,7 @@ class Pass:
         finally:
             gpu.state.blend_set(blend)
 
-    def _dispatch(self, targets: Sequence[Any], first: int, last: int) -> None:
+    def _dispatch(self, targets: Sequence[Texture], first: int, last: int) -> None:
         import gpu
 
         shader, width = self._shader, targets[0].width

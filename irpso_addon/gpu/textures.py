@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,21 +12,33 @@ CHANNELS = {"R32F": 1, "RG32F": 2, "RGBA32F": 4, "RGBA16F": 4}
 _FORMATS = {1: "R32F", 2: "RG32F", 4: "RGBA32F"}
 
 
-def upload(array: np.ndarray) -> Any:
+class Texture(Protocol):
+    """Blender's gpu.types.GPUTexture. format: a key of CHANNELS."""
+
+    width: int
+    height: int
+    format: str
+
+    def clear(self, *, format: str, value: tuple[float, ...]) -> None: ...
+
+    def read(self) -> Any: ...
+
+
+def upload(array: np.ndarray) -> Texture:
     """Return a float32 texture of an array (H, W) or (H, W, C) with C of 1, 2, 3 or 4 (3 gains a zero channel)."""
     array = _padded(array[..., None] if array.ndim == 2 else array)
     height, width, channels = array.shape
     return _texture(width, height, format=_FORMATS[channels], data=_buffer(array))
 
 
-def upload_layers(array: np.ndarray, texture_format: str = "RGBA32F") -> Any:
+def upload_layers(array: np.ndarray, texture_format: str = "RGBA32F") -> Texture:
     """Return an array texture of (K, H, W, 4) float32: K layers, read in shaders as FLOAT_2D_ARRAY."""
     layers, height, width, _ = array.shape
     array = np.ascontiguousarray(array, np.float32)
     return _texture(width, height, layers=layers, format=texture_format, data=_buffer(array))
 
 
-def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float | None = None) -> Any:
+def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float | None = None) -> Texture:
     """Return a texture cleared to ``value``, or with undefined contents for None."""
     texture = _texture(width, height, format=texture_format)
     if value is not None:
@@ -34,18 +46,19 @@ def empty(width: int, height: int, texture_format: str = "RGBA32F", value: float
     return texture
 
 
-def download(texture: Any) -> np.ndarray:
+def download(texture: Texture) -> np.ndarray:
     """Return a copy of a float texture as (H, W, C) float32."""
     channels = CHANNELS[texture.format]
     return _array(texture.read(), (texture.height, texture.width, channels))
 
 
-def _texture(width: int, height: int, layers: int = 0, **properties: Any) -> Any:
+def _texture(width: int, height: int, layers: int = 0, **properties: Any) -> Texture:
     """Return a new texture. Raises InputError where the GPU refuses it, as settings may exceed its memory."""
     import gpu
 
     try:
-        return gpu.types.GPUTexture((width, height), layers=layers, **properties)
+        texture: Texture = gpu.types.GPUTexture((width, height), layers=layers, **properties)
+        return texture
     except RuntimeError as error:
         size = f"{width} × {height}" + (f" × {layers}" if layers else "")
         raise InputError(
