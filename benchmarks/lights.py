@@ -97,7 +97,7 @@ def spoken(lights: np.ndarray) -> tuple[str, list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "capture"
         write_capture(Capture("lights", observations, (camera,), (np.ones((4, 4), bool),)), target, single_file=True)
-        found = inspect_capture(target, asked=sufficiency.ASKS)
+        found = inspect_capture(target, goals=sufficiency.GOALS)
     (told,) = [value for name, value in found.facts if name == "enough for"]
     return told, [f.message.split(": ", 1)[1] for f in found.findings if f.code.startswith("lights")]
 

@@ -11,13 +11,13 @@ from ..capture.inspect.report import inspect_capture
 from ..core.errors import InputError
 from .options.values import positive
 
-_ASKED = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes
+_GOALS = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes
 
 
 def run(options: Namespace) -> dict:
     """Print facts and findings; exit code 2 where a finding is an error."""
     distance = positive("--distance", options.distance)
-    report = inspect_capture(options.capture, decode, options.colour_space, _ASKED, distance, options.skip_damaged)
+    report = inspect_capture(options.capture, decode, options.colour_space, _GOALS, distance, options.skip_damaged)
     if not report.facts:  # it could not even be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:

@@ -6,31 +6,31 @@ from collections.abc import Callable, Generator
 from typing import TypeVar
 
 T = TypeVar("T")
-Told = TypeVar("Told")
+Step = TypeVar("Step")
 Other = TypeVar("Other")
 
 
-def run_steps(steps: Generator[Told, None, T], each: Callable[[Told], object] = lambda told: None) -> T:
+def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = lambda step: None) -> T:
     """Run steps to their end, call ``each`` with what every one yields, and return what they return."""
     while True:
         try:
-            told = next(steps)
+            step = next(steps)
         except StopIteration as stop:
             return stop.value
-        each(told)
+        each(step)
 
 
-def told_as(steps: Generator[Told, None, T], tell: Callable[[Told], Other]) -> Generator[Other, None, T]:
-    """Yield for each step ``tell`` of what it yields, and return what the steps return."""
+def map_steps(steps: Generator[Step, None, T], function: Callable[[Step], Other]) -> Generator[Other, None, T]:
+    """Yield for each step ``function`` of what it yields, and return what the steps return."""
     while True:
         try:
-            told = next(steps)
+            step = next(steps)
         except StopIteration as stop:
             return stop.value
-        yield tell(told)
+        yield function(step)
 
 
-def here(function: Callable[[], T]) -> Generator[None, None, T]:
+def one_step(function: Callable[[], T]) -> Generator[None, None, T]:
     """Yield once, and return what a function returns: the step for callers that have no thread to run it in."""
     yield
     return function()

@@ -13,7 +13,7 @@ import numpy as np
 from ..blender.materials.tangent_frames import from_blender, turned_normals
 from ..capture.inspect.damage import naming_remedy
 from ..core.errors import InputError
-from ..core.steps import here, run_steps, told_as
+from ..core.steps import map_steps, one_step, run_steps
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
 from ..results.maps import Maps
@@ -66,7 +66,7 @@ class Run:
         self,
         job: Job,
         show: Callable[[str, float], None] = lambda step, fraction: None,
-        elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = here,
+        elsewhere: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
         kept: Kept | None = None,
     ):
         """Begin nothing yet.
@@ -160,7 +160,7 @@ class Run:
             steps = mesh_steps(job.capture, job.mesh, *job.size, scratch=scratch, shadows=job.shadows)
         count, made = loading_steps(job.capture, job.mesh is not None), itertools.count(1)
         with naming_remedy(job.skip_damaged):
-            domain = yield from told_as(steps, lambda _: self._show(READ, min(1.0, next(made) / count)))
+            domain = yield from map_steps(steps, lambda _: self._show(READ, min(1.0, next(made) / count)))
         if job.source is not None:
             kept.source, kept.domain = job.source, domain
         return domain
@@ -186,7 +186,7 @@ class Run:
             self.domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
             refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, sample=sample,
         )  # fmt: skip
-        found = yield from told_as(steps, lambda fraction: self._show(LIGHTS, fraction))
+        found = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
         if keeps:
             kept.wish, kept.lights = wish, found
         return found

@@ -39,7 +39,7 @@ class PreviewRow:
     maximum: float | None = None
 
     @property
-    def judged(self) -> np.ndarray | None:
+    def compared(self) -> np.ndarray | None:
         """(H, W) bool: texels whose error counts, None for all."""
         return self.covered if self.counted is None else self.counted
 
@@ -90,8 +90,8 @@ def preview(rows: Sequence[PreviewRow], columns: Sequence[str] = ("Ground truth"
     y = top
     for row, fit, height in zip(rows, cells, heights, strict=True):
         canvas.text_upward(_MARGIN + 6, y + height / 2, row.label, _HEADING)
-        maximum = row.maximum if row.maximum is not None else default_maximum([row.error], row.judged)
-        error = false_color(row.error, maximum, row.judged)
+        maximum = row.maximum if row.maximum is not None else default_maximum([row.error], row.compared)
+        error = false_color(row.error, maximum, row.compared)
         images = (_masked(row.reference, row.covered), _masked(row.recovered, row.covered), error)
         for column, image in enumerate(images):
             scaled = _scaled(image, fit)
@@ -245,7 +245,7 @@ def _legend(canvas: Canvas, x: int, y: int, height: int, maximum: float, unit: s
 
 
 def _caption(row: PreviewRow) -> str:
-    error = row.error[np.isfinite(row.error) if row.judged is None else row.judged & np.isfinite(row.error)]
+    error = row.error[np.isfinite(row.error) if row.compared is None else row.compared & np.isfinite(row.error)]
     if not error.size:
         return "nothing covered"
     numbers = (np.mean(error), np.percentile(error, 99), np.max(error))

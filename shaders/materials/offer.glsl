@@ -1,6 +1,6 @@
 // Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or,
 // where u_mirror is 1, with that which mirrors its brightest sample: where the lobe was missed, so was the normal. One is
-// taken, to be refined, where its fitness is under ACCEPT_RATIO times this texel's own, or where it has more votes by the
+// taken, to be refined, where its fitness is under CANDIDATE_RATIO times this texel's own, or where it has more votes by the
 // factor CROWD; of several the most probable. Where there is none, nothing is left to be done.
 // Reads the best estimates so far, u_status, the materials and the samples.
 
@@ -42,7 +42,7 @@ bool texel_kernel(ivec2 texel)
         }
         float votes = votes_of_materials(c);
         float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, votes) : fitness;
-        bool wanted = fitness < ACCEPT_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
+        bool wanted = fitness < CANDIDATE_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
         if (wanted && (!found || deviance < least)) {
             found = true;
             least = deviance;

@@ -1,6 +1,6 @@
 // Over W×H texels: tries what the neighbours have found. The four texels beside this one offer their whole material, the
 // normal turned into this texel's frame; the four two away offer their searched numbers alone, with this texel's own
-// normal and linear weights. An offer is taken, to be refined, where its fitness is under ACCEPT_RATIO times this texel's own,
+// normal and linear weights. An offer is taken, to be refined, where its fitness is under CANDIDATE_RATIO times this texel's own,
 // or where it has more votes (votes.glsl) by the factor CROWD: before it is refined, its weights are another's, so that
 // its fitness tells little. Of several the most probable is taken; where there is none, nothing is left to be done.
 // Reads the best estimates so far, u_status and the packing.
@@ -100,7 +100,7 @@ bool texel_kernel(ivec2 texel)
         material_to(tried[p], offered);
         float votes = voted ? votes_for(place, offered) : 0.0;
         float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
-        bool wanted = fitness < ACCEPT_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
+        bool wanted = fitness < CANDIDATE_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
         if (wanted && (chosen < 0 || deviance < least)) {
             least = deviance;
             chosen = p;

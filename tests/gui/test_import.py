@@ -216,8 +216,8 @@ def test_too_few_lights_and_a_check_that_fails_are_told_in_the_panel(ready, tmp_
               "capture_import._slice = broken\nbpy.ops.irpso.check_capture()")  # fmt: skip
     ready.wait("not checking()", timeout=60)
     ready.screenshot("a check that failed", ready.region(region="UI"))
-    said = ready.run("importlib.import_module(capture_import.__name__.replace('capture_import', 'failures')).said()")
-    assert said == ["The check has ended: broken on purpose"]
+    failures = "capture_import.__name__.replace('operators.capture_import', 'common.failures')"
+    assert ready.run(f"importlib.import_module({failures}).messages()") == ["The check has ended: broken on purpose"]
     ready.run("capture_import._slice = right\nbpy.ops.irpso.dismiss_failures()")
 
 

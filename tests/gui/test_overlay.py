@@ -181,19 +181,20 @@ def test_the_image_editor_shows_the_map_flat_and_takes_clicks(paused, card):
 def test_a_drawing_that_fails_ends_the_overlay_once_and_is_told(paused):
     paused.expect("Traceback|The overlay has ended|broken on purpose")
     paused.run(
-        "stage = import_module(handlers.__name__.replace('handlers', 'stage')).Stage\nright = stage.draw_pixels\n"
+        "module = import_module(handlers.__name__.replace('handlers', 'session_overlay'))\n"
+        "overlay = module.SessionOverlay\nright = overlay.draw_pixels\n"
         "def broken(self, context):\n    raise ValueError('broken on purpose')\n"
-        "stage.draw_pixels = broken"
+        "overlay.draw_pixels = broken"
     )
     paused.run("redrawn()", area="")
     paused.wait("handlers.handler_count() == 0")
     paused.run("redrawn()", area="")
     paused.run("redrawn()", area="")
-    said = paused.run("import_module(handlers.__name__.replace('overlay.handlers', 'failures')).said()")
+    said = paused.run("import_module(handlers.__name__.replace('overlay.handlers', 'common.failures')).messages()")
     assert said == ["The overlay has ended: broken on purpose"]
     paused.screenshot("overlay: failed")
     assert paused.log().count("ValueError: broken on purpose") == 1
-    paused.run("stage.draw_pixels = right")
+    paused.run("overlay.draw_pixels = right")
 
 
 def test_draw_handlers_go_with_the_session_and_come_with_the_next(paused):

@@ -148,8 +148,10 @@ def fit_ball(
         centre = cone.axis * size / np.sin(cone.opening)
     else:
         centre, size = cone.axis, cone.opening
-    warnings = _judge(name, radius_px, distance, weights, cone.seen_arc()) if measured else _size(name, radius_px)
-    error = cone.errors(weights) * sine_px if measured else np.full(2, _GIVEN_ERROR)
+    warnings, error = _size(name, radius_px), np.full(2, _GIVEN_ERROR)
+    if measured:
+        warnings += _shape(name, radius_px, distance, weights, cone.seen_arc())
+        error = cone.errors(weights) * sine_px
     return Ball(name, camera, centre, float(size), float(radius_px), (float(error[0]), float(error[1])), warnings)
 
 
@@ -241,9 +243,9 @@ def _size(name: str, radius_px: float) -> tuple[str, ...]:
     return ()
 
 
-def _judge(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarray, arc: float) -> tuple[str, ...]:
+def _shape(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarray, arc: float) -> tuple[str, ...]:
     """Return warnings about an outline. Raises InputError where it is not a ball's."""
-    warnings = list(_size(name, radius_px))
+    warnings = []
     uneven = np.sqrt(np.mean(distance**2))
     if len(distance) > 12:  # the scatter of a few clicked points does not show the shape
         if uneven > max(_NO_BALL * radius_px, 2 * _STEP):
@@ -254,7 +256,9 @@ def _judge(name: str, radius_px: float, distance: np.ndarray, weights: np.ndarra
         if uneven > max(_UNEVEN * radius_px, _STEP):
             warnings.append(f"{name}: the outline is {uneven:.1f} pixels off a ball's; is the mask exact?")
         if arc < _SHORT_ARC:
-            raise InputError(f"{name}: only {arc:.0%} of its outline is in the picture; more than half is needed")
+            raise InputError(
+                f"{name}: only {arc:.0%} of its outline is in the picture; at least {_SHORT_ARC:.0%} is needed"
+            )
         if arc < _ARC:
             warnings.append(f"{name}: only {arc:.0%} of its outline is in the picture; its position is uncertain")
         if (weights > 0).mean() < 0.8:

@@ -14,7 +14,7 @@ import numpy as np
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.inspect.checks import middle_window
 from ...core.errors import InputError
-from ...core.steps import told_as
+from ...core.steps import map_steps
 from ..register import SMALLEST_MOVE, find_shifts, moved_back, shift_steps
 from .frames import Dark, Flat, Frame, divided_by, read_frame, without_dark
 from .hdr import SATURATED, merge
@@ -137,6 +137,6 @@ def registration_steps(
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
         done, share = 0.5 + 0.5 * own[0] / count, 0.5 * len(own) / count
-        shifts = yield from told_as(steps, partial(_part_of, done, share))
+        shifts = yield from map_steps(steps, partial(_part_of, done, share))
         pixels[own], agreement[own], trusted[own] = shifts.pixels, shifts.agreement, shifts.trusted
     return pixels, agreement, trusted

@@ -11,7 +11,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from ...core.steps import run_steps, told_as
+from ...core.steps import map_steps, run_steps
 from .. import places
 from ..errors import CaptureError
 from ..images.encoding import Encoding
@@ -40,13 +40,13 @@ _ENOUGH = 500  # squares or border texels that make either a finding
 class Finding:
     """Something wrong: "error" where a recovery cannot use the capture, else "warning"; with the remedy in words.
 
-    ask: which of sufficiency.ASKS it is an obstacle to, "" for whatever is recovered.
+    goal: which of sufficiency.GOALS it is an obstacle to, "" for whatever is recovered.
     """
 
     severity: str
     code: str
     message: str
-    ask: str = ""
+    goal: str = ""
 
 
 @dataclass(frozen=True)
@@ -97,25 +97,25 @@ def inspect_capture(
     path: Path | str,
     decoder: Decoder | None = None,
     colour_space: str = "auto",
-    asked: Sequence[str] = ("normals",),
+    goals: Sequence[str] = ("normals",),
     card_distance: float | None = None,
     skip_damaged: bool = False,
 ) -> Report:
     """Look a capture over, frame by frame, without raising for what is wrong with it; see read_capture.
 
-    asked: of sufficiency.ASKS, what is to be recovered: lights that were measured to be too few or too narrow for it
+    goals: of sufficiency.GOALS, what is to be recovered: lights that were measured to be too few or too narrow for it
     are warned of. What else they suffice for is among the facts. card_distance: goes before the capture's own.
     skip_damaged: as for read_capture.
     At most about 600 MB are held (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
     """
-    return run_steps(inspect_steps(path, decoder, colour_space, asked, card_distance, skip_damaged))
+    return run_steps(inspect_steps(path, decoder, colour_space, goals, card_distance, skip_damaged))
 
 
 def inspect_steps(
     path: Path | str,
     decoder: Decoder | None = None,
     colour_space: str = "auto",
-    asked: Sequence[str] = ("normals",),
+    goals: Sequence[str] = ("normals",),
     card_distance: float | None = None,
     skip_damaged: bool = False,
 ) -> Generator[str, None, Report]:
@@ -132,11 +132,11 @@ def inspect_steps(
     left_out = f", {len(spec.left_out)} more left out" if spec.left_out else ""
     facts = [("kind", spec.kind), ("images", f"{len(spec.observations)}{left_out}")]
     findings = [Finding("warning", "left_out", f"left out: {one.why}") for one in spec.left_out]
-    lacks = {ask: _lacks(spec, ask) for ask in sufficiency.ASKS}
+    lacks = {goal: _lacks(spec, goal) for goal in sufficiency.GOALS}
     findings += _light_findings(spec)
     if all(finding.severity != "error" for finding in findings):  # which says it already
-        findings += [Finding("warning", f"lights_{s.code}", f"{spec.source}: {s.message}", ask)
-                     for ask in asked for s in lacks[ask]]  # fmt: skip
+        findings += [Finding("warning", f"lights_{s.code}", f"{spec.source}: {s.message}", goal)
+                     for goal in goals for s in lacks[goal]]  # fmt: skip
     facts.append(("enough for", _enough_for(lacks)))
     try:
         capture = yield from _told("Looking at headers", len(spec.observations), build_steps(spec, decoder))
@@ -172,7 +172,7 @@ def inspect_steps(
 def _told(what: str, total: int, steps: Generator[None, None, _T]) -> Generator[str, None, _T]:
     """Yield ``what`` with a count, up to ``total`` where that is not 0, for each step, and return what they return."""
     numbers = count(1)
-    return (yield from told_as(steps, lambda _: f"{what}: {min(next(numbers), total)} of {total}" if total else what))
+    return (yield from map_steps(steps, lambda _: f"{what}: {min(next(numbers), total)} of {total}" if total else what))
 
 
 def _errors(error: CaptureError) -> tuple[Finding, ...]:
@@ -245,8 +245,8 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
         yield Finding("warning", "lights_same", f"{wheres[j]}: the same light as {wheres[i]}; check the list's order")
 
 
-def _lacks(spec: CaptureSpec, ask: str) -> list[sufficiency.Shortfall]:
-    """Return what the lights lack for ``ask``: all, where one of them is none."""
+def _lacks(spec: CaptureSpec, goal: str) -> list[sufficiency.Shortfall]:
+    """Return what the lights lack for ``goal``: all, where one of them is none."""
     lights = written_lights(spec)
     if not lights:
         return [sufficiency.Shortfall("unreadable", "one of the lights is none")]
@@ -261,12 +261,12 @@ def _lacks(spec: CaptureSpec, ask: str) -> list[sufficiency.Shortfall]:
     if told and not vectors.any(axis=1).all():
         return []
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if told else None
-    return list(sufficiency.shortfalls(ask, len(lights), directions))
+    return list(sufficiency.shortfalls(goal, len(lights), directions))
 
 
 def _enough_for(lacks: dict[str, list[sufficiency.Shortfall]]) -> str:
-    good = [ask for ask, found in lacks.items() if not found]
-    bad = [f"{ask} ({', '.join(s.code for s in found)})" for ask, found in lacks.items() if found]
+    good = [goal for goal, found in lacks.items() if not found]
+    bad = [f"{goal} ({', '.join(s.code for s in found)})" for goal, found in lacks.items() if found]
     return "; ".join([*([", ".join(good)] if good else []), *([f"not for {', '.join(bad)}"] if bad else [])])
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from ..errors import CaptureError
 from ..types import Light
 
-ASKS = ("normals", "roughness", "two lobes")
+GOALS = ("normals", "roughness", "two lobes")
 FEW = 0.1  # of the texels may fail where lights are called enough
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A set of lights that was tried. value: of what was varied. failed: the part of the texels, for each of ASKS.
+    """A set of lights that was tried. value: of what was varied. failed: the part of the texels, for each of GOALS.
 
     A texel failed with a normal off by more than 5°, or a lobe's parameter by more than 10 % of its range.
     """
@@ -122,15 +122,15 @@ def spread_across(directions: np.ndarray) -> float:
     return float(values[2] / values[1]) if len(values) == 3 and values[1] > 0 else 0.0
 
 
-def shortfalls(ask: str, count: int, directions: np.ndarray | None) -> Iterator[Shortfall]:
-    """Yield what ``count`` lights lack for one of ASKS. directions: (K, 3) unit, or None where lights are near."""
-    at = ASKS.index(ask)
+def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator[Shortfall]:
+    """Yield what ``count`` lights lack for one of GOALS. directions: (K, 3) unit, or None where lights are near."""
+    at = GOALS.index(goal)
     if found := _short(NUMBER, at, count):
         row, enough = found
         yield Shortfall(
             "few",
-            f"{count} lights are few for {ask}: with {row.value:g}, {row.failed[at]:.0%} of the texels failed on a card"
-            f" with cast shadows and interreflection; take {enough:g} or more",
+            f"{count} lights are few for {goal}: with {row.value:g}, {row.failed[at]:.0%} of the texels failed on a"
+            f" card with cast shadows and interreflection; take {enough:g} or more",
         )
     if directions is None or len(directions) < 3:
         return
@@ -139,7 +139,7 @@ def shortfalls(ask: str, count: int, directions: np.ndarray | None) -> Iterator[
         row, enough = found
         yield Shortfall(
             "narrow",
-            f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {ask}: of 50 lights within"
+            f"the lights lie within about {angle:.0f}° of their middle, which is narrow for {goal}: of 50 lights within"
             f" {row.value:g}° {row.failed[at]:.0%} of the texels failed; spread them over {enough:g}° or more",
         )
     across = spread_across(directions)
@@ -147,7 +147,7 @@ def shortfalls(ask: str, count: int, directions: np.ndarray | None) -> Iterator[
         row, enough = found
         yield Shortfall(
             "flat",
-            f"the lights spread only {across:.2f} times as far one way as the other, which is little for {ask}: of 50"
+            f"the lights spread only {across:.2f} times as far one way as the other, which is little for {goal}: of 50"
             f" lights with {row.value:g} {row.failed[at]:.0%} of the texels failed; add some off their plane, to"
             f" {enough:g} or more",
         )

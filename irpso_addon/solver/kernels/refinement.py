@@ -67,7 +67,7 @@ def step_defines(settings: Refinement) -> dict[str, str | int]:
     """Return the constants of a step that are compiled in."""
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
-        "XTOL": f"{settings.xtol:.9f}", "ACCEPT_RATIO": f"{settings.accept_ratio:.9f}",
+        "XTOL": f"{settings.xtol:.9f}", "CANDIDATE_RATIO": f"{settings.candidate_ratio:.9f}",
         "VOTES": f"{settings.votes:.9f}",
     }  # fmt: skip
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
-from ...core.steps import run_steps, told_as
+from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
@@ -347,7 +347,7 @@ class _Search:
                 self._intensities,
                 self._moving,
             )
-            self._step = yield from told_as(stepping, lambda _: self._fraction(0.9))
+            self._step = yield from map_steps(stepping, lambda _: self._fraction(0.9))
             common = float(np.exp(np.log(self._factors).mean()))
             if self._intensities:
                 self._factors = normalised(self._factors * np.exp(self._step.gains)) * common

@@ -145,8 +145,8 @@ class Prefit:
         soft_max=0.5, precision=4,
     )  # fmt: skip
     acceptance_ratio: float = setting(
-        "Acceptance Ratio", "Where the model fits worse than the prefit by more than this factor, the prefit's normal"
-        " stays", 1.2, soft_max=4,
+        "Acceptance Ratio", "Where the model's misfit exceeds this many times the prefit's plus 0.005, a texel keeps"
+        " its estimate from before the phase", 1.2, soft_max=4,
     )  # fmt: skip
 
 
@@ -165,9 +165,9 @@ class Refinement:
     start_iterations: int = setting("Start Steps", "Steps from each of these places", 5, least=1, soft_max=30)
     rounds: int = setting("Rounds", "How often every texel tries what its neighbors have found", 1, soft_max=8)
     round_iterations: int = setting("Round Steps", "Steps after each round", 8, least=1, soft_max=30)
-    accept_ratio: float = setting(
-        "Accept Ratio", "A neighbor's material is tried where its fitness is under so many times the texel's own", 1.0,
-        soft_max=10,
+    candidate_ratio: float = setting(
+        "Candidate Ratio", "A neighbor's material is refined where its fitness is below this many times its own;"
+        " more tries more materials and takes longer", 1.0, soft_max=10,
     )  # fmt: skip
     votes: float = setting(
         "Votes", "What like neighbors count against a texel's own samples where these hardly decide; more leaves fewer"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...capture.types import Capture
-from ...core.steps import here
+from ...core.steps import one_step
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel, load_model
 from ...results.maps import Maps
@@ -56,7 +56,7 @@ def relit_steps(
     maps: Maps,
     held_out: Sequence[int],
     capture: Capture,
-    threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = here,
+    threaded: Callable[[Callable[[], Any]], Generator[None, None, Any]] = one_step,
 ) -> Generator[None, None, tuple[dict[str, np.ndarray], dict[str, Any]]]:
     """Yield often; return pictures and figures, both {} without observations.
 
@@ -113,7 +113,7 @@ def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np
 
 def _figures(names: Sequence[str], rows: Sequence[PreviewRow], bright: Sequence[np.ndarray]) -> dict[str, Any]:
     psnr = [image_psnr(row) for row in rows]
-    highlights = [image_psnr(replace(row, counted=row.judged & at)) for row, at in zip(rows, bright, strict=True)]
+    highlights = [image_psnr(replace(row, counted=row.compared & at)) for row, at in zip(rows, bright, strict=True)]
     return {
         "relighting_psnr_db": dict(zip(names, map(_decibels, psnr), strict=True)),
         "relighting_highlights_psnr_db": dict(zip(names, map(_decibels, highlights), strict=True)),

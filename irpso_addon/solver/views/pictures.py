@@ -125,5 +125,5 @@ def _title(name: str) -> str:
 
 def image_psnr(row: PreviewRow) -> float:
     """Return the PSNR in dB of sRGB-encoded values, with white as peak, over the texels whose error counts."""
-    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.judged]
+    difference = (np.asarray(row.reference, np.float64) - row.recovered)[row.compared]
     return float(-10 * np.log10(max(float((difference**2).mean()), 1e-12))) if difference.size else float("nan")

@@ -25,7 +25,7 @@ _SETTINGS = {
 }
 
 _log = logging.getLogger(__name__)
-_said: list[str] = []  # the panel's messages, until the user dismisses them or starts a recovery
+_messages: list[str] = []  # the panel's messages, until the user dismisses them or starts a recovery
 
 
 def words(error: Exception) -> str:
@@ -37,7 +37,7 @@ def words(error: Exception) -> str:
 
 
 @contextmanager
-def told(doing: str) -> Iterator[None]:
+def reported(doing: str) -> Iterator[None]:
     """Context manager and decorator: catch an exception and show it in the panel.
 
     doing: the name of the work, as in "The check". After an exception a decorated function returns None, which ends a
@@ -46,37 +46,37 @@ def told(doing: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # noqa: BLE001  Blender would print it at every event or redraw, and call again
-        tell(doing, error)
+        report(doing, error)
 
 
-def tell(doing: str, error: Exception) -> str:
+def report(doing: str, error: Exception) -> str:
     """Show an exception in the panel, once even if it is raised often, and return its text."""
     if isinstance(error, IrpsoError | MemoryError):
         text, expected = words(error), True
     else:
         what = " ".join(str(error).split()) or type(error).__name__
         text, expected = f"{doing} has ended: {what}", False
-    if text not in _said:
-        _said.append(text)
+    if text not in _messages:
+        _messages.append(text)
         if not expected:
             _log.error(text, exc_info=error)
         drawing.redraw_sidebars()
     return text
 
 
-def said() -> tuple[str, ...]:
+def messages() -> tuple[str, ...]:
     """Return the messages in the panel."""
-    return tuple(_said)
+    return tuple(_messages)
 
 
 def clear() -> None:
     """Remove all messages."""
-    _said.clear()
+    _messages.clear()
 
 
 def draw(layout, context) -> None:
     """Draw the messages and the button that dismisses them."""
-    for text in _said:
+    for text in _messages:
         row = layout.row()
         row.alert = True
         drawing.wrapped(row, context, text, "CANCEL")

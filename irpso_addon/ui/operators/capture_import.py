@@ -81,18 +81,18 @@ def subject_of(spec: CaptureSpec) -> str:
     return "CARD" if len(spec.views) == 1 and not spec.views[0].placed else "MESH"
 
 
-def asked_of(settings) -> tuple[str, ...]:
-    """Return those of ``sufficiency.ASKS`` that are to be recovered, for which the lights must suffice."""
+def goals_of(settings) -> tuple[str, ...]:
+    """Return those of ``sufficiency.GOALS`` that are to be recovered, for which the lights must suffice."""
     try:
         model = model_of(settings)
     except InputError:
         return ("normals",)
     fixed = {item.name for item in settings.parameters if not item.recover}
     wanted = [parameter for parameter in model.parameters if parameter.name not in fixed]
-    asked = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
+    goals = ["normals"] if any(parameter.is_normal for parameter in wanted) else []
     if any(parameter.kind == "search" and not parameter.is_normal for parameter in wanted):
-        asked.append("two lobes" if model.ordered else "roughness")
-    return tuple(asked)
+        goals.append("two lobes" if model.ordered else "roughness")
+    return tuple(goals)
 
 
 def check_capture(scene) -> None:
@@ -107,9 +107,9 @@ def check_capture(scene) -> None:
 def begin_check(scene) -> None:
     """Check the scene's capture: at once in background, in time slices if there is a window."""
     settings = scene.irpso
-    asked = dict.fromkeys(("normals", *asked_of(settings)))  # the panel hides findings that do not matter
+    goals = dict.fromkeys(("normals", *goals_of(settings)))  # the panel hides findings that do not matter
     steps = inspect_steps(
-        capture_path(settings), decode, settings.colour_space, tuple(asked), settings.card_distance or None,
+        capture_path(settings), decode, settings.colour_space, tuple(goals), settings.card_distance or None,
         settings.skip_damaged,
     )  # fmt: skip
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
@@ -125,7 +125,7 @@ def _tick() -> float | None:
         return None
     check, now = _running[0], time.perf_counter()
     more = False
-    with failures.told("The check"):
+    with failures.reported("The check"):
         more = _slice(check, min(max(now - check.paused, _SHORTEST), _LONGEST))
     if not more:
         _running.clear()

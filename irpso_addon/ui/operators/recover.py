@@ -10,7 +10,7 @@ from ...gpu import probe
 from ...solver.planning.machine import SOFTWARE_VULKAN
 from ..common import failures
 from ..properties import preferences
-from ..properties.recipe import schedule_asked
+from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
 from ..session import session, unkept
 from ..session.job import make_job, missing
@@ -95,7 +95,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def modal(self, context, event):
         """Work for one slice at each timer event. Esc pauses; Blender handles all other events."""
-        with failures.told("The recovery's timer"):
+        with failures.reported("The recovery's timer"):
             return self._handle(context, event)
         self._session.pause()
         return self._leave(context)
@@ -184,7 +184,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
         scene = scenes.get(running.job.scene_uid, context.scene)
         try:
             running.resume(schedule_of(scene.irpso.schedule))
-            running.job.asked["schedule"] = schedule_asked(scene.irpso.schedule)
+            running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
         except IrpsoError as error:
             self.report({"ERROR"}, failures.words(error))
             return {"CANCELLED"}

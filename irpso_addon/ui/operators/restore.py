@@ -12,7 +12,7 @@ from bpy.props import StringProperty
 from ...core.errors import InputError, IrpsoError
 from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
-from ..properties.recipe import ask_again
+from ..properties.recipe import apply_recipe
 from ..session import session, unkept
 from ..session.card_place import show_card
 from ..session.job import SceneJob, make_job
@@ -36,7 +36,7 @@ def restored_job(context, found: unkept.Unkept) -> SceneJob:
     """Return the job that continues a stored recovery. Sets the scene's settings to its own. Raises InputError."""
     identity = glance(found.path, {})
     try:
-        ask_again(context.scene.irpso, found.asked)
+        apply_recipe(context.scene.irpso, found.recipe)
         return replace(make_job(context), entry=identity["entry"], resumed=found.path)
     except InputError as error:
         where = f" (it was in {found.file})" if found.file and found.file != bpy.data.filepath else ""
@@ -105,7 +105,7 @@ def follow(context, begun: session.Session) -> None:
     bpy.ops.irpso.run("INVOKE_DEFAULT")
 
 
-@failures.told("Marking the file as changed")
+@failures.reported("Marking the file as changed")
 def mark_changed() -> None:
     """Make Blender ask before it closes the file while a recovery is not kept.
 

@@ -12,7 +12,7 @@ from ..session.session import Probe, Session
 from .flat import flat_place
 from .layout import Rectangle
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
-from .place import Stand, circle, pixel_size, to_pixels, transformed
+from .place import Placement, circle, pixel_size, to_pixels, transformed
 from .plot import curve_plot
 from .scales import PERCENT, label
 
@@ -31,15 +31,15 @@ def color_of(probe: Probe) -> tuple[float, float, float, float]:
 
 
 def draw_rings(
-    drawing: Drawing, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float],
+    drawing: Drawing, running: Session, placement: Placement, perspective: np.ndarray, size: tuple[float, float],
     scale: float,
 ) -> None:  # fmt: skip
     """Draw a ring of constant size in pixels on the surface around every probed texel."""
     bake = running.domain.bake
     rims, points, colors = [], [], []
     for probe in running.probes:
-        point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
-        normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
+        point = transformed(placement.frame, bake.position[probe.row, probe.column][None])[0]
+        normal = placement.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
         radius = _RING * scale * pixel_size(perspective, point, size)
         if radius > 0:
             # Raised, because a curved surface could cover it.
@@ -55,13 +55,13 @@ def draw_rings(
 
 
 def name_rings(
-    painter: Painter, running: Session, stand: Stand, perspective: np.ndarray, size: tuple[float, float]
+    painter: Painter, running: Session, placement: Placement, perspective: np.ndarray, size: tuple[float, float]
 ) -> None:
     """Write every probe's number beside its ring, if the surface faces the viewer there."""
     bake = running.domain.bake
     for probe in running.probes:
-        point = transformed(stand.frame, bake.position[probe.row, probe.column][None])[0]
-        normal = stand.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
+        point = transformed(placement.frame, bake.position[probe.row, probe.column][None])[0]
+        normal = placement.directions(bake.normal[probe.row, probe.column][None].astype(np.float64))[0]
         ends = np.stack([point, point + pixel_size(perspective, point, size) * normal])
         clip = ends @ perspective[:, :3].T + perspective[:, 3]
         if clip[0, 3] > 0 and clip[1, 2] / clip[1, 3] < clip[0, 2] / clip[0, 3]:

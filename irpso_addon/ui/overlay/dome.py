@@ -8,7 +8,7 @@ import numpy as np
 
 from ...capture.camera import Camera
 from ...gpu.viewport import Drawing
-from .place import Stand, circle, to_pixels, transformed
+from .place import Placement, circle, to_pixels, transformed
 
 FITTED = 1.7  # the dome's radius over the subject's
 _RAY = 0.10  # length of a light's ray over its distance to the subject
@@ -39,20 +39,20 @@ class Dome:
     centre: np.ndarray
 
 
-def dome_of(lights: np.ndarray, intensities: np.ndarray, stand: Stand, radius: float = 0.0) -> Dome:
+def dome_of(lights: np.ndarray, intensities: np.ndarray, placement: Placement, radius: float = 0.0) -> Dome:
     """Return the dome of a Domain's lights (K, 4). radius: in world units, 0 fits the subject."""
-    radius = radius or FITTED * stand.radius
+    radius = radius or FITTED * placement.radius
     distant = lights[:, 3] == 0
-    directions = stand.directions(np.asarray(lights[:, :3], np.float64))
+    directions = placement.directions(np.asarray(lights[:, :3], np.float64))
     places = np.where(
-        distant[:, None], stand.centre + radius * directions, transformed(stand.frame, lights[:, :3])
+        distant[:, None], placement.centre + radius * directions, transformed(placement.frame, lights[:, :3])
     )  # fmt: skip
     toward = directions[distant]
     mean = toward.mean(axis=0) if len(toward) else np.zeros(3)
     axis = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else np.array([0.0, 0.0, 1.0])
     half = bool(len(toward)) and bool((toward @ axis > -0.05).all())
     colors = light_colors(intensities)
-    return Dome(places, distant, colors, axis, half, radius if len(toward) else 0.0, stand.centre)
+    return Dome(places, distant, colors, axis, half, radius if len(toward) else 0.0, placement.centre)
 
 
 def light_colors(intensities: np.ndarray) -> np.ndarray:
@@ -135,14 +135,14 @@ def draw_lights(
 
 
 def draw_cameras(
-    drawing: Drawing, cameras: list[Camera], current: int, stand: Stand, perspective: np.ndarray, scale: float
+    drawing: Drawing, cameras: list[Camera], current: int, placement: Placement, perspective: np.ndarray, scale: float
 ) -> None:
     """Draw the cameras (matrices in the domain's frame). Of several, the current one is brighter."""
     for index, camera in enumerate(cameras):
-        place = transformed(stand.frame, camera.position[None])[0]
-        size = np.linalg.norm(stand.frame[:3, 0])
-        depth = _FRUSTUM * max(np.linalg.norm(place - stand.centre), stand.radius) / max(size, 1e-30)
-        lines = frustum(camera, stand.frame, depth).reshape(-1, 3)
+        place = transformed(placement.frame, camera.position[None])[0]
+        size = np.linalg.norm(placement.frame[:3, 0])
+        depth = _FRUSTUM * max(np.linalg.norm(place - placement.centre), placement.radius) / max(size, 1e-30)
+        lines = frustum(camera, placement.frame, depth).reshape(-1, 3)
         bright = index == current and len(cameras) > 1
         color, width = (_CURRENT, 1.8) if bright else (_CAMERA, 1.2)
         drawing.draw_lines(lines, color, width * scale, perspective, depth=True)

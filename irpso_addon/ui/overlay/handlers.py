@@ -9,30 +9,30 @@ import bpy
 
 from ..common import failures
 from ..session import session
-from .stage import Stage
+from .session_overlay import SessionOverlay
 from .surface import why_unseen
 
 _OVERLAY = "The overlay"  # its name in messages of failures
 _IDLE_SECONDS = 0.1  # between reads of the settings while the session pauses
 
 _handles: list[tuple[type, Any]] = []
-_stage: Stage | None = None
+_overlay: SessionOverlay | None = None
 _failed: session.Session | None = None  # the session whose overlay has failed and does not restart
 
 
 def is_seen_in(context, space) -> bool:
     """Return whether a 3D viewport of the context's window shows the subject."""
-    if _stage is None:
+    if _overlay is None:
         return False
     with context.temp_override(area=next(a for a in context.screen.areas if a.spaces.active == space)):
-        return not why_unseen(bpy.context, _stage.running, _stage.running.subject(), _stage.home_scene)
+        return not why_unseen(bpy.context, _overlay.running, _overlay.running.subject(), _overlay.home_scene)
 
 
 def why_hidden(context) -> str:
     """Return in a sentence why the context's editor has no overlay, "" if it has one."""
     if _failed is not None and _failed is session.current():
         return _failed.failure
-    return "" if _stage is None or context.space_data is None else _stage.why_hidden(context)
+    return "" if _overlay is None or context.space_data is None else _overlay.why_hidden(context)
 
 
 def handler_count() -> int:
@@ -52,21 +52,21 @@ def _follow() -> None:
     """Start, update or end the overlay with the session. Called in the GPU context in which the session works."""
     global _failed
     running = session.current()
-    if _stage is not None and running is not _stage.running:
+    if _overlay is not None and running is not _overlay.running:
         _end()
     if running is not _failed:
         _failed = None
     if running is None or running is _failed or bpy.app.background:
         return
-    if _stage is None:
+    if _overlay is None:
         _guarded(running, _begin, running)
-    if _stage is not None and running is not _failed and _stage.is_due():
-        _guarded(running, _stage.update)
+    if _overlay is not None and running is not _failed and _overlay.is_due():
+        _guarded(running, _overlay.update)
 
 
 def _begin(running: session.Session) -> None:
-    global _stage
-    _stage = Stage(running, bpy.context.scene.session_uid)
+    global _overlay
+    _overlay = SessionOverlay(running, bpy.context.scene.session_uid)
     for space, draw, kind in (
         (bpy.types.SpaceView3D, _draw_view, "POST_VIEW"),
         (bpy.types.SpaceView3D, _draw_pixels, "POST_PIXEL"),
@@ -78,31 +78,31 @@ def _begin(running: session.Session) -> None:
 
 
 def _end() -> None:
-    global _stage
+    global _overlay
     while _handles:
         space, handle = _handles.pop()
         space.draw_handler_remove(handle, "WINDOW")
     if bpy.app.timers.is_registered(_idle):
         bpy.app.timers.unregister(_idle)
-    if _stage is not None:
-        _stage.close()
-        _stage = None
+    if _overlay is not None:
+        _overlay.close()
+        _overlay = None
         redraw()
 
 
-@failures.told(_OVERLAY)
+@failures.reported(_OVERLAY)
 def _idle() -> float | None:
     """Apply changed settings while the session pauses, when nothing else calls ``update``."""
-    if _stage is None or _stage.running is _failed:
+    if _overlay is None or _overlay.running is _failed:
         _end()
         return None
-    if not _stage.running.active:
-        if _stage.in_own_context():
-            if _guarded(_stage.running, _stage.update):
+    if not _overlay.running.active:
+        if _overlay.in_own_context():
+            if _guarded(_overlay.running, _overlay.update):
                 redraw()
         else:
-            redraw(_stage.own_window)  # drawing a window makes its context current
-        if _guarded(_stage.running, _stage.wants_redraw):
+            redraw(_overlay.own_window)  # drawing a window makes its context current
+        if _guarded(_overlay.running, _overlay.wants_redraw):
             redraw()
     return _IDLE_SECONDS
 
@@ -110,28 +110,28 @@ def _idle() -> float | None:
 def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any) -> Any:
     """Call ``work``. An exception is reported and ends the overlay of this session for good."""
     global _failed
-    with failures.told(_OVERLAY):
+    with failures.reported(_OVERLAY):
         return work(*arguments)
     _failed = running
     return None
 
 
-def _draw(method: Callable[[Stage, Any], None]) -> None:
+def _draw(method: Callable[[SessionOverlay, Any], None]) -> None:
     # Handlers are not removed here, because Blender is iterating over them.
-    if _stage is not None and _stage.running is not _failed and not _stage.running.closed:
-        _guarded(_stage.running, method, _stage, bpy.context)
+    if _overlay is not None and _overlay.running is not _failed and not _overlay.running.closed:
+        _guarded(_overlay.running, method, _overlay, bpy.context)
 
 
 def _draw_view() -> None:
-    _draw(Stage.draw_view)
+    _draw(SessionOverlay.draw_view)
 
 
 def _draw_pixels() -> None:
-    _draw(Stage.draw_pixels)
+    _draw(SessionOverlay.draw_pixels)
 
 
 def _draw_image() -> None:
-    _draw(Stage.draw_image)
+    _draw(SessionOverlay.draw_image)
 
 
 def register() -> None:

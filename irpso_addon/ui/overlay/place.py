@@ -10,7 +10,7 @@ _SIDES = 40  # of a polygon drawn as a circle
 
 
 @dataclass(frozen=True)
-class Stand:
+class Placement:
     """Present placement of a subject. frame: (4, 4) from the domain's frame (positions, lights) to the world.
 
     centre: (3,) and radius of a sphere around the subject, in world units.
@@ -26,12 +26,12 @@ class Stand:
         return turned / np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-30)
 
 
-def stand_of(frame: np.ndarray, corners: np.ndarray) -> Stand:
+def placement_of(frame: np.ndarray, corners: np.ndarray) -> Placement:
     """Return the placement of points (N, 3) in the domain's frame."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = (low + high) / 2
     reach = np.linalg.norm((corners - centre) @ frame[:3, :3].T, axis=1).max()
-    return Stand(frame, transformed(frame, centre[None])[0], float(max(reach, 1e-9)))
+    return Placement(frame, transformed(frame, centre[None])[0], float(max(reach, 1e-9)))
 
 
 def card_corners(position: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from ..common import failures
 from ..session import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
-from .surface import bounding_corners, is_solved, stand, triangles_of
+from .surface import bounding_corners, is_solved, placement, triangles_of
 
 _REACH = 3  # most distance of a solved texel from the click, in texels
 _HELP = "Click the subject to see the error of a texel. Esc or right-click ends"
@@ -58,7 +58,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
     def modal(self, context, event):
         """Probe on clicks on the subject. Blender handles all other events."""
-        with failures.told("Probing"):
+        with failures.reported("Probing"):
             return self._handle(context, event)
         return self._leave(context)
 
@@ -185,7 +185,7 @@ def _flat_texel(running, region, space, place: tuple[float, float]) -> tuple[int
 
 def _surface_texel(running, view, place: tuple[float, float], size: tuple[float, float]) -> tuple[int, int] | None:
     corners = bounding_corners(running)
-    inverse = np.linalg.inv(stand(running, running.subject(), corners).frame)
+    inverse = np.linalg.inv(placement(running, running.subject(), corners).frame)
     origin, direction = view_ray(np.array(view.perspective_matrix), place, size)
     origin, direction = inverse[:3, :3] @ origin + inverse[:3, 3], inverse[:3, :3] @ direction
     positions, uvs = triangles_of(running)

@@ -13,7 +13,7 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
 from ...solver.views.display import Shown
 from ..session.session import Session
-from .place import Stand, card_corners, card_frame, stand_of
+from .place import Placement, card_corners, card_frame, placement_of
 from .scales import PERCENT, round_up, steady_limit
 
 _BLINKS = 2.0  # pictures per second
@@ -75,14 +75,14 @@ def is_solved(running: Session, triangle: int) -> bool:
     return running.mesh is None or running.mesh.solved is None or bool(running.mesh.solved[triangle])
 
 
-def stand(running: Session, subject, corners: np.ndarray) -> Stand:
+def placement(running: Session, subject, corners: np.ndarray) -> Placement:
     """Return the subject's present placement. subject: its object, None for a card without an object.
 
     corners: (N, 3) points in the domain's frame that bound it.
     """
     world = running.job.place if subject is None else np.array(subject.matrix_world, np.float64)
     frame = card_frame(running.domain.bake.position) if running.mesh is None else np.linalg.inv(running.mesh.matrix)
-    return stand_of(world @ frame, corners)
+    return placement_of(world @ frame, corners)
 
 
 def bounding_corners(running: Session) -> np.ndarray:

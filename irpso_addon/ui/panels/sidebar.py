@@ -25,7 +25,7 @@ class Failures:
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there are messages."""
-        return bool(failures.said())
+        return bool(failures.messages())
 
     def draw(self, context) -> None:
         """Draw the messages and the button that dismisses them."""

@@ -17,7 +17,7 @@ def keep(settings, found: Iterable[Finding], known: str = "") -> None:
     settings.findings.clear()
     for finding in found:
         item = settings.findings.add()
-        item.severity, item.code, item.ask = finding.severity, finding.code, finding.ask
+        item.severity, item.code, item.goal = finding.severity, finding.code, finding.goal
         item.message = finding.message.replace(known, "") if known else finding.message
 
 
@@ -25,7 +25,7 @@ def shown(settings) -> list:
     """Return the findings that concern the maps to be recovered, errors first."""
     if not is_checked(settings):
         return []
-    found = [item for item in settings.findings if item.ask != "normals" or wants_normal(settings)]
+    found = [item for item in settings.findings if item.goal != "normals" or wants_normal(settings)]
     return sorted(found, key=lambda item: item.severity != "error")
 
 

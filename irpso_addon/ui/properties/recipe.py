@@ -13,12 +13,12 @@ from ..common.file_paths import absolute
 from .scene_settings import CUSTOM
 
 _KINDS = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of property with a plain value
-_NOT_ASKED = {"name", "checked_path", "summary", "slots", "slot_list"}
+_LEFT_OUT = {"name", "checked_path", "summary", "slots", "slot_list"}
 _SCHEDULE = ("preset", "own", "own_text", *SETTINGS)  # the preset first: it fills the others
 _PARAMETER = ("recover", "value")
 
 
-def asked_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
+def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
     """Return the settings of a scene. obj: the mesh object, None for a card. slots: the material slots to recover.
 
     Objects and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
@@ -36,14 +36,14 @@ def asked_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, 
             | {"color": _data(item.color), "image": item.image.name if item.image is not None else None}
             for item in settings.parameters
         },
-        "schedule": schedule_asked(settings.schedule),
+        "schedule": schedule_recipe(settings.schedule),
     }  # fmt: skip
 
 
 def _plain(settings: Any) -> list[str]:
     """Return the names of the settings of type number, text or choice."""
     known = settings.bl_rna.properties
-    return [p.identifier for p in known if p.type in _KINDS and not p.is_readonly and p.identifier not in _NOT_ASKED]
+    return [p.identifier for p in known if p.type in _KINDS and not p.is_readonly and p.identifier not in _LEFT_OUT]
 
 
 def _data(value: Any) -> Any:
@@ -51,27 +51,27 @@ def _data(value: Any) -> Any:
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
-def schedule_asked(schedule: Any) -> dict[str, Any]:
+def schedule_recipe(schedule: Any) -> dict[str, Any]:
     """Return the settings of the search."""
     return {name: getattr(schedule, name) for name in _SCHEDULE}
 
 
-def ask_again(settings: Any, asked: dict[str, Any]) -> None:
-    """Set a scene's settings to those of ``asked_of``. Raises InputError if an object or an image is missing."""
+def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
+    """Set a scene's settings to those of ``recipe_of``. Raises InputError if an object or an image is missing."""
     objects, images = bpy.data.objects, bpy.data.images
-    if (name := asked["object"]) is not None and name not in objects:
+    if (name := recipe["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")
-    given = asked["parameters"]
+    given = recipe["parameters"]
     for name, values in given.items():
         if values["image"] is not None and values["image"] not in images:
             raise InputError(f"this file has no image '{values['image']}', given for {name}; open the file that has it")
     for name in _plain(settings):
-        if name in asked["settings"] and asked["settings"][name] != _data(getattr(settings, name)):
-            setattr(settings, name, asked["settings"][name])
-    settings.object = None if asked["object"] is None else objects[asked["object"]]
-    settings.slots, settings.slot_list = ("ALL", "") if asked["slots"] is None else ("NAMED", asked["slots"])
+        if name in recipe["settings"] and recipe["settings"][name] != _data(getattr(settings, name)):
+            setattr(settings, name, recipe["settings"][name])
+    settings.object = None if recipe["object"] is None else objects[recipe["object"]]
+    settings.slots, settings.slot_list = ("ALL", "") if recipe["slots"] is None else ("NAMED", recipe["slots"])
     for item in settings.parameters:
         for name, value in given.get(item.name, {}).items():
             setattr(item, name, value if name != "image" or value is None else images[value])
-    for name, value in asked["schedule"].items():
+    for name, value in recipe["schedule"].items():
         setattr(settings.schedule, name, value)

@@ -158,7 +158,7 @@ class FindingItem(bpy.types.PropertyGroup):
     severity: StringProperty()
     code: StringProperty()
     message: StringProperty()
-    ask: StringProperty(description="The maps that it prevents, empty for all")
+    goal: StringProperty(description="The maps that it prevents, empty for all")
 
 
 class ParameterItem(bpy.types.PropertyGroup):

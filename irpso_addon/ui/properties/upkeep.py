@@ -9,7 +9,7 @@ from ..common import failures
 from .scene_settings import CUSTOM, refresh_parameters
 
 
-@failures.told("Listing the maps of the model")
+@failures.reported("Listing the maps of the model")
 def fill_lists() -> None:
     """Give every scene the parameters of its model. Panels cannot: Blender forbids changes during drawing."""
     for scene in bpy.data.scenes:

@@ -25,7 +25,7 @@ from ...reflectance.model import Parameter, ReflectanceModel
 from ...solver.planning.planning import scratch_folder
 from ...solver.views.held_out import FEWEST_SPARING, held_out_last, spared
 from ..properties import findings, preferences
-from ..properties.recipe import asked_of
+from ..properties.recipe import recipe_of
 from ..properties.scene_settings import model_of
 from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
@@ -39,13 +39,13 @@ class SceneJob(Job):
     """A job that a scene's settings describe; later changes of these do not touch it.
 
     origin: what it recovers from. scene_uid: Blender's session number of the scene. place: (4, 4) where a card stands
-    that has no object yet. asked: the settings, of ``asked_of``.
+    that has no object yet. recipe: the settings, of ``recipe_of``.
     """
 
     origin: str
     scene_uid: int
     place: np.ndarray
-    asked: dict[str, Any]
+    recipe: dict[str, Any]
 
 
 def missing(context) -> str:
@@ -117,7 +117,7 @@ def make_job(context) -> SceneJob:
         held_out=unseen, shadows=settings.shadows, entry=wanted.entry, memory=wanted.memory,
         lights=LightOptions(settings.light_strengths.lower(), round(math.degrees(settings.refine_directions), 4)),
         source=_source(settings, capture, mesh, unseen), origin=origin, scene_uid=context.scene.session_uid,
-        place=free_place(context, size[1] / size[0]), asked=asked_of(settings, obj, slots),
+        place=free_place(context, size[1] / size[0]), recipe=recipe_of(settings, obj, slots),
     )  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def _held_out(settings, capture: Capture) -> tuple[int, ...]:
 
 
 def wanted_slots(settings, obj) -> tuple[int, ...] | None:
-    """Return the material slots that are asked for, None for all. Raises InputError."""
+    """Return the material slots to recover, None for all. Raises InputError."""
     if settings.slots == "ALL" or len(obj.material_slots) < 2:
         return None
     if settings.slots == "ACTIVE":

@@ -194,7 +194,7 @@ class Session:
             self._work(started + budget_s)
             self._look()
         except Exception as error:  # noqa: BLE001  a modal operator that raises is called again, and again
-            self.failure = failures.tell("The recovery", error)
+            self.failure = failures.report("The recovery", error)
             self.close()
         took = time.perf_counter() - started
         self.longest_stall_s = max(self.longest_stall_s, took)
@@ -319,7 +319,7 @@ class Session:
                 if time.perf_counter() >= deadline:
                     return
         except Exception as error:  # noqa: BLE001  what has been found must not be lost with a comparison
-            failures.tell("Relighting unseen photographs", error)
+            failures.report("Relighting unseen photographs", error)
         self.finish()
 
     def _relight(self) -> Generator[None, None, None]:
@@ -454,6 +454,6 @@ def unregister() -> None:
 
 
 @persistent
-@failures.told("Leaving the file")
+@failures.reported("Leaving the file")
 def _on_load(*_: object) -> None:
     forget()

@@ -24,13 +24,13 @@ _listed: list[Unkept] | None = None  # what lies in the folder, once it has been
 
 @dataclass(frozen=True)
 class Unkept:
-    """A stored recovery. fraction: how far it was. asked: of ``asked.asked_of``. file: its .blend."""
+    """A stored recovery. fraction: how far it was. recipe: of ``recipe.recipe_of``. file: its .blend."""
 
     path: Path
     name: str
     fraction: float
     file: str
-    asked: dict[str, Any]
+    recipe: dict[str, Any]
 
 
 def folder() -> Path | None:
@@ -46,12 +46,12 @@ def folder() -> Path | None:
 def store(running: Any) -> None:
     """Write what a session has found and nobody has kept; what keeps that from being done is logged alone.
 
-    Blender closes its file meanwhile, or ends: nobody can be asked.
+    Blender closes its file meanwhile, or ends: it cannot ask the user.
     """
     if running.recovery is None or running.kept or (place := folder()) is None:
         return
     job, file = running.job, bpy.data.filepath
-    about = {"name": job.name, "fraction": running.fraction, "file": file, "asked": job.asked}
+    about = {"name": job.name, "fraction": running.fraction, "file": file, "recipe": job.recipe}
     digest = hashlib.sha256(f"{job.origin}\n{file}".encode()).hexdigest()[:8]
     try:
         if not running.in_own_context:

@@ -431,7 +431,7 @@ def test_fragment_and_compute_make_the_same_step(refinement):
 
 
 WHOLE = {"iterations": 4, "starts": True, "start_iterations": 2, "rounds": 2, "round_iterations": 2,
-         "accept_ratio": 1.5, "votes": 1.0}  # fmt: skip
+         "candidate_ratio": 1.5, "votes": 1.0}  # fmt: skip
 
 
 def lobes():

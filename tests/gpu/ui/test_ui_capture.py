@@ -174,7 +174,7 @@ def test_lights_are_judged_for_what_is_to_be_recovered(scene):
     asked = {}
     for name in ("lambert", "principled", "cook_torrance_two_lobe"):
         settings.model = name
-        asked[name] = capture_import.asked_of(settings)
+        asked[name] = capture_import.goals_of(settings)
     assert asked == {
         "lambert": ("normals",), "principled": ("normals", "roughness"),
         "cook_torrance_two_lobe": ("normals", "two lobes"),
@@ -182,7 +182,7 @@ def test_lights_are_judged_for_what_is_to_be_recovered(scene):
     settings.model = "principled"
     for item in settings.parameters:
         item.recover = item.name == "base_color"
-    assert capture_import.asked_of(settings) == ()
+    assert capture_import.goals_of(settings) == ()
 
 
 def test_a_check_pauses_at_every_image(tmp_path):

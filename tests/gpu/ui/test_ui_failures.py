@@ -41,18 +41,20 @@ def test_a_check_that_fails_ends_and_is_told_in_the_panel(scene, tmp_path, monke
     monkeypatch.setattr(capture_import, "_running",
                         [capture_import._Check(scene.session_uid, scene.irpso.capture_path, steps())])  # fmt: skip
     assert capture_import._tick() is None and not capture_import._running
-    assert failures.said() == ("The check has ended: index -1 is out of bounds",)
+    assert failures.messages() == ("The check has ended: index -1 is out of bounds",)
     assert panels.IRPSO_PT_failures.poll(bpy.context)
 
 
 @pytest.mark.parametrize("name", ["_idle", "_draw_view", "_draw_pixels", "_draw_image", "_follow"])
 def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
-    stage = SimpleNamespace(running=running, own_window=0, **dict.fromkeys(("in_own_context", "is_due"), lambda: True),
-                            **dict.fromkeys(("update", "wants_redraw", "close"), broken))  # fmt: skip
-    monkeypatch.setattr(handlers, "_stage", stage)
+    due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
+    fails = dict.fromkeys(("update", "wants_redraw", "close"), broken)
+    overlay = SimpleNamespace(running=running, own_window=0, **due, **fails)
+    monkeypatch.setattr(handlers, "_overlay", overlay)
     monkeypatch.setattr(handlers, "_failed", None)
-    monkeypatch.setattr(handlers, "Stage", SimpleNamespace(draw_view=broken, draw_pixels=broken, draw_image=broken))
+    draws = dict.fromkeys(("draw_view", "draw_pixels", "draw_image"), broken)
+    monkeypatch.setattr(handlers, "SessionOverlay", SimpleNamespace(**draws))
     monkeypatch.setattr(session, "_current", running)
     monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
     with caplog.at_level(logging.ERROR):
@@ -60,7 +62,7 @@ def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, 
             getattr(handlers, name)()
             if name.startswith("_draw"):
                 monkeypatch.setattr(handlers, "_failed", None)  # even so
-    assert failures.said() == ("The overlay has ended: index -1 is out of bounds",)
+    assert failures.messages() == ("The overlay has ended: index -1 is out of bounds",)
     assert len([one for one in caplog.records if one.exc_info]) == 1
     assert running.failure == ""  # the recovery itself is well
 
@@ -71,24 +73,24 @@ def test_a_modal_operator_that_fails_leaves_and_is_told(monkeypatch, operator):
     one = SimpleNamespace(_handle=broken, _leave=lambda context: left.append(True) or {"FINISHED"},
                           _session=SimpleNamespace(pause=lambda: left.append("paused")))  # fmt: skip
     assert operator.modal(one, bpy.context, SimpleNamespace(type="TIMER", value="NOTHING")) == {"FINISHED"}
-    assert left[-1] is True and failures.said()[0].endswith("has ended: index -1 is out of bounds")
+    assert left[-1] is True and failures.messages()[0].endswith("has ended: index -1 is out of bounds")
 
 
 def test_a_list_that_cannot_be_filled_is_told_and_not_raised(monkeypatch):
     monkeypatch.setattr(upkeep, "is_wanting", broken)
-    assert upkeep.fill_lists() is None and len(failures.said()) == 1
+    assert upkeep.fill_lists() is None and len(failures.messages()) == 1
 
 
 def test_an_expected_error_is_told_in_its_own_words_with_settings_as_blender_calls_them():
-    with failures.told("The check"):
+    with failures.reported("The check"):
         raise InputError("--memory 1K: is too little")
-    assert failures.said() == ("Memory Budget 1K: is too little",)
+    assert failures.messages() == ("Memory Budget 1K: is too little",)
 
 
 def test_what_was_told_is_dismissed_by_its_button_or_by_another_file():
     for dismiss in (bpy.ops.irpso.dismiss_failures, lambda: bpy.ops.wm.read_factory_settings(use_empty=True)):
-        with failures.told("The check"):
+        with failures.reported("The check"):
             broken()
-        assert failures.said()
+        assert failures.messages()
         dismiss()
-        assert failures.said() == () and not panels.IRPSO_PT_failures.poll(bpy.context)
+        assert failures.messages() == () and not panels.IRPSO_PT_failures.poll(bpy.context)

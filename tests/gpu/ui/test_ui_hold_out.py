@@ -166,7 +166,7 @@ def test_a_comparison_that_fails_loses_no_maps(settings, monkeypatch):
     while running.active:
         running.tick(0.05)
     assert (running.state, running.closed, running.unseen) == ("done", False, "")
-    assert failures.said() and running.maps().covered.any()
+    assert failures.messages() and running.maps().covered.any()
 
 
 def test_a_paused_run_exports_what_its_maps_relight(settings, tmp_path):
@@ -226,13 +226,13 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
 
 
 def test_photographs_held_out_belong_to_what_was_asked_and_make_another_domain(settings):
-    from irpso_addon.ui.properties.recipe import ask_again
+    from irpso_addon.ui.properties.recipe import apply_recipe
     from irpso_addon.ui.session.job import make_job
 
     job = make_job(bpy.context)
     settings.hold_out = "OFF"
     assert make_job(bpy.context).source != job.source
-    ask_again(settings, job.asked)
+    apply_recipe(settings, job.recipe)
     assert settings.hold_out == "AUTO" and make_job(bpy.context).source == job.source
 
 

@@ -17,12 +17,12 @@ from irpso_addon.ui.overlay.layout import Rectangle, beside, free_rectangle, sta
 from irpso_addon.ui.overlay.paint import rounded
 from irpso_addon.ui.overlay.picking import first_hit, nearest_texel, texel_at, view_ray
 from irpso_addon.ui.overlay.place import (
-    Stand,
+    Placement,
     card_corners,
     card_frame,
     circle,
     pixel_size,
-    stand_of,
+    placement_of,
     to_pixels,
     transformed,
 )
@@ -287,17 +287,17 @@ def test_distant_lights_stand_on_the_dome_in_the_turned_direction_and_near_ones_
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = 2 * turn, (5, 6, 7)
-    stand = Stand(frame, np.array([1.0, 2.0, 3.0]), 1.5)
+    placement = Placement(frame, np.array([1.0, 2.0, 3.0]), 1.5)
     lights = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0.5, 0, 0, 1]])
-    dome = dome_of(lights, np.ones((3, 3)), stand, radius=4.0)
+    dome = dome_of(lights, np.ones((3, 3)), placement, radius=4.0)
     assert dome.places == pytest.approx(np.array([[1, 6, 3], [1, 2, 7], [5, 7, 7]]))
     assert dome.half
-    assert dome_of(lights, np.ones((3, 3)), stand).radius == pytest.approx(1.7 * 1.5)
-    assert not dome_of(np.array([[1, 0, 0.1, 0], [-1, 0, -0.2, 0], [0, 0, 1, 0.0]]), np.ones((3, 3)), stand).half
+    assert dome_of(lights, np.ones((3, 3)), placement).radius == pytest.approx(1.7 * 1.5)
+    assert not dome_of(np.array([[1, 0, 0.1, 0], [-1, 0, -0.2, 0], [0, 0, 1, 0.0]]), np.ones((3, 3)), placement).half
     for line in guide_lines(dome):
         assert np.linalg.norm(line - dome.centre, axis=1) == pytest.approx(4.0)
         assert ((line - dome.centre) @ dome.axis >= -1e-6).all()
-    assert guide_lines(dome_of(lights[2:], np.ones((1, 3)), stand)) == []
+    assert guide_lines(dome_of(lights[2:], np.ones((1, 3)), placement)) == []
 
 
 def test_a_lights_colour_keeps_its_hue_and_tells_its_strength_among_the_others():
@@ -335,9 +335,9 @@ def test_a_ball_around_the_subject_holds_its_corners_wherever_it_stands():
     frame = np.diag([2.0, 3.0, 1.0, 1.0])
     frame[:3, 3] = (1, 1, 1)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (0, 1) for z in (2, 5)], float)
-    stand = stand_of(frame, corners)
-    assert stand.centre == pytest.approx([1, 2.5, 4.5])
-    assert stand.radius == pytest.approx(np.linalg.norm([2, 1.5, 1.5]))
+    placement = placement_of(frame, corners)
+    assert placement.centre == pytest.approx([1, 2.5, 4.5])
+    assert placement.radius == pytest.approx(np.linalg.norm([2, 1.5, 1.5]))
 
 
 def test_a_swarm_is_shown_in_a_whole_colour_first_then_in_what_is_searched_first():

@@ -156,8 +156,8 @@ def test_a_folder_that_cannot_be_written_keeps_no_file_from_being_closed(plane, 
 
 
 def test_a_given_image_that_is_not_in_the_file_is_named(stored):
-    from irpso_addon.ui.properties import recipe as asked
+    from irpso_addon.ui.properties import recipe
 
-    gone = {**stored.asked, "parameters": {"roughness": {**stored.asked["parameters"]["roughness"], "image": "lost"}}}
+    gone = {**stored.recipe, "parameters": {"roughness": {**stored.recipe["parameters"]["roughness"], "image": "lost"}}}
     with pytest.raises(InputError, match="no image 'lost', given for roughness"):
-        asked.ask_again(bpy.context.scene.irpso, gone)
+        recipe.apply_recipe(bpy.context.scene.irpso, gone)

@@ -50,7 +50,7 @@ def test_inspect_calls_lights_enough_where_few_of_the_measured_texels_failed(fig
     told, findings = lights.spoken(lights.lights_of("number", figure.value))
     # Five lights did worse than three by chance: nothing is enough below what was not.
     failed = np.array([f.failed for f in sufficiency.NUMBER if f.value >= figure.value]).max(axis=0)
-    wanted = [ask for ask, part in zip(sufficiency.ASKS, failed, strict=True) if part <= sufficiency.FEW]
+    wanted = [goal for goal, part in zip(sufficiency.GOALS, failed, strict=True) if part <= sufficiency.FEW]
     said = told.split("; ")[0].split(", ") if not told.startswith("not") else []
     assert said == wanted
-    assert len(findings) == len(sufficiency.ASKS) - len(wanted)
+    assert len(findings) == len(sufficiency.GOALS) - len(wanted)

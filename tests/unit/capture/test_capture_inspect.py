@@ -153,8 +153,8 @@ def test_the_spread_across_a_fan_is_its_width_over_its_length():
 )
 def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(count, short, said):
     lights = even_lights(count)
-    found = {ask: list(sufficiency.shortfalls(ask, count, lights)) for ask in sufficiency.ASKS}
-    assert {ask for ask, lacks in found.items() if lacks} == set(short)
+    found = {goal: list(sufficiency.shortfalls(goal, count, lights)) for goal in sufficiency.GOALS}
+    assert {goal for goal, lacks in found.items() if lacks} == set(short)
     assert all(lack.code == "few" for lacks in found.values() for lack in lacks)
     assert said in "\n".join(lack.message for lacks in found.values() for lack in lacks)
 
@@ -175,7 +175,7 @@ def test_a_capture_is_warned_of_what_is_asked_alone(tmp_path):
     path = write_diligent(tmp_path, FRAMES, RINGS, MASK)
     assert inspect_capture(path).findings == ()
     assert dict(inspect_capture(path).facts)["enough for"].startswith("normals; not for roughness (few")
-    found = inspect_capture(path, asked=("normals", "roughness"))
+    found = inspect_capture(path, goals=("normals", "roughness"))
     assert found.codes == {"lights_few"} and found.usable
     assert "12 lights are few for roughness: with 10, 35%" in finding(found, "lights_few")
 

@@ -31,7 +31,7 @@ WIDE = Camera.orthographic(24, 16, 225.0)
 
 
 def codes(folder, **settings):
-    return inspect_capture(folder, asked=(), **settings).codes
+    return inspect_capture(folder, goals=(), **settings).codes
 
 
 @pytest.mark.parametrize("camera", [None, WIDE])
@@ -85,7 +85,7 @@ def test_the_distance_comes_back_with_a_written_capture_and_stays_in_a_calibrate
 
 def test_inspect_says_how_large_the_card_is_and_that_its_distance_is_missing(tmp_path):
     folder = write_near_card(tmp_path / "card")
-    report = inspect_capture(folder, asked=())
+    report = inspect_capture(folder, goals=())
     assert dict(report.facts)["card"] == "420 from its camera, 225.1 × 150.1" and not report.findings
     unknown = write_near_card(tmp_path / "unknown", card_distance=None)
     assert codes(unknown) == {"card_distance"} and codes(unknown, card_distance=DISTANCE) == set()
@@ -114,7 +114,7 @@ def test_inspect_tells_of_strengths_that_are_not_those_at_distance_1(tmp_path):
     capture, _ = near_card()
     weak = tuple(replace(o, light=replace(o.light, intensity=(1.4,) * 3)) for o in capture.observations)
     write_capture(replace(capture, observations=weak), tmp_path / "card")
-    (finding,) = inspect_capture(tmp_path / "card", asked=()).findings
+    (finding,) = inspect_capture(tmp_path / "card", goals=()).findings
     assert finding.code == "light_strength" and "distance squared" in finding.message
 
 

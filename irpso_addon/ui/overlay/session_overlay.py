@@ -22,7 +22,7 @@ from ..session.session import Probe, Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import Painter
-from .place import Stand, to_pixels, transformed
+from .place import Placement, to_pixels, transformed
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +33,7 @@ _STRIPES = 9.0  # distance of stripes, in pixels at scale 1
 _SPLIT_LINE = (1.0, 1.0, 1.0, 0.85)
 
 
-class Stage:
+class SessionOverlay:
     """The pictures, curves and trails of a session; ``close`` frees their GPU memory.
 
     Frame buffers belong to the context in which they were made, and draw callbacks run in another context than
@@ -86,18 +86,18 @@ class Stage:
         if not self._draws_in(context):
             return
         view, region = context.scene.irpso.view, context.region
-        stand, perspective = self._stand(subject), np.array(context.region_data.perspective_matrix)
+        placement, perspective = self._placement(subject), np.array(context.region_data.perspective_matrix)
         size, scale = (region.width, region.height), context.preferences.system.ui_scale
         if view.show:
-            self._draw_surface(context, view, stand, perspective)
-            curves.draw_rings(self.drawing, running, stand, perspective, size, scale)
+            self._draw_surface(context, view, placement, perspective)
+            curves.draw_rings(self.drawing, running, placement, perspective, size, scale)
         if view.show_lights:
-            lights = self._dome(view, stand)
-            over = dome.over_subject(lights.places, transformed(stand.frame, self._corners), perspective, size)
+            lights = self._dome(view, placement)
+            over = dome.over_subject(lights.places, transformed(placement.frame, self._corners), perspective, size)
             dome.draw_lights(self.drawing, lights, self._observation(view), over, perspective, scale)
         if view.show_cameras:
             current = running.job.capture.observations[self._observation(view)].camera
-            dome.draw_cameras(self.drawing, self._cameras(), current, stand, perspective, scale)
+            dome.draw_cameras(self.drawing, self._cameras(), current, placement, perspective, scale)
 
     def draw_pixels(self, context) -> None:
         """Draw over a viewport: legend, curves, swarm, names."""
@@ -108,7 +108,7 @@ class Stage:
         painter = Painter(self.drawing, context.preferences.system.ui_scale)
         size, perspective = (region.width, region.height), np.array(context.region_data.perspective_matrix)
         if view.show:
-            curves.name_rings(painter, self.running, self._stand(subject), perspective, size)
+            curves.name_rings(painter, self.running, self._placement(subject), perspective, size)
             self._draw_split_line(painter, context, Rectangle(0, 0, *size))
         free = _free(context.area, region).inset(*(_MARGIN * painter.scale,) * 4)
         taken: list[Rectangle] = []
@@ -219,14 +219,14 @@ class Stage:
                 self._trails.setdefault(probe.slot, swarm.Trail()).follow(state.particles, (probe.row, probe.column))
         return True
 
-    def _stand(self, subject) -> Stand:
+    def _placement(self, subject) -> Placement:
         if self._corners is None:
             self._corners = surface.bounding_corners(self.running)
-        return surface.stand(self.running, subject, self._corners)
+        return surface.placement(self.running, subject, self._corners)
 
-    def _dome(self, view, stand: Stand) -> dome.Dome:
+    def _dome(self, view, placement: Placement) -> dome.Dome:
         domain = self.running.domain
-        return dome.dome_of(domain.lights, domain.intensities, stand, view.dome_radius)
+        return dome.dome_of(domain.lights, domain.intensities, placement, view.dome_radius)
 
     def _observation(self, view) -> int:
         return self.running.observation(view)
@@ -241,14 +241,14 @@ class Stage:
     def _pictures_of(self, scene: bpy.types.Scene) -> tuple[tuple[Shown, ...], list]:
         return self._pictures.get(scene.session_uid, ((), []))
 
-    def _draw_surface(self, context, view, stand: Stand, perspective: np.ndarray) -> None:
+    def _draw_surface(self, context, view, placement: Placement, perspective: np.ndarray) -> None:
         _, pictures = self._pictures_of(context.scene)
         if not pictures or self._surface is None:
             return
         first, second = _pair(view, pictures)
         size = (context.region.width, context.region.height)
         stripes = _stripes(view, context.preferences.system.ui_scale)
-        self._surface.draw(first, perspective, stand.frame, second, view.split, size, view.opacity, stripes=stripes)
+        self._surface.draw(first, perspective, placement.frame, second, view.split, size, view.opacity, stripes=stripes)
 
     def _draw_split_line(self, painter: Painter, context, area: Rectangle) -> None:
         view = context.scene.irpso.view
@@ -328,7 +328,7 @@ class Stage:
     ) -> None:  # fmt: skip
         """Write the current observation's number and name beside its light, if there is space."""
         index = self._observation(view)
-        place = self._dome(view, self._stand(subject)).places[index][None]
+        place = self._dome(view, self._placement(subject)).places[index][None]
         (at,), (before,) = to_pixels(perspective, place, size)
         job = self.running.job
         text = f"{job.numbers[index] + 1}  {job.capture.observations[index].name}"
