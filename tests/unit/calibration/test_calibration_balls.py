@@ -79,12 +79,14 @@ def test_three_clicked_points_make_a_ball():
     assert found.radius_px == pytest.approx(25)
 
 
-def test_a_mask_that_is_not_round_is_refused_and_a_small_ball_gets_a_warning():
+def test_a_square_and_a_short_arc_are_refused_and_a_small_ball_gets_a_warning():
     camera = CAMERAS["orthographic"]
     square = np.zeros((160, 200), bool)
     square[40:100, 50:150] = True
     with pytest.raises(InputError, match="not round"):
         fit_ball(outline_of_mask(square), camera)
+    with pytest.raises(InputError, match="only (17|21)% of its outline .* at least 25% is needed"):
+        fit_ball(outline_of_circle(90, 70, 25)[:30], camera)
     small = ball_of(camera, np.array([0.2, 0.1, 0.0]), 0.24)
     assert any("pixels; 15 or more" in w for w in small.warnings)
     with pytest.raises(InputError, match="radius is 4"):
