@@ -79,7 +79,7 @@ def test_a_dropped_list_of_lights_is_imported_and_checked_while_the_window_goes_
     assert ready.run("settings().checked_path == settings().capture_path")
 
 
-def test_what_is_no_capture_is_told_and_changes_nothing(ready, icon, tmp_path):
+def test_another_file_than_a_capture_is_reported_and_changes_nothing(ready, icon, tmp_path):
     (tmp_path / "notes.txt").write_text("no capture")
     ready.run(f"bpy.ops.irpso.import_capture('INVOKE_DEFAULT', filepath={str(icon / 'dirs.lp')!r})")
     ready.wait("not checking()", timeout=180)
@@ -95,7 +95,7 @@ def test_what_is_no_capture_is_told_and_changes_nothing(ready, icon, tmp_path):
     assert any("holds no capture" in line for line in ready.reports())
 
 
-def test_another_file_in_the_middle_of_a_check_ends_it(ready, icon):
+def test_loading_another_file_ends_a_check(ready, icon):
     ready.run(f"bpy.ops.irpso.import_capture(filepath={str(icon)!r})")
     ready.wait("checking().startswith('Checking')")
     ready.run("bpy.ops.wm.read_homefile(app_template='')", area="")
@@ -140,7 +140,7 @@ def test_undo_takes_the_cameras_and_lights_away_and_redo_brings_them_back(ready,
     assert ready.run("len(scene_capture.capture_from_scene(bpy.context.scene).observations)") == 72
 
 
-def test_the_distance_of_a_card_under_near_lights_is_asked_for_and_kept_to(ready, tmp_path):
+def test_a_near_lit_card_asks_for_its_distance_and_uses_it(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
     ready.open_sidebar("IRPSO")
     folder = write_near_card(tmp_path / "near", card_distance=None)
@@ -204,7 +204,7 @@ def test_a_damaged_image_bars_recover_until_it_is_left_out_by_the_box_beside_it(
     assert ready.run("'images: 5, 1 more left out' in settings().summary")
 
 
-def test_too_few_lights_and_a_check_that_fails_are_told_in_the_panel(ready, tmp_path):
+def test_too_few_lights_and_a_failed_check_are_reported_in_the_panel(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile(app_template='')", area="")
     ready.open_sidebar("IRPSO")
     ready.run(f"bpy.ops.irpso.import_capture(filepath={str(small_card(tmp_path / 'one', 1))!r})")

@@ -69,7 +69,7 @@ def test_the_capture_is_imported_and_checked(artist, capture):
     assert artist.run("[settings().subject, [item.severity for item in settings().findings]]") == ["CARD", []]
 
 
-def test_recover_shows_a_first_picture_rests_on_escape_and_goes_on(artist):
+def test_recover_shows_a_picture_pauses_on_escape_and_resumes(artist):
     artist.click(*artist.find_button("irpso.recover"))
     artist.wait("state() == 'running'", 180)
     artist.screenshot("journey 3: the first picture")
@@ -119,7 +119,7 @@ def test_the_exported_maps_are_those_of_the_leaf(artist, truth, tmp_path):
     assert np.degrees(np.arccos(cosine)).mean() < 0.5
 
 
-def test_close_brings_the_settings_back_and_recover_begins_anew(artist):
+def test_close_restores_the_settings_and_recover_restarts(artist):
     artist.click(*artist.find_button("irpso.cancel"))
     artist.wait("state() == 'none'")
     assert artist.run(f"[{CARD!r} in bpy.data.materials, settings().capture_path != '']") == [True, True]

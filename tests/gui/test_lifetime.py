@@ -23,7 +23,7 @@ def test_enabling_and_disabling_ten_times_leaves_nothing_behind(counted):
     assert "types" in changes(disabled[0], enabled[0])
 
 
-def test_disabled_nothing_in_blender_bears_the_name_of_the_extension(counted):
+def test_disabling_leaves_no_name_of_the_extension(counted):
     told = switch(counted, "disable")
     switch(counted, "enable")
     assert [name for name in (*told["types"], *told["properties"]) if "irpso" in name.lower()] == []

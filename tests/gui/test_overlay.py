@@ -74,7 +74,7 @@ def test_draw_handlers_are_there_while_a_session_is(paused):
     assert paused.run("handlers.handler_count()") == 3
 
 
-def test_the_base_colour_is_seen_on_the_card_as_the_photographs_have_it(paused, card):
+def test_the_base_colour_on_the_card_matches_the_photographs(paused, card):
     paused.run("view.parameter = 'base_color'\nview.shown = 'PARAMETER'")
     paused.wait("not session.current().display.pending(next(iter(session.current().display._pictures)))")
     paused.screenshot("overlay: base colour")
@@ -113,7 +113,7 @@ def test_left_of_the_split_is_the_render_and_right_of_it_the_photograph(paused, 
     assert np.abs(seen - np.array([encoded(image[texel]) for texel in TEXELS[:4]])).max() <= NEAR
 
 
-def test_a_click_probes_the_texel_under_the_mouse_and_a_fifth_takes_the_oldest_ones_place(paused):
+def test_a_click_probes_a_texel_and_a_fifth_replaces_the_oldest(paused):
     paused.run("view.shown = 'PARAMETER'\nbpy.ops.irpso.probe('INVOKE_DEFAULT')")
     for texel in TEXELS:
         paused.click(*texel_on_screen(paused, *texel))
@@ -125,7 +125,7 @@ def test_a_click_probes_the_texel_under_the_mouse_and_a_fifth_takes_the_oldest_o
     paused.screenshot("overlay: probes")
 
 
-def test_a_probe_can_be_removed_and_all_of_them(paused):
+def test_one_or_all_probes_can_be_removed(paused):
     paused.run("bpy.ops.irpso.probe_remove(index=1)")
     assert paused.run("[probe.slot for probe in session.current().probes]") == [1, 3, 0]
     paused.run("bpy.ops.irpso.probe(row=4, column=5)")
@@ -178,7 +178,7 @@ def test_the_image_editor_shows_the_map_flat_and_takes_clicks(paused, card):
     paused.run("bpy.ops.irpso.probe_clear()\nbpy.context.area.ui_type = 'VIEW_3D'", area="IMAGE_EDITOR")
 
 
-def test_a_drawing_that_fails_ends_the_overlay_once_and_is_told(paused):
+def test_a_failed_drawing_ends_the_overlay_and_is_reported_once(paused):
     paused.expect("Traceback|The overlay has ended|broken on purpose")
     paused.run(
         "module = import_module(handlers.__name__.replace('handlers', 'session_overlay'))\n"
@@ -197,7 +197,7 @@ def test_a_drawing_that_fails_ends_the_overlay_once_and_is_told(paused):
     paused.run("overlay.draw_pixels = right")
 
 
-def test_draw_handlers_go_with_the_session_and_come_with_the_next(paused):
+def test_draw_handlers_follow_the_session(paused):
     paused.run("bpy.ops.irpso.cancel()")
     assert paused.run("(session.current() is None, handlers.handler_count())") == [True, 0]
     paused.run("bpy.ops.irpso.recover('INVOKE_DEFAULT')")

@@ -127,7 +127,7 @@ def test_undo_in_mid_run_does_not_disturb_it(ready):
     assert ready.run("session.current().failure") == ""
 
 
-def test_the_subject_deleted_in_mid_run_is_missed_only_when_it_is_to_be_kept(ready):
+def test_a_subject_deleted_in_mid_run_is_reported_at_keep(ready):
     begin(ready, "MESH")
     ready.run("bpy.data.objects.remove(bpy.data.objects['Plane'])")
     ready.run("redrawn()", area="")

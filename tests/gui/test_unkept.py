@@ -85,7 +85,7 @@ def test_keeping_or_discarding_it_by_hand_removes_what_was_stored(window):
     assert window.run("state(), unkept.listed()") == ["none", []]
 
 
-def test_quitting_stores_it_too(blender, installed, pictures, backend, capture, tmp_path):
+def test_quitting_stores_the_recovery(blender, installed, pictures, backend, capture, tmp_path):
     stored = tmp_path / "stored"
     with open_window(blender, installed, pictures, backend, log_name="unkept, quitting") as window:
         begin(window, capture, tmp_path / "mine.blend")

@@ -33,7 +33,7 @@ def test_a_generator_lets_blender_live_on_between_its_steps(window):
     assert window.run(code) == 4
 
 
-def test_what_a_draw_callback_raises_is_a_complaint(window):
+def test_an_error_in_a_draw_callback_fails_the_test(window):
     window.run(
         "def broken():\n    raise ValueError('on purpose')\n"
         "handle = bpy.types.SpaceView3D.draw_handler_add(broken, (), 'WINDOW', 'POST_PIXEL')"
@@ -44,7 +44,7 @@ def test_what_a_draw_callback_raises_is_a_complaint(window):
     window.expect("Traceback")
 
 
-def test_why_an_operator_refuses_can_be_read_as_the_user_reads_it(window):
+def test_the_reason_of_a_refusal_is_readable(window):
     window.run(
         "class Refuse(bpy.types.Operator):\n"
         "    bl_idname, bl_label = 'irpso_test.refuse', 'Refuse'\n"

@@ -18,7 +18,7 @@ def maps(red):
     return TrueMaps(colour, np.tile([0.0, 0.0, 1.0], (2, 4, 1)), flat, flat)
 
 
-def test_a_colour_is_held_against_its_own_channels_deviation_and_only_at_texels_that_are_seen(tmp_path):
+def test_colour_errors_use_their_own_channels_deviation_at_seen_texels_only(tmp_path):
     small, large = np.full((2, 4), 0.01, np.float32), np.full((2, 4), 1.0, np.float32)
     seen = np.zeros((2, 4), bool)
     seen[0, :2] = True

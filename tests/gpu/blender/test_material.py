@@ -60,7 +60,7 @@ def counts():
     ]
 
 
-def test_images_hold_the_maps_in_their_colour_space_packed_under_their_own_name():
+def test_images_hold_maps_in_their_colour_space_packed_and_named():
     maps = random_maps(load_model("principled"))
     build_material(maps, "icon")
     images = bpy.data.images
@@ -88,7 +88,7 @@ def test_the_principled_material_connects_every_map():
 
 
 @pytest.mark.parametrize("name", ["principled", "cook_torrance_two_lobe"])
-def test_nodes_are_laid_out_from_left_to_right_and_not_on_top_of_each_other(name):
+def test_nodes_are_laid_out_left_to_right_without_overlap(name):
     material = build_material(random_maps(load_model(name)), "icon")
     for tree in (material.node_tree, *bpy.data.node_groups):
         for link in tree.links:
@@ -145,7 +145,7 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
-def test_a_material_and_an_image_of_the_same_name_that_are_the_users_are_not_touched():
+def test_a_users_material_and_image_of_the_same_name_are_not_touched():
     mine = bpy.data.materials.new("IRPSO icon")
     image = bpy.data.images.new("IRPSO icon normal", 3, 3)
     material = build_material(random_maps(load_model("lambert")), "icon")
@@ -154,7 +154,7 @@ def test_a_material_and_an_image_of_the_same_name_that_are_the_users_are_not_tou
     assert image.packed_file is None
 
 
-def test_a_users_model_gets_image_nodes_and_whatever_sockets_it_names():
+def test_a_users_model_gets_image_nodes_and_the_sockets_it_names():
     model = ReflectanceModel(
         "velvet", "Velvet", Path("velvet.glsl"),
         (
@@ -178,7 +178,7 @@ def test_a_users_model_gets_image_nodes_and_whatever_sockets_it_names():
     np.testing.assert_allclose(pixels(bpy.data.images["IRPSO cloth pair"])[..., 0], maps.values["a"][..., 0], atol=1e-5)
 
 
-def test_settings_of_the_model_reach_the_principled_node_and_unknown_ones_are_named():
+def test_model_settings_reach_the_principled_node_and_unknown_ones_are_named():
     model = replace(
         load_model("principled"), material={"shader": "principled", "settings": {"IOR": 1.4, "Metallic": 0.25}}
     )
@@ -192,7 +192,7 @@ def test_settings_of_the_model_reach_the_principled_node_and_unknown_ones_are_na
     assert counts() == before
 
 
-def test_a_socket_that_principled_bsdf_lacks_is_named_and_nothing_is_made():
+def test_a_socket_missing_from_principled_bsdf_is_named_and_nothing_is_made():
     model = load_model("principled")
     odd = tuple(replace(p, socket="Roughnes") if p.name == "roughness" else p for p in model.parameters)
     before = counts()
@@ -305,7 +305,7 @@ def test_a_saved_file_holds_packed_images_and_the_session_keeps_its_name(tmp_pat
     assert len(bpy.data.materials) == 1
 
 
-def test_pictures_in_a_folder_beside_the_file_have_relative_paths_and_move_with_it(tmp_path):
+def test_pictures_beside_the_file_have_relative_paths_and_move_with_it(tmp_path):
     maps = random_maps(load_model("lambert"))
     apply_material(card_object("icon", *SHAPE), build_material(maps, "icon", tmp_path / "a" / "textures"))
     save_blend(tmp_path / "a" / "icon.blend")
@@ -370,7 +370,7 @@ def test_a_card_takes_the_proportions_of_other_maps_unless_it_was_edited():
     assert card.data.vertices[1].co.y == -np.float32(0.2)
 
 
-def test_what_is_recovered_from_something_else_gets_a_name_of_its_own():
+def test_maps_from_another_capture_get_a_new_name():
     found = random_maps(load_model("lambert"))
     assert subject_name("icon", "/a/icon") == "icon"
     build_material(found, "icon")[ORIGIN] = "/a/icon"

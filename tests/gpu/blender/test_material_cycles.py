@@ -167,7 +167,7 @@ def test_a_point_light_of_intensity_1_has_irradiance_pi_one_unit_away_and_falls_
     assert lights.point_intensity(lights.point_power(0.7)) == pytest.approx(0.7)
 
 
-def test_the_border_of_a_card_has_nothing_of_the_opposite_border(tmp_path):
+def test_a_cards_border_does_not_wrap_to_the_opposite_side(tmp_path):
     flat = np.broadcast_to(np.float32([0, 0, 1]), (4, 4, 3))
     albedo = np.repeat(np.float32([0.8, 0.5, 0.5, 0.0]), 3).reshape(1, 4, 3).repeat(4, axis=0)
     maps = Maps(load_model("lambert"), {"base_color": albedo, "normal": flat}, np.ones((4, 4), bool))
@@ -198,7 +198,7 @@ needs_metallic = pytest.mark.skipif(
 
 @needs_metallic
 @pytest.mark.parametrize("degrees", [20, 50])
-def test_the_two_lobe_material_renders_the_papers_model_but_for_its_masking_term(degrees, tmp_path):
+def test_the_two_lobe_material_renders_the_papers_model_except_the_masking_term(degrees, tmp_path):
     values, maps = cells_of(load_model("cook_torrance_two_lobe"), 2, tilt=30)
     light, view = tilted(degrees, 30), unit(0, 0, 1)
     rendered = render_model(maps, light, tmp_path)
@@ -294,7 +294,7 @@ def test_without_the_metallic_node_a_principled_node_is_the_ggx_lobe(tmp_path, m
 
 
 @pytest.mark.parametrize("metallic", [True, False])
-def test_the_fresnel_of_a_dielectric_can_be_asked_for(metallic, tmp_path, monkeypatch):
+def test_the_dielectric_fresnel_can_be_selected(metallic, tmp_path, monkeypatch):
     if not (metallic and two_lobe.has_metallic()):
         monkeypatch.setattr(two_lobe, "has_metallic", lambda: False)
     model = load_model("principled_two_lobe")

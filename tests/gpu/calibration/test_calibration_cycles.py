@@ -149,14 +149,14 @@ def test_directions_from_a_matte_ball_are_within_two_degrees(pictures, shot):
 
 @pytest.mark.parametrize("shot", SPOILED)
 @pytest.mark.parametrize(("kind", "worst"), [("mirror", 0.06), ("matte", 0.12)])
-def test_two_balls_tell_the_places_of_near_lights(pictures, shot, kind, worst):
+def test_two_balls_give_positions_of_near_lights(pictures, shot, kind, worst):
     result, vectors = found(pictures[1], kind, shot, 2)
     off = np.linalg.norm(vectors - PLACES, axis=1) / np.linalg.norm(PLACES - MIDDLE, axis=1)
     print(f"near, {kind}, {shot}: mean {off.mean():.1%}, largest {off.max():.1%}")
     assert result.near and off.max() < worst
 
 
-def test_two_balls_find_distant_lights_distant(pictures):
+def test_two_balls_recognise_distant_lights(pictures):
     result, vectors = found(pictures[0], "mirror", "blurred and noisy", 2)
     assert not result.near and "do not converge" in result.how
     assert degrees(vectors, LIGHTS).max() < 1.0
@@ -191,7 +191,7 @@ def test_the_command_writes_a_capture_that_holds_the_lights(folder, tmp_path):
     assert (out / "balls.png").stat().st_size > 10_000
 
 
-def test_a_table_keeps_all_but_its_lights(folder, tmp_path):
+def test_calibration_changes_only_the_lights_of_a_table(folder, tmp_path):
     rows = "".join(
         f'\n[[observation]]\nimage = "images/shot {n:02d}.exr"\nlight_direction = [0.0, 0.0, 1.0]\n'
         for n in range(len(LIGHTS))
@@ -232,7 +232,7 @@ def test_points_of_the_outline_count_from_the_upper_left(folder, tmp_path):
         (["--kind", "glass"], "choose from"),
     ],
 )
-def test_bad_input_is_told_in_one_line_and_nothing_is_written(folder, tmp_path, changed, words):
+def test_bad_input_is_reported_in_one_line_and_nothing_is_written(folder, tmp_path, changed, words):
     arguments = {"--ball": "70,60,30", "--kind": "mirror", "--fov": "40"} | {changed[0]: changed[1]}
     flat = [word for pair in arguments.items() for word in pair]
     before = listing(folder)

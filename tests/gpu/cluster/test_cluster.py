@@ -84,7 +84,7 @@ def alone(card, tmp_path_factory):
     return files_of(folder)
 
 
-def test_any_number_of_ranks_finds_to_the_bit_what_one_process_does(tmp_path):
+def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
     """Prime sizes, empty ranks, near lights, wide windows, seams; and other numbers of ranks after a checkpoint."""
     mpi_maker.start(7, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
@@ -95,7 +95,7 @@ def test_any_number_of_ranks_finds_to_the_bit_what_one_process_does(tmp_path):
     assert len({told["one process"] for told in found.values()}) == 5
 
 
-def test_a_mesh_with_seams_over_ranks_has_the_files_of_one_process(ball, tmp_path):
+def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_path):
     assert run_cli(*options_of(ball, STANDARD, tmp_path / "one"))[0] == 0
     code, told, err = mpi_maker.run(3, *options_of(ball, STANDARD, tmp_path / "out"))
     assert code == 0, err
@@ -120,7 +120,7 @@ def killed(command, variables, folder, victim):
     return job.returncode, time.monotonic() - started, err.decode()
 
 
-def test_a_killed_rank_ends_the_job_and_another_number_of_ranks_goes_on_to_the_same_files(card, alone, tmp_path):
+def test_a_killed_job_resumes_on_another_number_of_ranks_with_the_same_files(card, alone, tmp_path):
     options = options_of([card], WIDE, tmp_path / "out")
     noted = f'echo $$ > "{tmp_path}/pid$OMPI_COMM_WORLD_RANK";'
     # So often that one is there long before the end.
@@ -164,12 +164,12 @@ def test_a_rank_without_a_gpu_is_named(card, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_what_ranks_cannot_do_is_refused_once(card, tmp_path):
+def test_unsupported_options_of_ranks_are_refused_once(card, tmp_path):
     code, told, err = mpi_maker.run(2, *options_of([card], [*WIDE, "--set", "levels=2"], tmp_path / "out"))
     assert code == 2 and "levels" in told["error"] and err.count("irpso: ") == 1
 
 
-def test_every_slot_by_itself_or_a_list_of_recoveries_is_not_for_ranks(ball, card, tmp_path):
+def test_ranks_refuse_separate_slots_and_batches(ball, card, tmp_path):
     code, told, _ = mpi_maker.run(2, *options_of([*ball, "--slots", "each"], STANDARD, tmp_path / "out"))
     assert code == 2 and "--slots each" in told["error"]
     (tmp_path / "list.toml").write_text('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\n')
@@ -178,7 +178,7 @@ def test_every_slot_by_itself_or_a_list_of_recoveries_is_not_for_ranks(ball, car
     assert not (tmp_path / "out").exists()
 
 
-def test_processes_that_cannot_find_one_another_are_refused(card, tmp_path, monkeypatch):
+def test_processes_of_an_mpi_job_without_mpi4py_are_refused(card, tmp_path, monkeypatch):
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     monkeypatch.setitem(sys.modules, "mpi4py", None)  # as where it is not installed
     code, out, _ = run_cli(*options_of([card], WIDE, tmp_path / "out"))
@@ -186,7 +186,7 @@ def test_processes_that_cannot_find_one_another_are_refused(card, tmp_path, monk
     assert not (tmp_path / "out").exists()
 
 
-def test_ranks_know_of_the_noise_of_8_bit_files_too(tmp_path):
+def test_ranks_share_the_noise_of_8_bit_files(tmp_path):
     (tmp_path / "card").mkdir()
     images = cli_maker.render_oracle("lambert", cli_maker.smooth_maps(SHAPE, {}, seed=5), LIGHTS)
     for number, image in enumerate(images):

@@ -47,7 +47,7 @@ def maps_of(folder):
     return {name: np.stack(list(part.values())) for name, part in read_exr(folder / "maps.exr").items()}
 
 
-def test_a_batch_is_its_recoveries_and_one_report_and_does_nothing_twice(listed, monkeypatch):
+def test_a_batch_writes_its_recoveries_and_one_report_and_skips_finished_jobs(listed, monkeypatch):
     out = listed / "out"
     code, _, err = run_cli("batch", listed / "list.toml", "-o", out)
     assert code == 2 and "irpso: none: " in err and "not there" in err
@@ -66,7 +66,7 @@ def test_a_batch_is_its_recoveries_and_one_report_and_does_nothing_twice(listed,
     assert begun == [str(out / "none")] and (out / "first" / "maps.exr").stat().st_mtime_ns == kept
 
 
-def test_a_job_whose_options_have_changed_or_whose_result_is_gone_is_run_again(listed, monkeypatch):
+def test_a_job_with_changed_options_or_a_missing_result_runs_again(listed, monkeypatch):
     out, begun = listed / "out", []
     result = {"texels": 1}
 
@@ -96,7 +96,7 @@ def test_a_job_whose_options_have_changed_or_whose_result_is_gone_is_run_again(l
     assert run_cli(*arguments, "--only", "second")[0] == 0 and begun == [("second", False)]
 
 
-def test_a_checkpoint_that_is_of_no_use_does_not_stop_its_job_for_ever(listed):
+def test_a_useless_checkpoint_does_not_block_its_job(listed):
     out, (job, *_) = listed / "out", batch.read_list(listed / "list.toml", build_parser().parse_args)
     (out / "first").mkdir(parents=True)
     (out / "first" / "checkpoint.npz").write_bytes(b"cut off in its middle")
@@ -106,7 +106,7 @@ def test_a_checkpoint_that_is_of_no_use_does_not_stop_its_job_for_ever(listed):
     assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
 
 
-def test_a_list_that_is_named_otherwise_or_lies_elsewhere_has_the_same_jobs(listed, monkeypatch):
+def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
     out = listed / "out"
     assert run_cli("batch", listed / "list.toml", "-o", out, "--only", "first", "--quiet")[0] == 0
     monkeypatch.chdir(listed)
@@ -128,7 +128,7 @@ def test_a_list_that_is_named_otherwise_or_lies_elsewhere_has_the_same_jobs(list
         ("[[job]\n", "is not valid TOML"),
     ],
 )
-def test_a_list_that_is_not_understood_is_told_before_anything_is_run(text, told, tmp_path):
+def test_an_invalid_list_is_reported_before_any_job_runs(text, told, tmp_path):
     path = tmp_path / "list.toml"
     path.write_text(text, encoding="utf-8")
     code, _, err = run_cli("batch", path, "-o", tmp_path / "out")
@@ -136,12 +136,12 @@ def test_a_list_that_is_not_understood_is_told_before_anything_is_run(text, told
     assert not (tmp_path / "out").exists()
 
 
-def test_a_name_that_the_list_does_not_have_is_refused(listed):
+def test_an_unknown_job_name_is_refused(listed):
     code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out", "--only", "third")
     assert code == 2 and "first, none, second" in err
 
 
-def test_defaults_of_meshes_are_not_for_cards(tmp_path):
+def test_mesh_defaults_do_not_apply_to_cards(tmp_path):
     text = '[defaults]\nresolution = 64\n[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\nblend = "b.blend"\n'
     (tmp_path / "list.toml").write_text(text, encoding="utf-8")
     card, mesh = batch.read_list(tmp_path / "list.toml", build_parser().parse_args)

@@ -43,7 +43,7 @@ def start(capture, out, *more):
     return subprocess.Popen([str(word) for word in command], cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_run_that_is_killed_again_and_again_ends_in_the_same_maps_bit_for_bit(capture, tmp_path):
+def test_a_run_killed_repeatedly_gives_the_same_maps_bit_for_bit(capture, tmp_path):
     assert run_cli("recover", capture, *OPTIONS, "--quiet", "-o", tmp_path / "whole")[0] == 0
     out, checkpoint = tmp_path / "out", tmp_path / "out" / "checkpoint.npz"
     chosen = random.Random(4)
@@ -66,7 +66,7 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_maps_bit_for_bit(
     assert {path.name for path in out.iterdir()} == {path.name for path in (tmp_path / "whole").iterdir()}
 
 
-def test_a_run_goes_on_by_the_kind_of_pass_that_it_was_begun_with(capture, tmp_path):
+def test_a_resumed_run_keeps_its_kind_of_pass(capture, tmp_path):
     out = tmp_path / "out"
     run = start(capture, out, "--entry", "compute")
     deadline = time.monotonic() + 100
@@ -115,7 +115,7 @@ class NoHistory:
         assert not notes
 
 
-def test_the_seconds_of_a_run_are_those_of_all_its_goes(tmp_path):
+def test_the_seconds_of_a_run_sum_over_its_resumes(tmp_path):
     class GoneOnWith(FullDisk):
         def load(self, path):
             return {"seconds": np.array(700.0)}
@@ -128,7 +128,7 @@ def test_the_seconds_of_a_run_are_those_of_all_its_goes(tmp_path):
     assert 700 < run.noted <= seconds < 760
 
 
-def test_a_checkpoint_that_is_of_no_use_is_refused_before_anything_slow(capture, tmp_path, monkeypatch):
+def test_a_useless_checkpoint_is_refused_before_anything_slow(capture, tmp_path, monkeypatch):
     monkeypatch.setattr("irpso_addon.gpu.probe.probe", lambda: pytest.fail("it asked the GPU"))
     (tmp_path / "checkpoint.npz").write_bytes(b"PK cut")
     code, _, err = run_cli("recover", capture, *OPTIONS, "--resume", "-o", tmp_path)
@@ -139,7 +139,7 @@ def test_a_checkpoint_that_is_of_no_use_is_refused_before_anything_slow(capture,
     assert code == 2 and "is a folder" in err
 
 
-def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(tmp_path, capsys):
+def test_a_checkpoint_without_disk_space_is_reported_once_and_keeps_the_old_one(tmp_path, capsys):
     path = tmp_path / "checkpoint.npz"
     path.write_bytes(b"the one before")
     run = FullDisk(fails=True)
@@ -150,14 +150,14 @@ def test_a_checkpoint_that_finds_no_room_is_told_once_and_leaves_the_one_before(
     assert path.read_bytes() == b"the one before" and [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_checkpoints_come_when_their_time_has(tmp_path):
+def test_checkpoints_are_written_at_their_interval(tmp_path):
     runs = [FullDisk(fails=False) for _ in range(3)]
     for run, every in zip(runs, (0.0, 3600.0, None), strict=True):
         drive.drive(run, NoHistory(), drive.Saving(tmp_path / "checkpoint.npz", every=every), quiet=True)
     assert [run.saved for run in runs] == [4, 0, 0]
 
 
-def test_what_a_killed_run_left_half_written_is_removed_by_the_next(tmp_path):
+def test_the_next_run_removes_half_written_files(tmp_path):
     left, other = tmp_path / ".checkpoint.partial-123.npz", tmp_path / "notes.partial-1.npz"
     left.touch(), other.touch()
     drive.drive(FullDisk(fails=False), NoHistory(), drive.Saving(tmp_path / "checkpoint.npz"), quiet=True)
@@ -165,7 +165,7 @@ def test_what_a_killed_run_left_half_written_is_removed_by_the_next(tmp_path):
 
 
 @pytest.mark.parametrize("seconds", ["-1", "nan", "inf"])
-def test_a_time_between_checkpoints_that_is_none_is_refused(seconds, capture, tmp_path):
+def test_an_invalid_checkpoint_interval_is_refused(seconds, capture, tmp_path):
     code, _, err = run_cli("recover", capture, "--checkpoint-every", seconds, "-o", tmp_path / "out")
     assert code == 2 and "--checkpoint-every" in err and not (tmp_path / "out").exists()
     with pytest.raises(InputError):

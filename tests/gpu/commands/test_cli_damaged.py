@@ -60,7 +60,7 @@ def test_a_damaged_image_is_refused_in_one_line_that_names_the_option(card, tmp_
     assert code == 0 and "8, 1 more left out" in out and "003.exr: is cut short" in out
 
 
-def test_what_is_left_out_is_named_and_the_rest_recovered_as_if_it_had_never_been(card, expected, tmp_path):
+def test_left_out_images_are_named_and_do_not_affect_the_maps(card, expected, tmp_path):
     out = tmp_path / "out"
     code, said, _ = run_cli("recover", card, *OPTIONS, "--hold-out", "6", "--skip-damaged", "-o", out)
     assert code == 0 and "warning: left out: " in said and "003.exr: is cut short" in said
@@ -76,7 +76,7 @@ def test_a_held_out_image_that_is_damaged_is_left_out_like_any_other(card, tmp_p
     assert code == 0 and "003.exr" in said and "dB" not in said
 
 
-def test_too_few_images_that_are_left_are_refused(card, tmp_path):
+def test_too_few_remaining_images_are_refused(card, tmp_path):
     shutil.copytree(card, tmp_path / "card")
     for k in range(2, COUNT):
         (tmp_path / "card" / f"{k:03d}.exr").unlink(missing_ok=True)
@@ -84,7 +84,7 @@ def test_too_few_images_that_are_left_are_refused(card, tmp_path):
     assert code == 2 and "has 2 lights; a normal needs at least three" in err and not (tmp_path / "out").exists()
 
 
-def test_a_batch_leaves_it_out_too(card, expected, tmp_path):
+def test_a_batch_leaves_damaged_images_out(card, expected, tmp_path):
     words = 'model = "lambert"\npreset = "swarm"\niterations = 12\nseed = 3\nentry = "fragment"\n'
     (tmp_path / "list.toml").write_text(
         f'[defaults]\n{words}skip_damaged = true\nhold_out = "6"\n'
@@ -96,7 +96,7 @@ def test_a_batch_leaves_it_out_too(card, expected, tmp_path):
     assert "left out" in str(json.loads(said)["jobs"][0]["result"]["warnings"])
 
 
-def test_a_run_that_was_interrupted_goes_on_without_it(card, expected, tmp_path, monkeypatch):
+def test_a_resumed_run_leaves_the_same_image_out(card, expected, tmp_path, monkeypatch):
     from irpso_addon.solver.engine.recovery import Recovery
 
     step, out = Recovery.step, tmp_path / "out"

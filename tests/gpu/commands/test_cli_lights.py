@@ -35,7 +35,7 @@ def recover(capture, out, *options):
     return json.loads(said), json.loads((out / "report.json").read_text())
 
 
-def test_estimated_intensities_make_the_maps_right_and_relight_what_was_held_out(tmp_path, capture, truth, factors):
+def test_estimated_intensities_correct_the_maps_and_relight_held_out_images(tmp_path, capture, truth, factors):
     said, report = recover(capture, tmp_path / "out", "--intensities", "estimate", "--hold-out", HELD_OUT)
     assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
     assert report["settings"]["intensities"] == "estimate"
@@ -45,16 +45,14 @@ def test_estimated_intensities_make_the_maps_right_and_relight_what_was_held_out
     assert said["warnings"] == []
 
 
-def test_intensities_that_are_taken_as_1_and_are_not_are_warned_of_with_the_remedy(tmp_path, capture, truth):
+def test_wrong_default_intensities_get_a_warning_with_the_remedy(tmp_path, capture, truth):
     _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0", "--intensities", "given")
     assert any("--intensities estimate" in line for line in report["warnings"])
     assert "lights" not in report
     assert np.median(angle(read_map(tmp_path / "out" / "normal.exr"), truth["normal"])) > 5
 
 
-def test_intensities_that_the_images_contradict_are_estimated_unasked_and_that_is_said(
-    tmp_path, capture, truth, factors
-):
+def test_contradicted_intensities_are_estimated_and_reported(tmp_path, capture, truth, factors):
     _, report = recover(capture, tmp_path / "whole", "--set", "prior_rounds=0")
     assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
     assert ["so they were estimated" in line for line in report["warnings"]] == [True]
@@ -65,13 +63,13 @@ def test_intensities_that_the_images_contradict_are_estimated_unasked_and_that_i
     np.testing.assert_array_equal(read_map(tmp_path / "tiles" / "normal.exr"), normal)
 
 
-def test_intensities_that_are_right_are_left_alone(tmp_path, truth):
+def test_correct_intensities_are_not_changed(tmp_path, truth):
     capture = write_card(tmp_path / "equal", render_oracle("lambert", truth, LIGHTS), LIGHTS)
     _, report = recover(capture, tmp_path / "out", "--set", "prior_rounds=0")
     assert "lights" not in report and report["warnings"] == []
 
 
-def test_lights_that_lie_close_together_do_not_tell_their_intensities(tmp_path, truth, factors):
+def test_close_lights_do_not_determine_their_intensities(tmp_path, truth, factors):
     narrow = dome_lights(12, widest=22)
     images = render_oracle("lambert", truth, narrow) * factors[:, None, None]
     _, report = recover(write_card(tmp_path / "narrow", images, narrow), tmp_path / "out", "--set", "prior_rounds=0")
@@ -79,7 +77,7 @@ def test_lights_that_lie_close_together_do_not_tell_their_intensities(tmp_path, 
     assert any("too close together" in line for line in report["warnings"])
 
 
-def test_directions_are_refined_and_those_that_are_right_raise_no_warning(tmp_path, truth):
+def test_directions_are_refined_and_correct_ones_raise_no_warning(tmp_path, truth):
     rng = np.random.default_rng(3)
     wrong = LIGHTS + np.radians(2) * rng.normal(size=LIGHTS.shape)
     wrong /= np.linalg.norm(wrong, axis=-1, keepdims=True)
@@ -92,7 +90,7 @@ def test_directions_are_refined_and_those_that_are_right_raise_no_warning(tmp_pa
 
 
 @pytest.mark.parametrize("degrees", ["-1", "21", "nan"])
-def test_directions_that_are_too_far_off_are_refused_before_anything_is_written(tmp_path, capture, degrees):
+def test_directions_too_far_off_are_refused_before_anything_is_written(tmp_path, capture, degrees):
     code, _, error = run_cli("recover", capture, "-o", tmp_path / "out", f"--refine-directions={degrees}")
     assert code == 2
     assert "--refine-directions" in error and "20" in error

@@ -94,7 +94,7 @@ def test_a_stack_on_a_disk_keeps_the_lights_of_the_report_in_the_order_of_the_fi
     assert found[0] == found[1]
 
 
-def test_tiles_that_are_interrupted_go_on_to_the_same_files(capture, whole, tmp_path, monkeypatch):
+def test_interrupted_tiles_resume_to_the_same_files(capture, whole, tmp_path, monkeypatch):
     options = [*options_of(capture, tmp_path / "out"), "--memory", TURNS]
     step, calls = TiledRecovery.step, []
 
@@ -121,7 +121,7 @@ def test_tiles_that_are_interrupted_go_on_to_the_same_files(capture, whole, tmp_
         ("device=1M,host=10M", r"--memory host=10.0 MiB \(--memory\): the recovery needs .* even"),
     ],
 )
-def test_memory_that_will_not_do_is_refused_in_one_line(capture, memory, words, tmp_path):
+def test_insufficient_memory_is_refused_in_one_line(capture, memory, words, tmp_path):
     for more in ([], ["--dry-run"]):
         code, out, err = run_cli(*options_of(capture, tmp_path / "out", "--memory", memory, *more))
         assert code == 2 and re.search(words, json.loads(out)["error"])

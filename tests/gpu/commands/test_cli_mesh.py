@@ -92,7 +92,7 @@ def seen_texels(folder):
     return coverage[::-1] > 0
 
 
-def test_maps_rendered_onto_a_mesh_come_back_where_they_are_seen(ball):
+def test_maps_of_a_mesh_are_recovered_where_they_are_seen(ball):
     folder, values = ball
     found = read_maps(folder / "out", load_model("principled"))
     seen = seen_texels(folder / "out")
@@ -108,7 +108,7 @@ def test_maps_rendered_onto_a_mesh_come_back_where_they_are_seen(ball):
     assert normal.mean() < 0.4 and color.mean() < 2.0 and np.median(rough) < 12
 
 
-def test_a_known_normal_map_of_a_mesh_leaves_albedo_and_roughness_to_be_found(ball):
+def test_albedo_and_roughness_are_recovered_under_a_known_normal_map(ball):
     folder, values = ball
     normal = values["normal"].astype(np.float32)
     write_exr(folder / "normal.exr", {"": {c: normal[..., i] for i, c in enumerate("RGB")}})

@@ -79,7 +79,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_result_holds_all_files_and_no_other(name, recovered):
+def test_a_result_holds_exactly_its_files(name, recovered):
     _, out, _ = recovered(name)
     pictures = {f"{stem}.{kind}" for stem in FILES[name] for kind in ("png", "exr")}
     pictures |= {"confidence.png"} if name != "lambert" else set()  # which has no number that is searched
@@ -144,7 +144,7 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_a_material_comes_back_from_its_images(name, recovered):
+def test_a_material_is_recovered_from_its_images(name, recovered):
     from irpso_addon.reflectance.model import load_model
     from irpso_addon.results.read import read_maps
 
@@ -193,7 +193,7 @@ def test_the_report_measures_errors_against_ground_truth(recovered, tmp_path):
     assert answer["relighting_psnr_db"]["light 3"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.05)
 
 
-def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
+def test_highlights_of_held_out_images_are_measured_separately(tmp_path):
     lights = cli_maker.dome_lights(20, widest=30)
     values = cli_maker.smooth_maps((24, 30), {"roughness": (0.3, 0.4), "specular": (1.0, 1.0)})
     images = cli_maker.render_oracle("principled", values, lights)
@@ -225,7 +225,7 @@ def test_highlights_of_what_was_held_out_are_measured_alone(tmp_path):
     assert shown
 
 
-def test_what_is_known_is_not_searched(recovered, tmp_path):
+def test_fixed_parameters_are_not_searched(recovered, tmp_path):
     values, out, _ = recovered("principled")
     code, _, _ = run_cli(
         "recover", out.parent / "principled", "--fixed", f"normal={out / 'normal.exr'}", "--fixed", "specular=0.25",
@@ -250,7 +250,7 @@ def test_running_again_into_a_folder_updates_it_and_leaves_the_users_files(recov
     assert json.loads((folder / "report.json").read_text(encoding="utf-8"))["model"] == "lambert"
 
 
-def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered, tmp_path):
+def test_an_interrupted_recovery_resumes_to_the_same_maps_bit_for_bit(recovered, tmp_path):
     _, out, _ = recovered("principled")
     capture = out.parent / "principled"
     options = ["recover", capture, "--iterations", "1200", "--seed", "9"]
@@ -286,7 +286,7 @@ def test_an_interrupted_recovery_goes_on_to_the_same_maps_bit_for_bit(recovered,
         assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
-def test_a_live_picture_shows_the_maps_so_far_until_the_result_is_there(recovered, tmp_path, monkeypatch):
+def test_a_live_picture_shows_the_current_maps_until_the_result_exists(recovered, tmp_path, monkeypatch):
     from irpso_addon.pipeline import live
 
     _, out, _ = recovered("lambert")
@@ -370,7 +370,7 @@ def test_inspect_finds_no_error_in_real_captures(name, shared_data):
     assert facts["camera"].startswith(size)
 
 
-def test_doctor_names_the_gpu_its_limits_and_what_will_be_used():
+def test_doctor_names_the_gpu_its_limits_and_the_choices():
     import bpy
     import gpu
 

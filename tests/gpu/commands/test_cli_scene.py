@@ -69,7 +69,7 @@ def card(tmp_path_factory):
     return folder, albedo
 
 
-def test_a_scene_is_read_where_no_interface_is_registered(card):
+def test_a_scene_is_read_without_the_interface(card):
     folder, _ = card
     bpy.ops.wm.open_mainfile(filepath=str(folder / "desk.blend"))
     assert not hasattr(bpy.context.scene.objects["Lamp 0"], "irpso")
@@ -88,7 +88,7 @@ def test_recover_takes_a_scene_for_its_capture(card):
     assert json.loads(out.splitlines()[-1])["plan"]["observations"] == 12
 
 
-def test_what_a_scene_is_photographed_with_gives_back_what_was_photographed(card):
+def test_a_rendered_scene_recovers_its_own_material(card):
     folder, albedo = card
     bpy.ops.wm.open_mainfile(filepath=str(folder / "desk.blend"))
     domain = domain_from_mesh(capture_of_open_file(), extract_mesh(bpy.data.objects["Card"]), SIZE, SIZE)
@@ -108,7 +108,7 @@ def test_what_a_scene_is_photographed_with_gives_back_what_was_photographed(card
     ("options", "words"),
     [(["--blend", "other.blend"], "the capture is a scene, which has the mesh in it"), ([], "no light of this scene")],
 )
-def test_a_scene_that_cannot_be_recovered_is_told(tmp_path, options, words):
+def test_a_scene_that_cannot_be_recovered_is_reported(tmp_path, options, words):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.mesh.primitive_plane_add(size=2)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))

@@ -115,14 +115,14 @@ def done(*arguments):
     return json.loads(out.splitlines()[-1])
 
 
-def test_udim_maps_are_rendered_as_those_of_one_square_are(folder):
+def test_udim_maps_render_like_maps_of_one_square(folder):
     for k in (0, 7, 13):
         of_tiles, of_one = (read_map(folder / f"capture {name}" / f"{k:03d}.exr") for name in ("udim", "single"))
         assert of_one[..., :3].max() > 0.3
         np.testing.assert_allclose(of_tiles, of_one, atol=1e-6)
 
 
-def test_each_tile_has_files_of_its_own_that_hold_what_one_square_holds_bit_for_bit(folder):
+def test_the_files_of_each_tile_equal_one_square_bit_for_bit(folder):
     tiles, one = folder / "out udim", folder / "out single"
     for stem in ("base_color", "normal", "residual"):
         parts = [read_map(tiles / f"{stem}.{number}.exr") for number in TILES]
@@ -143,7 +143,7 @@ def read_map_part(path, name):
         return part.channels["Y"].pixels[::-1]
 
 
-def test_what_is_recovered_is_the_truth_and_the_report_says_so(folder):
+def test_recovered_udim_maps_match_the_truth_and_the_report_agrees(folder):
     found = read_maps(folder / "out udim", load_model("lambert"), TILES)
     fixed = truth()
     inside = np.concatenate([read_map_part(folder / "out udim" / f"maps.{n}.exr", "coverage") for n in TILES], 1) > 0
@@ -208,7 +208,7 @@ def test_cycles_renders_the_tiled_material_as_that_of_one_square_and_as_it_was_p
     assert against.mean() < 0.03
 
 
-def test_slots_that_share_the_square_are_refused_together_and_recovered_one_by_one(folder):
+def test_slots_with_overlapping_uvs_are_refused_together_and_recovered_one_by_one(folder):
     start = "recover", folder / "capture single", "--blend", folder / "shared.blend", "--resolution", SIDE, *MODEL
     code, _, err = run_cli(*start, "-o", folder / "refused", "--quiet")
     assert code == 2 and "overlaps itself over 100 %" in err and not (folder / "refused").exists()
@@ -241,7 +241,7 @@ def test_a_material_of_several_slots_goes_into_all_of_them_and_keeps_its_name(fo
     assert [slot.material.name for slot in bpy.data.objects["Sheets"].material_slots] == ["IRPSO Sheets Skin", "Cloth"]
 
 
-def test_each_slot_in_turn_gives_what_it_gives_alone_and_one_file_holds_all_materials(folder, tmp_path):
+def test_slots_in_turn_equal_single_slots_and_one_file_holds_all_materials(folder, tmp_path):
     said = recover(folder, "shared", tmp_path / "out", "--resolution", SIDE, "--slots", "each")
     assert list(said["slots"]) == list(SLOTS)
     assert json.loads((tmp_path / "out" / "report.json").read_text())["texels"] == said["texels"] > SIDE * SIDE
@@ -256,7 +256,7 @@ def test_each_slot_in_turn_gives_what_it_gives_alone_and_one_file_holds_all_mate
     assert held == [f"IRPSO Sheets {name}" for name in SLOTS]
 
 
-def test_what_is_not_asked_for_has_no_texels_but_hides_what_lies_behind(folder, tmp_path):
+def test_other_slots_have_no_texels_but_occlude(folder, tmp_path):
     cli_maker.save_scene(tmp_path / "covered.blend", sheets("shared", cover=True))
     done(
         "recover", folder / "capture single", "--blend", tmp_path / "covered.blend", "--resolution", SIDE, "--slots",

@@ -68,7 +68,7 @@ def float64_error(domain, model, values):
 # ---- looking -----------------------------------------------------------------------------------------------------
 
 
-def test_looking_between_slices_changes_no_bit(whole, recover):
+def test_reading_maps_between_slices_changes_no_bit(whole, recover):
     domain, model, schedule, wanted = whole
     recovery = recover(domain, model, schedule)
     slices = looks = 0
@@ -93,7 +93,7 @@ def test_the_first_picture_is_the_seed(recover):
     np.testing.assert_array_equal(lent_values(recovery)["normal"][domain.solvable], normal[domain.solvable])
 
 
-def test_the_picture_is_that_of_the_iteration_that_was_made_last(recover):
+def test_the_picture_shows_the_last_iteration(recover):
     model, schedule = RUNS["one"]
     recovery = recover(observed(model), model, schedule)
     recovery.step(iterations=0)
@@ -117,7 +117,7 @@ def test_the_mean_error_is_that_of_float64(recover):
     assert wanted > 1e-4
 
 
-def test_the_mean_error_of_a_part_is_near_that_of_all(recover, monkeypatch):
+def test_the_sampled_mean_error_is_near_the_full_one(recover, monkeypatch):
     from irpso_addon.solver.engine import diagnostics as findings
 
     monkeypatch.setattr(findings, "_SAMPLED", 100)
@@ -130,7 +130,7 @@ def test_the_mean_error_of_a_part_is_near_that_of_all(recover, monkeypatch):
     assert abs(found - residual.mean()) < 4 * error and found != pytest.approx(residual.mean(), rel=1e-6)
 
 
-def test_confidence_found_in_slices_is_that_found_at_once(whole, recover):
+def test_confidence_in_slices_equals_confidence_at_once(whole, recover):
     domain, model, schedule, _ = whole
     found = []
     for sliced in (False, True):
@@ -146,7 +146,7 @@ def test_confidence_found_in_slices_is_that_found_at_once(whole, recover):
     assert found[0] == found[1]
 
 
-def test_confidence_after_another_step_is_of_that_step(whole, recover):
+def test_confidence_follows_a_further_step(whole, recover):
     domain, model, schedule, _ = whole
     first, second = recover(domain, model, schedule), recover(domain, model, schedule)
     first.step(iterations=2)
@@ -162,7 +162,7 @@ def test_confidence_after_another_step_is_of_that_step(whole, recover):
 
 
 @pytest.mark.parametrize("stop", [0, 2, 5, 8, 12, 17])
-def test_a_run_changed_to_the_same_settings_goes_on_bit_for_bit(whole, recover, stop):
+def test_reconfiguring_to_the_same_settings_changes_no_bit(whole, recover, stop):
     domain, model, schedule, wanted = whole
     first = recover(domain, model, schedule)
     first.step(iterations=stop)
@@ -175,7 +175,7 @@ def test_a_run_changed_to_the_same_settings_goes_on_bit_for_bit(whole, recover, 
     second.close()
 
 
-def test_constants_that_are_changed_count_from_the_next_iteration_on(recover):
+def test_changed_constants_apply_from_the_next_iteration(recover):
     model, schedule = RUNS["one"]
     still = schedule.replaced(c1=0.0, c2=0.0, c3=0.0, inertia=0.0, neighbour_every=0)  # Eq. 2 with nothing left in it
     first = recover(observed(model), model, schedule)
@@ -190,7 +190,7 @@ def test_constants_that_are_changed_count_from_the_next_iteration_on(recover):
     second.close()
 
 
-def test_stages_that_are_finished_are_not_made_again(recover):
+def test_finished_stages_do_not_run_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
     first.step(iterations=5 + 2)
     assert first.progress.stage == 1
@@ -211,7 +211,7 @@ def test_stages_that_are_finished_are_not_made_again(recover):
     ],
     ids=str,
 )
-def test_swarms_that_begin_anew_begin_at_what_has_been_found(recover, change):
+def test_restarted_swarms_begin_at_the_current_best(recover, change):
     domain, truth = subject(model=TWO_LOBES.name, observations=12)
     schedule = SHORT.replaced(iterations=40, seed="lambert", seeded=0.5, particles=6)
     first = recover(domain, TWO_LOBES, schedule, fixed={"base_color": truth["base_color"]})
@@ -230,7 +230,7 @@ def test_swarms_that_begin_anew_begin_at_what_has_been_found(recover, change):
     second.close()
 
 
-def test_another_fitness_weighs_the_samples_anew(recover):
+def test_another_fitness_reweights_the_samples(recover):
     domain = observed(LAMBERT)
     schedule = SHORT.replaced(seed="lambert", shadow=0.0)
     first = recover(domain, LAMBERT, schedule)
@@ -251,7 +251,7 @@ def test_another_fitness_weighs_the_samples_anew(recover):
 @pytest.mark.parametrize(
     ("change", "word"), [({"search": ["glitter"]}, "glitter"), ({"update": "all", "particles": 99}, "particles")]
 )
-def test_settings_that_do_not_fit_leave_the_run_as_it_was(whole, recover, change, word):
+def test_unsuitable_settings_leave_the_run_unchanged(whole, recover, change, word):
     domain, model, schedule, wanted = whole
     recovery = recover(domain, model, schedule)
     recovery.step(iterations=2)
@@ -263,7 +263,7 @@ def test_settings_that_do_not_fit_leave_the_run_as_it_was(whole, recover, change
     assert bits_of(recovery.maps()) == wanted
 
 
-def test_a_run_that_is_done_stays_done_where_nothing_new_is_asked_for(whole, recover):
+def test_a_finished_run_stays_finished_without_new_work(whole, recover):
     domain, model, schedule, wanted = whole
     first = recover(domain, model, schedule)
     first.step()
@@ -272,7 +272,7 @@ def test_a_run_that_is_done_stays_done_where_nothing_new_is_asked_for(whole, rec
     second.close()
 
 
-def test_a_run_over_several_sizes_is_changed_at_the_size_it_is_at(recover):
+def test_a_pyramid_is_reconfigured_at_its_current_level(recover):
     domain, _ = subject(24, 20, observations=8)
     schedule = SHORT.replaced(iterations=6, levels=2, level_iterations=0.5)
     with Pyramid(domain, LAMBERT, schedule, 1, entry="fragment") as whole:
@@ -290,7 +290,7 @@ def test_a_run_over_several_sizes_is_changed_at_the_size_it_is_at(recover):
     second.close()
 
 
-def test_a_run_in_tiles_tells_its_error_in_slices_and_takes_no_other_settings(monkeypatch):
+def test_a_tiled_run_measures_its_error_in_slices_and_refuses_reconfiguration(monkeypatch):
     monkeypatch.setattr("irpso_addon.solver.engine.lockstep.BAND_SECONDS", 1e-6)  # these tiles are small
     domain, _ = subject(16, 16, holes=False, observations=6)
     boxes = [(0, 0, 16, 8), (0, 8, 16, 8)]

@@ -47,7 +47,7 @@ def test_a_texture_set_holds_each_map_under_the_usual_names(tmp_path):
     ("convention", "name", "turned"),
     [("unreal", "T_leaf_N", True), ("unity", "leaf_Normal", False), ("substance", "leaf_Normal_DirectX", True)],
 )
-def test_a_program_gets_the_normals_that_it_expects(convention, name, turned, tmp_path):
+def test_each_program_gets_its_normal_convention(convention, name, turned, tmp_path):
     result = result_of("principled")
     textures.write_textures(result, tmp_path, convention)
     green = picture(tmp_path / f"{name}.png")[..., 1] * 2 - 1
@@ -105,7 +105,7 @@ def test_openlimes_layer_looks_like_the_material(name, bound, tmp_path):
     assert error < bound
 
 
-def test_what_is_outside_is_transparent_in_openlime(tmp_path):
+def test_uncovered_texels_are_transparent_in_openlime(tmp_path):
     covered = np.ones(SHAPE, bool)
     covered[:4] = False
     openlime.write_openlime(result_of("principled", covered=covered), tmp_path)
@@ -137,7 +137,7 @@ def read_ptm(path):
     return found
 
 
-def test_a_ptm_shows_the_material_under_lights_that_it_was_not_fitted_to(tmp_path):
+def test_a_ptm_relights_the_material_under_unseen_lights(tmp_path):
     covered = np.ones(SHAPE, bool)
     covered[:, :3] = False
     result = result_of("lambert", covered=covered, tilt=15)
@@ -152,7 +152,7 @@ def test_a_ptm_shows_the_material_under_lights_that_it_was_not_fitted_to(tmp_pat
     assert np.abs(shown[:, ~covered]).max() < 3
 
 
-def test_the_coefficients_are_the_least_squares_ones_but_for_their_bytes(tmp_path):
+def test_ptm_coefficients_are_least_squares_up_to_quantisation(tmp_path):
     result = result_of("principled")
     ptm.write_ptm(result, tmp_path / "leaf.ptm")
     found = read_ptm(tmp_path / "leaf.ptm")
@@ -180,7 +180,7 @@ def folder(tmp_path):
     return tmp_path / "leaf"
 
 
-def test_a_results_folder_is_read_as_it_was_written(folder):
+def test_a_result_folder_reads_back_as_written(folder):
     found = read_result(folder)
     assert found.name == "leaf" and found.blend == folder / "material.blend" and found.height.unit == "world"
     assert found.maps.covered.any() and not found.maps.covered.all()
@@ -207,7 +207,7 @@ def test_a_file_can_be_named(folder, tmp_path):
     assert (code, err) == (0, "") and read_glb(tmp_path / "mine.glb")[0]["asset"]["version"] == "2.0"
 
 
-def test_what_cannot_be_exported_is_refused_in_one_line_with_nothing_written(folder, tmp_path):
+def test_unexportable_results_are_refused_in_one_line_with_nothing_written(folder, tmp_path):
     out = tmp_path / "out"
 
     def refused(*options):
@@ -231,7 +231,7 @@ def test_an_unknown_normal_map_is_refused_before_anything_is_read(tmp_path):
     assert code == 2 and "'tangant' is not a normal map; choose some of object, world, directx" in err
 
 
-def test_recover_writes_what_is_asked_for_besides(tmp_path):
+def test_recover_writes_the_requested_exports(tmp_path):
     lights = cli_maker.dome_lights(12, widest=60)
     values = cli_maker.smooth_maps(SHAPE, {}, seed=3)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]

@@ -119,7 +119,7 @@ def test_blenders_exporter_alone_carries_all_maps_but_specular(tmp_path):
     assert specular.shape[-1] < 4 or (specular[..., 3] == 1).all()
 
 
-def test_two_lobes_become_one_with_the_error_told(tmp_path):
+def test_two_lobes_become_one_and_the_error_is_reported(tmp_path):
     result, obj = on_a_sheet("cook_torrance_two_lobe")
     found = gltf.write_gltf(result, tmp_path / "leaf.glb", obj)
     assert 0.05 < found["one_lobe_error"]["median"] < 0.5

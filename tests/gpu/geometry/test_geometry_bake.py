@@ -130,7 +130,7 @@ def test_a_surface_that_passes_behind_the_camera_is_cut_at_the_camera():
 
 
 @pytest.mark.parametrize("name", ["perspective off centre", "orthographic"])
-def test_what_a_pixel_sees_projects_back_onto_its_centre(name):
+def test_the_surface_point_of_a_pixel_projects_to_its_centre(name):
     camera = cameras()[name]
     camera = replace(
         camera, width=camera.width * 8, height=camera.height * 8,
@@ -156,7 +156,7 @@ def photograph(mesh, camera):
     return image
 
 
-def test_radiance_photographed_from_two_sides_comes_back_to_the_texels_it_came_from():
+def test_radiance_from_two_sides_returns_to_its_texels():
     mesh = extract_mesh(monkey(2))
     pair = tuple(Camera.from_fov(300, 240, 40, looking((x, -3, 0.6))) for x in (-3.0, 3.0))
     images = [photograph(mesh, camera) for camera in pair]
@@ -225,7 +225,7 @@ def test_no_texel_is_seen_through_another_part_of_the_mesh():
     assert len(points) > 1000 and hit.mean() < 0.002
 
 
-def test_the_normal_map_that_blender_wants_is_what_cycles_renders(tmp_path):
+def test_the_encoded_normal_map_renders_the_recovered_normals(tmp_path):
     obj = monkey(0, scale=(-1, 1.4, 0.8), rotation_euler=(0.1, 0.2, 0.3))
     for polygon in obj.data.polygons:
         polygon.use_smooth = True
@@ -322,7 +322,7 @@ def test_ngons_are_cut_into_triangles():
     assert mesh.positions.shape == (5, 3, 3) and bake.bake_uv(mesh, 16, 16).coverage.mean() > 0.5
 
 
-def test_the_active_uv_map_is_the_one_that_is_used():
+def test_the_active_uv_map_is_used():
     obj = monkey()
     other = obj.data.uv_layers.new(name="other")
     obj.data.uv_layers["UVMap"].active_render = True
@@ -398,7 +398,7 @@ def test_copies_by_a_modifier_are_refused_by_its_name(kind, name):
     assert bake.overlap(extract_mesh(obj)) == 0
 
 
-def test_a_modifier_is_not_blamed_for_what_the_uv_map_itself_shares():
+def test_a_modifier_is_not_blamed_for_overlaps_of_the_uv_map():
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4)
     obj = bpy.context.object
     layer = obj.data.uv_layers.active
@@ -436,7 +436,7 @@ def test_a_blender_camera_projects_as_blender_says(fit, kind, width, height, asp
     np.testing.assert_allclose(depth, expected[:, 2], rtol=1e-5)
 
 
-def test_objects_that_are_no_pinhole_cameras_are_refused():
+def test_objects_other_than_pinhole_cameras_are_refused():
     data = bpy.data.cameras.new("fish")
     data.type = "PANO"
     with pytest.raises(InputError, match="'fish' is panoramic"):
@@ -460,7 +460,7 @@ def test_a_mesh_is_found_by_name_or_because_there_is_only_one():
         scene.mesh_object("Empty")
 
 
-def test_a_blender_file_is_opened_and_one_that_is_none_is_refused(tmp_path):
+def test_a_blender_file_is_opened_and_another_file_is_refused(tmp_path):
     monkey().name = "Saved"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -481,7 +481,7 @@ def test_a_million_triangles_are_drawn():
     np.testing.assert_allclose(drawn.position[..., :2], np.stack([x, y], -1), atol=1e-5)
 
 
-def test_drawing_leaves_the_drawing_state_as_it_was():
+def test_baking_restores_the_drawing_state():
     import gpu
 
     bake.bake_uv(oracle.plane(), 4, 4)
@@ -494,7 +494,7 @@ def test_drawing_leaves_the_drawing_state_as_it_was():
     assert math.isclose(raster.triangle_numbers(np.zeros((1, 3, 4)), 2, 2, first=True).sum(), 0)
 
 
-def test_tangents_of_a_large_mesh_are_the_same_every_time_and_those_of_the_whole(monkeypatch):
+def test_tangents_of_a_large_mesh_are_deterministic_in_blocks(monkeypatch):
     from irpso_addon.blender import mesh as module
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=160, ring_count=120)

@@ -41,7 +41,7 @@ def test_tiles_are_baked_side_by_side():
     np.testing.assert_array_equal(bake.uv_coverage(mesh, 60, 30)[clear], expected.coverage[clear])
 
 
-def test_a_domain_wider_than_a_texture_is_baked_in_blocks_as_it_would_be_whole(monkeypatch):
+def test_a_domain_wider_than_a_texture_bakes_in_blocks_without_change(monkeypatch):
     mesh = tiled((0, 0), (1, 0), (2, 0))
     whole = bake.bake_uv(mesh, 69, 31)
     monkeypatch.setattr(bake, "_LARGEST_SIDE", 20)
@@ -76,7 +76,7 @@ def test_triangles_of_other_slots_have_no_texels_and_are_still_seen():
     assert set(both.materials[seen.triangle[seen.coverage]]) == {0, 1}
 
 
-def test_a_domain_wider_than_a_texture_is_rendered_in_blocks_as_it_would_be_whole(monkeypatch):
+def test_a_domain_wider_than_a_texture_renders_in_blocks_without_change(monkeypatch):
     random = np.random.default_rng(3)
     shape = 7, 45
     normal = oracle.unit(random.normal(size=(*shape, 3)) * 0.2 + (0, 0, 1)).astype(np.float32)

@@ -22,7 +22,7 @@ def unit(v):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def test_detail_on_a_ball_comes_back_in_world_units():
+def test_the_relief_of_a_ball_is_in_world_units():
     mesh = geometry_oracle.sphere(radius=2.0, columns=96, rows=64)
     texels = bake.bake_uv(mesh, 192, 128)
     step = np.float64([np.pi * 2 / 192, np.pi / 128])
@@ -48,7 +48,7 @@ def test_detail_on_a_ball_comes_back_in_world_units():
     assert found.unit == "world" and np.abs(error).max() < 0.02 * np.ptp(truth[inner])
 
 
-def test_a_step_from_texel_to_texel_is_what_positions_say():
+def test_texel_steps_follow_the_positions():
     mesh = geometry_oracle.sphere(columns=12, rows=8)
     texels = bake.bake_uv(mesh, 64, 48)
     along, torn = relief.steps_along(mesh, texels)
@@ -129,7 +129,7 @@ def test_the_shape_alone_has_the_recovered_normals(card):
     assert np.median(off) < 0.1 and np.percentile(off, 99) < 1
 
 
-def test_a_material_that_is_built_again_without_height_is_displaced_no_more(card):
+def test_rebuilding_without_height_removes_the_displacement(card):
     material, _, normals, _ = card
     values = {"base_color": np.full((SIZE, SIZE, 3), 0.5, np.float32), "normal": normals.astype(np.float32)}
     again = build_material(Maps(load_model("lambert"), values, np.ones((SIZE, SIZE), bool)), "bump")
@@ -139,7 +139,7 @@ def test_a_material_that_is_built_again_without_height_is_displaced_no_more(card
     assert not material.node_tree.nodes["IRPSO output"].inputs["Displacement"].is_linked
 
 
-def test_on_a_mesh_of_unequal_scale_the_relief_is_as_high_as_the_world_has_it(tmp_path):
+def test_the_relief_of_a_mesh_with_unequal_scale_has_world_height(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     centres = (np.arange(SIZE) + 0.5) / SIZE - 0.5
     z, normals = bump(*np.meshgrid(centres, centres))
@@ -157,7 +157,7 @@ def test_on_a_mesh_of_unequal_scale_the_relief_is_as_high_as_the_world_has_it(tm
     assert error.max() < 0.005 * np.ptp(z)
 
 
-def test_the_border_of_a_card_is_not_bent_to_the_height_of_the_other_side(tmp_path):
+def test_the_relief_of_a_card_does_not_wrap_around(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     covered = np.ones((SIZE, SIZE), bool)
     slope = np.broadcast_to(np.linspace(0, 24, SIZE, dtype=np.float32), (SIZE, SIZE))

@@ -29,7 +29,7 @@ def settings(registered):
     return bpy.context.scene.irpso
 
 
-def test_a_card_is_recovered_at_the_distance_that_is_given_and_refused_without(captures, tmp_path):
+def test_a_near_lit_card_needs_its_distance(captures, tmp_path):
     stated, unstated, normals = captures
     before = listing(tmp_path)
     code, _, said = run_cli("recover", unstated, *OPTIONS, "-o", tmp_path / "none")
@@ -54,7 +54,7 @@ def test_a_card_is_recovered_at_the_distance_that_is_given_and_refused_without(c
     ],
 )
 @pytest.mark.bpy_only
-def test_a_distance_that_is_none_is_refused_in_one_line(captures, tmp_path, given, words):
+def test_an_invalid_distance_is_refused_in_one_line(captures, tmp_path, given, words):
     code, _, said = run_cli("recover", captures[1], *OPTIONS, *given, "-o", tmp_path / "out")
     assert code == 2 and words in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
@@ -110,7 +110,7 @@ def test_the_scene_of_a_capture_has_its_card_at_the_distance_and_is_the_same_cap
 
 
 @pytest.mark.bpy_only
-def test_no_scene_is_made_of_a_card_that_lies_nobody_knows_where(captures, settings):
+def test_no_scene_is_made_of_a_card_at_an_unknown_distance(captures, settings):
     bpy.ops.irpso.import_capture(filepath=str(captures[1]))
     with pytest.raises(RuntimeError, match="card needs its distance"):
         bpy.ops.irpso.create_scene()

@@ -55,7 +55,7 @@ def monkey_capture(reads):
     return extract_mesh(bpy.context.object), Capture("m", observations, cameras, (np.ones((130, 150), bool),) * 2)
 
 
-def test_a_window_holds_bit_for_bit_what_a_tile_of_the_whole_domain_holds():
+def test_a_window_equals_a_tile_of_the_whole_domain_bit_for_bit():
     mesh, capture = monkey_capture([])  # with shadow maps of more than their least size
     whole = domain_from_mesh(capture, mesh, 180, 240)
     for window in ((27, 81, 61, 113), (100, 120, 60, 15)):
@@ -90,7 +90,7 @@ def smooth(x, y):
     return 0.5 + 0.2 * np.sin(3 * x + y) + 0.2 * np.cos(2 * y - x)
 
 
-def test_a_distorted_photograph_is_read_where_the_lens_has_put_each_texel():
+def test_sampling_follows_lens_distortion():
     camera = Camera(160, 120, (120.0, 124.0), (83.0, 57.0), looking((0.5, -1.0, 2.2)), True, LENS)
     rays = camera.points(1.0) - camera.position
     hit = camera.position + rays * (-camera.position[2] / rays[..., 2:])
@@ -119,7 +119,7 @@ def test_a_distorted_photograph_is_read_where_the_lens_has_put_each_texel():
     assert not (weight & ~((place >= 0.49) & (place <= [159.51, 119.51])).all(-1)).any()
 
 
-def test_what_hides_a_texel_in_a_distorted_photograph_is_found_where_it_is():
+def test_occlusion_follows_lens_distortion():
     mesh = oracle.joined(oracle.plane(1.0, z=0.5, u_span=(0, 0.4)), oracle.plane(3.0, u_span=(0.4, 1.0)))
     camera = Camera(200, 200, (160.0, 160.0), (100.0, 100.0), ABOVE, True, (-0.35, 0.12))
     image = np.ones((200, 200, 4), np.float32)
@@ -147,7 +147,7 @@ def test_lines_of_sight_of_a_card_follow_the_lens():
     np.testing.assert_array_equal(domain.views, [[0, 0, 0, 1]])
 
 
-def test_each_texel_of_a_mesh_is_seen_from_where_the_camera_stands():
+def test_view_directions_point_to_the_camera():
     mesh = oracle.sphere(1.0, 32, 16)
     cameras = [
         Camera.from_fov(20, 20, 60, looking((1.2, -1.0, 0.8))),
@@ -178,7 +178,7 @@ def test_each_texel_of_a_mesh_is_seen_from_where_the_camera_stands():
         renderer.close()
 
 
-def test_what_is_known_of_a_camera_goes_with_the_last_of_its_images(monkeypatch):
+def test_a_cameras_cached_data_is_freed_after_its_last_image(monkeypatch):
     alive, most = weakref.WeakSet(), []
 
     class Counted(build.Projector):

@@ -51,7 +51,7 @@ def test_a_light_object_is_the_light_again(scene, name):
     np.testing.assert_allclose(found.cone or 0, light.cone or 0, rtol=1e-6)
 
 
-def test_an_object_that_was_such_a_light_can_become_any_other(scene):
+def test_a_light_object_can_change_its_type(scene):
     obj = add(scene, "Lamp", bpy.data.lights.new("Lamp", "SUN"))
     for light in (*DIRECTED.values(), Light((0.0, 0.0, 1.0)), Light(PLACE, distant=False), DIRECTED["flat"]):
         scene_objects.set_light(obj, light)

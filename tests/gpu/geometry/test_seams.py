@@ -123,7 +123,7 @@ def tiled(domain, model, schedule, boxes, on_device=None):
     return recovery
 
 
-def test_tiles_that_take_turns_and_stop_midway_see_the_bests_across_a_cut(tmp_path):
+def test_swapped_tiles_read_bests_across_a_cut_midway(tmp_path):
     schedule = SHORT.replaced(iterations=30, neighbour_every=2, neighbourhood=5)
     domain = observed(sheet("mirrored and turned"), holes=0.1)
     whole = whole_of(domain, LAMBERT, schedule)
@@ -137,7 +137,7 @@ def test_tiles_that_take_turns_and_stop_midway_see_the_bests_across_a_cut(tmp_pa
         assert everything(recovery.maps(confidence=False)) == whole
 
 
-def test_tiles_spread_and_pool_across_a_cut_as_the_whole_does():
+def test_tiles_spread_and_pool_across_a_cut_like_the_whole():
     schedule = load_schedule("standard").replaced(
         iterations=2, c3=0.3, prefit_iterations=0, prior_rounds=2, prior_scales=2,
         refinement=Refinement(iterations=2, starts=False, rounds=1, round_iterations=1),
@@ -150,7 +150,7 @@ def test_tiles_spread_and_pool_across_a_cut_as_the_whole_does():
 
 
 @pytest.mark.parametrize("turn", ["mirrored and turned", "three times as large"])
-def test_past_a_seam_a_margin_holds_what_the_other_side_has_there_with_its_normal_in_this_sides_frame(turn):
+def test_a_margin_past_a_seam_holds_the_other_side_with_turned_normals(turn):
     subject, leaning = sheet(turn), unit(np.array([0.3, 0.2, 0.9]))
     domain = subject.domain()
     covered = domain.bake.coverage
@@ -194,7 +194,7 @@ def test_past_a_seam_a_margin_holds_what_the_other_side_has_there_with_its_norma
     np.testing.assert_allclose(np.einsum("nij,ni->nj", frames, read), wanted, atol=1e-3)
 
 
-def test_where_nothing_was_solved_past_a_seam_the_margin_is_that_of_its_own_side():
+def test_a_margin_past_an_unsolved_seam_comes_from_its_own_side():
     subject = sheet("turned by 90°")
     domain = subject.domain()
     covered = domain.bake.coverage & (np.arange(domain.shape[1]) < 20)  # the left part alone
@@ -239,7 +239,7 @@ def noisy():
     return domain, s, t, truth
 
 
-def test_near_a_seam_the_error_is_no_larger_than_elsewhere_and_no_step_shows(noisy):
+def test_errors_near_a_seam_are_no_larger_than_elsewhere(noisy):
     domain, s, t, truth = noisy
     steps, lines = {}, []
     for name, subject in (("off", replace(domain, seams=None)), ("on", domain)):

@@ -162,7 +162,7 @@ def taken(mesh, lights, cameras, read):
     return Capture("test", observations, tuple(cameras), masks)
 
 
-def test_shadows_are_weights_of_the_stack_and_made_once_for_a_light(monkeypatch):
+def test_shadows_are_stack_weights_computed_once_per_light(monkeypatch):
     mesh = ball_over_floor()
     light = Light(tuple(oracle.unit(np.array([0.5, 0.3, 0.8]))))
     brighter = replace(light, intensity=(2.0, 2.0, 2.0))
@@ -182,7 +182,7 @@ def test_shadows_are_weights_of_the_stack_and_made_once_for_a_light(monkeypatch)
     assert 50 < hidden.sum() < 0.5 * plain.bake.coverage.sum()
 
 
-def test_what_cycles_renders_dark_has_no_weight_and_what_it_renders_lit_has(tmp_path):
+def test_shadow_weights_match_cycles_shadows(tmp_path):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24, radius=RADIUS, location=BALL)
     for polygon in bpy.context.object.data.polygons:
         polygon.use_smooth = True
@@ -244,7 +244,7 @@ def cycles(path, size):
 
 @pytest.mark.parametrize("shape", ["spot", "flat"])
 @pytest.mark.parametrize("card", [True, False])
-def test_what_reaches_a_texel_of_a_spot_or_a_flat_light_is_taken_out_of_its_samples(shape, card):
+def test_the_beam_of_a_spot_or_flat_light_is_divided_out_of_samples(shape, card):
     camera = Camera.from_fov(96, 96, 36.9, ABOVE)  # 2.7 wide at the plane
     axis = tuple(oracle.unit(np.array([-0.2, 0.1, -1.0])))
     given = {"cone": 35.0} if shape == "spot" else {"cosine": True}

@@ -39,7 +39,7 @@ def everything():
     return [sorted(thing.name for thing in kind) for kind in kinds], bpy.context.scene.name
 
 
-def test_a_context_leaves_the_open_file_as_it_was():
+def test_a_context_does_not_change_the_open_file():
     before = everything()
     context.ensure()
     assert context.describe()["max_texture_size"] >= 4096
@@ -57,13 +57,13 @@ def test_the_probe_finds_the_context_of_this_process():
 @pytest.mark.parametrize(
     ("renderer", "entry"), [("llvmpipe (LLVM 19.1.7, 256 bits)", "fragment"), ("NVIDIA H200", "compute")]
 )
-def test_noise_does_not_choose_between_passes_that_run_on_the_same_cores(renderer, entry):
+def test_timing_noise_does_not_choose_between_equal_passes(renderer, entry):
     assert probe.chosen_entry({"renderer": renderer, "fragment_seconds": 3.0, "compute_seconds": 1.0}) == entry
     assert probe.chosen_entry({"renderer": renderer, "fragment_seconds": 1.4, "compute_seconds": 1.0}) == "fragment"
 
 
 @pytest.mark.parametrize("facts", [{"module": False}, {}], ids=["since 4.3", "4.2"])
-def test_blender_itself_is_asked_where_python_runs_inside_it(facts, monkeypatch, tmp_path):
+def test_a_probe_inside_blender_uses_blender_itself(facts, monkeypatch, tmp_path):
     assert not probe._inside_blender()
     ours = context.describe()
     binary = executable(tmp_path / "a renamed Blender", STAND_IN.format(python=sys.executable))
@@ -72,14 +72,14 @@ def test_blender_itself_is_asked_where_python_runs_inside_it(facts, monkeypatch,
     assert probe.probe()["renderer"] == ours["renderer"]
 
 
-def test_a_probe_that_dies_is_reported_with_what_it_said_last(monkeypatch, tmp_path):
+def test_a_crashed_probe_is_reported_with_its_last_output(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", executable(tmp_path / "dies", "#!/bin/sh\necho no EGL >&2\nexit 134\n"))
     with pytest.raises(GpuUnavailableError, match=r"exit code 134 \(no EGL\)"):
         probe.probe()
 
 
 @pytest.mark.parametrize("code", [0, 3, 130])
-def test_a_process_that_drew_ends_with_the_code_it_is_given(code):
+def test_a_process_with_a_context_exits_with_its_code(code):
     drawn = "from irpso_addon.gpu import context, probe; context.ensure(); probe.check(); print('said', end='')"
     found, out = run("-c", f"{drawn}; context.exit_process({code})")
     assert (found, out.splitlines()[-1]) == (code, "said")

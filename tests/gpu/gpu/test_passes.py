@@ -62,7 +62,7 @@ def expected(width, height):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 1), (1, 9), (8, 8), (9, 8), (17, 13), (63, 65), (100, 3)], ids=str)
-def test_every_texel_is_run_once_and_at_its_own_place(entry, size):
+def test_every_texel_runs_once_at_its_own_place(entry, size):
     np.testing.assert_array_equal(marks(entry, *size)[0], expected(*size))
 
 
@@ -74,7 +74,7 @@ def test_a_band_of_rows_leaves_the_other_rows_alone(entry, rows):
     np.testing.assert_array_equal(found, wanted)
 
 
-def test_what_a_draw_callback_blends_with_does_not_touch_a_pass(entry):
+def test_blending_of_a_draw_callback_does_not_affect_a_pass(entry):
     import gpu
 
     gpu.state.blend_set("ALPHA")
@@ -92,7 +92,7 @@ def test_bands_one_after_the_other_make_the_whole(entry):
 
 
 @pytest.mark.parametrize("skip", [1, 2, 3])
-def test_a_kernel_that_returns_false_leaves_all_its_outputs_as_they_were(entry, skip):
+def test_a_kernel_that_returns_false_writes_no_output(entry, skip):
     found = marks(entry, 17, 13, outputs=3, skip=skip)
     y, x = np.mgrid[:13, :17]
     left = (x + y) % skip == 0
@@ -160,7 +160,7 @@ class Costs:
 
 
 @pytest.mark.parametrize("paced", [True, False])
-def test_the_first_bands_of_a_pass_are_short_and_then_as_long_as_asked_for(monkeypatch, paced):
+def test_the_first_bands_of_a_pass_are_short_and_later_ones_meet_the_budget(monkeypatch, paced):
     clock = Costs(np.full(512, 1e-3))
     monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
     bands = Bands(paced)
@@ -172,7 +172,7 @@ def test_the_first_bands_of_a_pass_are_short_and_then_as_long_as_asked_for(monke
     assert np.median(clock.bands[4:]) >= 0.016
 
 
-def test_a_region_that_is_dearer_by_far_stalls_nothing_once_it_is_known(monkeypatch):
+def test_an_expensive_region_does_not_stall_once_measured(monkeypatch):
     clock = Costs(np.where(np.arange(512) < 256, 1e-5, 1e-3))  # texels that are done cost little
     monkeypatch.setattr("irpso_addon.gpu.bands.time", clock)
     bands = Bands(paced=True)
@@ -185,7 +185,7 @@ def test_a_region_that_is_dearer_by_far_stalls_nothing_once_it_is_known(monkeypa
 
 
 @pytest.mark.parametrize("paced", [True, False])
-def test_every_band_is_waited_for_where_somebody_looks_at_the_clock(paced):
+def test_timed_bands_wait_for_the_gpu(paced):
     bands, order = Bands(paced), []
     for _ in range(20):
         order.clear()
@@ -195,7 +195,7 @@ def test_every_band_is_waited_for_where_somebody_looks_at_the_clock(paced):
     assert (unfenced == 0) == paced
 
 
-def test_a_pass_is_compiled_where_it_is_first_run(entry, monkeypatch):
+def test_a_pass_compiles_at_its_first_run(entry, monkeypatch):
     compiled = []
     from irpso_addon.gpu import passes
 
@@ -210,7 +210,7 @@ def test_a_pass_is_compiled_where_it_is_first_run(entry, monkeypatch):
     work.close()
 
 
-def test_samplers_that_a_kernel_does_not_speak_of_take_no_room(entry, monkeypatch):
+def test_unused_samplers_take_no_texture_unit(entry, monkeypatch):
     monkeypatch.setattr(context, "max_samplers", lambda: 1)
     source, copied = textures.upload(np.full((3, 5, 4), 2.5, np.float32)), textures.empty(5, 3)
     others = {f"u_other_{i}": "FLOAT_2D" for i in range(40)}
@@ -254,7 +254,7 @@ def write(folder, **files):
 KERNEL = "bool texel_kernel(ivec2 texel)\n{\n    o_value = vec4(half_of(1.0));\n    return true;\n}\n"
 
 
-def test_an_include_is_found_beside_the_file_then_among_what_ships_and_stands_once(tmp_path):
+def test_includes_are_found_beside_the_file_then_in_the_library_and_appear_once(tmp_path):
     a = write(
         tmp_path,
         a='#include "b.glsl"\n#include "c.glsl"\n#include "common/random.glsl"\nfloat a;\n',
@@ -268,7 +268,7 @@ def test_an_include_is_found_beside_the_file_then_among_what_ships_and_stands_on
     assert re.findall(r'#line 1 "(.+)"', source) == ["c.glsl", "b.glsl", "common/random.glsl", "a.glsl"]
 
 
-def test_what_is_given_stands_before_files_of_the_same_name(tmp_path):
+def test_given_sources_precede_files_of_the_same_name(tmp_path):
     a = write(tmp_path, a='#include "b.glsl"\nfloat a;\n', b="float wrong;\n", other="float right;\n")
     assert "float given;" in read_source(a, {"b.glsl": "float given;"})
     source = read_source(a, {"b.glsl": tmp_path / "other.glsl"})
@@ -288,7 +288,7 @@ def test_a_missing_include_names_the_file_and_line_that_asks_for_it(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_source_is_an_error_for_a_person():
+def test_a_missing_source_is_a_readable_error():
     with pytest.raises(ShaderError, match="names no file"):
         read_source("swarm/none.glsl")
 
@@ -322,7 +322,7 @@ def test_an_error_in_a_users_model_names_its_own_file_and_line(tmp_path):
     assert "\nmine.glsl:3:" in str(caught.value) and "base_colour" in str(caught.value)
 
 
-def test_a_shader_that_compiles_after_one_that_does_not_is_whole(tmp_path, entry):
+def test_a_shader_compiles_after_a_failed_one(tmp_path, entry):
     path = write(tmp_path, a=KERNEL)
     with pytest.raises(ShaderError):
         Pass(Kernel(path, (Output("o_value"),), {}, {}, {}), entry).compile()
@@ -340,7 +340,7 @@ LOG = """00:00.484  gpu.shader       | ERROR pyGPU_Shader FragShader:
 """
 
 
-def test_a_log_is_cut_down_to_its_errors():
+def test_a_log_is_reduced_to_its_errors():
     assert messages_of(LOG) == "bad.glsl:4:9: Error: no function with name 'foo'"
     assert messages_of(LOG.replace("Error", "note")).splitlines()[-1] == "my own.glsl:12: warning: unused"
 

@@ -42,7 +42,7 @@ def test_an_array_comes_back_bit_for_bit(size, channels):
     assert np.ascontiguousarray(found).tobytes() == wanted.tobytes()
 
 
-def test_other_kinds_of_arrays_are_taken_for_what_they_say():
+def test_other_array_types_are_converted():
     values = numbers(6, 4, 4)
     for array in (values[::-1], values[:, ::2], np.asfortranarray(values), values.transpose(1, 0, 2)):
         np.testing.assert_array_equal(textures.download(textures.upload(array)), array)
@@ -51,14 +51,14 @@ def test_other_kinds_of_arrays_are_taken_for_what_they_say():
     np.testing.assert_array_equal(textures.download(textures.upload(whole / 3)), (whole / 3).astype(np.float32))
 
 
-def test_what_was_uploaded_does_not_follow_the_array():
+def test_an_upload_does_not_follow_its_array():
     array = np.ones((5, 5, 4), np.float32)
     texture = textures.upload(array)
     array[:] = 2
     assert (textures.download(texture) == 1).all()
 
 
-def test_what_was_downloaded_does_not_follow_the_texture():
+def test_a_download_does_not_follow_its_texture():
     texture = textures.empty(4, 3, value=1.0)
     before = textures.download(texture)
     texture.clear(format="FLOAT", value=(2.0,) * 4)
@@ -96,7 +96,7 @@ def test_a_copy_pass_copies_bit_for_bit():
     copy.close()
 
 
-def test_a_texture_that_the_gpu_refuses_says_its_size_and_what_to_do():
+def test_a_refused_texture_names_its_size_and_the_remedy():
     width = 2 * context.max_texture_size()
     with pytest.raises(InputError, match=rf"refuses a texture of {width} × 4 texels; choose a smaller --resolution"):
         textures.empty(width, 4)

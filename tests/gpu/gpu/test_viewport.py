@@ -124,7 +124,7 @@ def test_a_picture_lies_in_its_rectangle_texel_by_texel(drawing, corner, size):
     np.testing.assert_allclose(window.pixels(), over(nearest(PICTURE, corner, size)), atol=1e-6)
 
 
-def test_another_picture_stands_right_of_the_split(drawing):
+def test_a_second_picture_fills_the_right_of_the_split(drawing):
     other = np.dstack([1 - PICTURE[..., :3] * 0.5, PICTURE[..., 3]])
     with Window() as window:
         drawing.draw_flat(textures.upload(PICTURE), (4, 4), (40, 30), textures.upload(other), split=0.25)
@@ -158,7 +158,7 @@ def test_stripes_lie_over_texels_of_alpha_below_one_alone_and_can_be_left_out(dr
     np.testing.assert_array_equal(changed[1:, 1 : middle - 1], changed[:-1, 2:middle])  # diagonal
 
 
-def test_opacity_lets_through_what_was_there(drawing):
+def test_opacity_blends_with_the_background(drawing):
     with Window() as window:
         drawing.draw_triangles2d(np.array(UNIT_SQUARE) * SIZE, (0.1, 0.2, 0.3, 1))
         drawing.draw_flat(textures.upload(PICTURE), (4, 6), (20, 10), opacity=0.25)
@@ -218,7 +218,7 @@ def test_a_point_is_a_disc_of_its_size(drawing, size):
 
 
 @pytest.mark.parametrize("matrix", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
-def test_points_in_space_stand_where_the_matrix_puts_them_and_keep_their_size(drawing, matrix):
+def test_points_in_space_follow_the_matrix_and_keep_their_size(drawing, matrix):
     places = np.array([[0.4, -0.3, 0.0], [-1.0, 0.6, 2.0], [-0.5, -0.6, -8.0]])
     colors = np.eye(4)[:3] + (0, 0, 0, 1)
     with Window() as window:
@@ -231,7 +231,7 @@ def test_points_in_space_stand_where_the_matrix_puts_them_and_keep_their_size(dr
 
 
 @pytest.mark.parametrize("turn", [1, -1])
-def test_a_line_that_passes_the_eye_is_cut_where_the_view_begins(drawing, turn):
+def test_a_line_past_the_eye_is_clipped_at_the_near_plane(drawing, turn):
     ahead, behind = np.array([0.5, 0.25, 0.0]), np.array([0.5, 0.25, 20.0])
     with Window() as window:
         drawing.draw_lines([ahead, behind][::turn], (1, 1, 1, 1), 3, PERSPECTIVE)
@@ -273,7 +273,7 @@ def test_nothing_is_drawn_where_the_uv_leaves_the_picture(surface):
 
 @pytest.mark.parametrize("matrix", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
 @pytest.mark.parametrize(("scene", "seen"), [(0.2, False), (0.0, True), (-0.2, True)])
-def test_the_scene_hides_what_is_behind_it_but_not_what_lies_on_it(surface, drawing, matrix, scene, seen):
+def test_the_scene_hides_what_lies_behind_but_not_its_own_surface(surface, drawing, matrix, scene, seen):
     picture = textures.upload(np.ones((1, 1, 4), np.float32))
     depth, _ = projected(matrix, (0, 0, scene))
     point = [[0.0, 0.0, 0.0]]
@@ -328,7 +328,7 @@ def test_the_pull_toward_the_viewer_is_a_thousandth_of_the_way(matrix):
 # ---- the drawing state -------------------------------------------------------------------------------------------
 
 
-def test_the_drawing_state_is_left_as_it_was_found(drawing, surface):
+def test_the_drawing_state_is_restored(drawing, surface):
     import gpu
 
     picture = textures.upload(PICTURE)

@@ -76,7 +76,7 @@ def test_a_zip_without_wheels_brings_no_libraries(told):
     assert told["exr"] is told["pillow"] is None
 
 
-def test_what_is_wrong_with_an_installation_is_said(told):
+def test_a_faulty_installation_is_reported(told):
     assert install_extension.faults(told, with_wheels=False) == []
     broken = told | {"classes after": ["Settings"], "commands": []}
     assert install_extension.faults(broken, with_wheels=True) == [

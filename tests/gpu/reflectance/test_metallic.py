@@ -52,7 +52,7 @@ def gpu():
 
 @pytest.mark.parametrize(("metallic", "color"), [(0.0, (0.5, 0.3, 0.2)), (0.5, GOLD), (1.0, GOLD)])
 @pytest.mark.parametrize("model", [METALLIC, DEFAULT], ids=lambda model: model.name)
-def test_metallic_is_told_within_a_tenth(model, metallic, color):
+def test_metallic_is_recovered_within_a_tenth(model, metallic, color):
     domain, truth = card(metallic, color)
     found = recovered(domain, model)
     off = np.abs(found["metallic"] - metallic)[..., 0]
@@ -63,14 +63,14 @@ def test_metallic_is_told_within_a_tenth(model, metallic, color):
     assert np.median(np.abs(found["base_color"] - truth["base_color"])) < 0.02
 
 
-def test_a_dielectric_loses_nothing_by_the_chance_of_a_metal():
+def test_a_free_metallic_does_not_degrade_dielectrics():
     domain, truth = card(0.0, (0.5, 0.3, 0.2))
     errors = [apart(recovered(domain, m)["normal"].astype(np.float64), truth["normal"]).mean()
               for m in (METALLIC, DEFAULT, PRINCIPLED)]  # fmt: skip
     assert max(errors[:2]) < 1.15 * errors[2]
 
 
-def test_matt_paint_is_no_metal_though_its_lobe_is_nowhere_seen():
+def test_matt_paint_without_a_visible_lobe_is_not_metal():
     rng = np.random.default_rng(4)
     truth = {
         "normal": relief(*SHAPE, rng),

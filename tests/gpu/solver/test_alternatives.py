@@ -91,7 +91,7 @@ def test_alternatives_are_as_much_worse_as_float64_says(name, fixed, domain):
         assert np.ptp(wanted[told]) > 5, number
 
 
-def test_a_number_that_is_given_linear_or_held_by_a_normal_prior_is_not_asked_and_another_loss_asks_none():
+def test_alternatives_skip_fixed_linear_and_normal_prior_parameters_and_other_losses():
     model, values = load_model("metallic_roughness"), random_values(load_model("metallic_roughness"), SHAPE)
     domain, scale = rendered(make_domain(*SHAPE), model.name, values, 0.01), np.ones(SHAPE)
     assert set(alternatives(domain, model, values, scale)) == {"roughness", "metallic"}
@@ -146,7 +146,7 @@ def polished():
         yield recovery.maps(), hidden
 
 
-def test_a_highlight_that_no_texel_of_a_material_shows_leaves_two_modes_and_one_that_some_show_does_not(polished):
+def test_a_material_without_visible_highlight_has_two_modes(polished):
     maps, hidden = polished
     told = with_modes(maps)
     assert set(told.two_modes) == {"roughness"}
@@ -158,7 +158,7 @@ def test_a_highlight_that_no_texel_of_a_material_shows_leaves_two_modes_and_one_
     assert np.median(maps.alternatives["roughness"][..., 0][~hidden]) < 1
 
 
-def test_two_modes_are_unknown_and_told(polished):
+def test_two_modes_are_marked_unknown_and_reported(polished):
     maps, hidden = polished
     certain = replace(maps, confidence={name: 0 * value for name, value in maps.confidence.items()})
     assert not certain.unknown()["roughness"].any()

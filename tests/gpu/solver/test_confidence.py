@@ -153,7 +153,7 @@ def test_no_deviation_exceeds_its_range_and_all_are_finite():
 @pytest.mark.parametrize(
     ("name", "end"), [("base_color", 0), ("base_color", 1), ("specular", 0), ("specular", 1), ("roughness", 1)]
 )
-def test_deviations_at_the_ends_of_a_range_come_from_inside(name, end):
+def test_deviations_at_range_ends_use_inner_differences(name, end):
     model = load_model("principled")
     changes = {"base_color": 0.4, "roughness": 0.4, "specular": 0.5, name: model.parameter(name).range[end]}
     fixed = ("roughness",) if changes["specular"] == 0 else ()  # there is no highlight to see it by
@@ -221,7 +221,7 @@ def test_a_colour_that_no_light_carries_is_open_and_the_others_are_not():
     assert np.allclose(got["base_color"][..., 2], 1) and got["base_color"][..., :2].max() < 0.01
 
 
-def test_a_sample_of_no_weight_says_nothing_and_a_half_one_half():
+def test_samples_count_by_their_weight():
     subject = make_subject("lambert", observations=20, holes=False)
     stack = subject.domain.stack.values.copy()
     stack[..., 3] = 1
@@ -279,7 +279,7 @@ def refitted(subject):
 
 
 @pytest.mark.parametrize("name", ["lambert", TWO_LOBES])
-def test_refits_to_noise_that_is_really_there_scatter_as_the_deviations_say(name):
+def test_refits_to_real_noise_scatter_by_the_deviations(name):
     model, texels, draws = load_model(name), 12, 50
     domain = make_domain(texels, draws, observations=80, holes=False)
     stack = domain.stack.values.copy()
@@ -306,7 +306,7 @@ def test_refits_to_noise_that_is_really_there_scatter_as_the_deviations_say(name
         assert each.min() > 0.35 and each.max() < 2.0, p.name
 
 
-def test_a_recovery_gives_the_deviations_of_its_maps_and_zero_for_what_was_known():
+def test_a_recovery_has_deviations_and_zero_for_fixed_parameters():
     subject = make_subject("lambert", (9, 11), observations=30)
     fixed = {"base_color": subject.values["base_color"].astype(np.float32)}
     schedule = load_schedule("swarm").replaced(search=("normal",), iterations=60, loss="l2")

@@ -67,7 +67,7 @@ def radiance_of(recovery, observation):
 # ---- what the pictures show --------------------------------------------------------------------------------------
 
 
-def test_alpha_is_one_where_a_texel_is_solved_and_nothing_is_drawn_elsewhere(running, show):
+def test_alpha_is_one_at_solved_texels_and_zero_elsewhere(running, show):
     display, solved = show(running), running.domain.solvable
     assert 0 < solved.sum() < solved.size
     for shown in (("parameter", "normal"), ("error",), ("render",), ("confidence", "r1")):
@@ -133,7 +133,7 @@ def test_the_confidence_is_the_deviation_of_the_largest_component_in_false_colou
         np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
 
 
-def test_a_number_that_is_not_known_is_half_transparent_where_that_is_asked(running, show):
+def test_unknown_numbers_are_half_transparent_on_request(running, show):
     maps = running.maps()
     sigma = maps.confidence["r2"][..., 0]
     limit = float(np.median(sigma[maps.covered]))
@@ -172,7 +172,7 @@ def test_a_picture_follows_the_recovery(running, show):
     np.testing.assert_allclose(after[covered, :3], wanted, atol=HALF)
 
 
-def test_nothing_is_drawn_again_while_nothing_changes(running, show, monkeypatch):
+def test_an_unchanged_picture_is_not_redrawn(running, show, monkeypatch):
     display = show(running)
     asked = [Shown("parameter", "normal"), Shown("error"), Shown("confidence", "w"), Shown("reference", observation=2)]
     pictures = [display.picture(shown) for shown in asked]
@@ -273,7 +273,7 @@ def test_a_coarse_level_is_shown_at_its_size(show):
         display.close()
 
 
-def test_what_there_is_not_is_refused_in_a_line(running, show):
+def test_missing_pictures_are_refused_in_a_line(running, show):
     display = show(running)
     with pytest.raises(InputError, match="no parameter 'shine'; it has: "):
         display.picture(Shown("parameter", "shine"))
@@ -289,7 +289,7 @@ def test_a_display_that_was_closed_draws_again(running, show):
     np.testing.assert_array_equal(seen(display, "error"), first)
 
 
-def test_a_picture_does_not_change_what_is_found(recover, show):
+def test_pictures_do_not_change_the_maps(recover, show):
     domain, _ = subject()
     runs = [recover(domain), recover(domain)]
     display = show(runs[0])

@@ -109,7 +109,7 @@ def test_the_same_seed_gives_the_same_lights_bit_for_bit_and_the_work_comes_in_s
     assert fractions[-1] <= 1
 
 
-def test_images_brighter_than_white_raise_all_intensities_together():
+def test_images_brighter_than_white_scale_all_intensities():
     rng = np.random.default_rng(6)
     domain, truth = subject("lambert", 12)
     true = gains(12, rng)
@@ -119,7 +119,7 @@ def test_images_brighter_than_white_raise_all_intensities_together():
     assert 6 * truth["base_color"].max() / common < 1.1  # the albedo that is found
 
 
-def test_intensities_that_the_images_contradict_are_spoken_of_and_others_are_not():
+def test_only_contradicted_intensities_get_a_warning():
     rng = np.random.default_rng(7)
     domain, truth = subject("principled", 16)
     values = {name: np.float32(value) for name, value in truth.items()}
@@ -144,7 +144,7 @@ def test_lights_move_along_their_axes():
 
 
 @pytest.mark.parametrize(("degrees", "intensities"), [(30, True), (-1, True), (0, False)])
-def test_what_cannot_be_asked_for_is_refused(degrees, intensities):
+def test_invalid_light_options_are_refused(degrees, intensities):
     domain, _ = subject("lambert", 6, shape=(8, 8))
     with pytest.raises(InputError):
         estimate_lights(domain, LAMBERT, intensities=intensities, refine_degrees=degrees)

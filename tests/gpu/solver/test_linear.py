@@ -95,7 +95,7 @@ def test_weights_are_those_of_scipys_bounded_least_squares(bench, path_of, name,
     assert ((found >= np.float32(low)) & (found <= np.float32(high))).all()
 
 
-def test_a_weight_that_no_observation_shows_stays_at_its_lowest(bench, blinn_phong):
+def test_an_unobserved_weight_stays_at_its_minimum(bench, blinn_phong):
     domain = make_domain(*SHAPE, observations=12, holes=False)
     for channel in (0, 2):
         domain.intensities[:, channel] = 0
@@ -106,7 +106,7 @@ def test_a_weight_that_no_observation_shows_stays_at_its_lowest(bench, blinn_pho
 
 
 @pytest.mark.parametrize("held", ["base_color", "strength"])
-def test_a_linear_parameter_that_is_not_solved_enters_the_rest(bench, blinn_phong, held):
+def test_an_unsolved_linear_parameter_enters_the_remainder(bench, blinn_phong, held):
     case = Case(f"held-{held}", shape=SHAPE, model=blinn_phong, domain={"observations": 24},
                 settings=ONE | {"loss": "l2"}, fixed=frozenset({held}))  # fmt: skip
     b = bench(case)

@@ -60,7 +60,7 @@ def roughness(domain, **settings):
         return recovery.maps(confidence=False).values["roughness"][..., 0]
 
 
-def test_a_lobe_that_a_texel_does_not_see_is_told_by_others_of_its_material(card):
+def test_an_unseen_lobe_is_recovered_from_texels_of_the_same_material(card):
     domain, smooth, sees = card
     alone, shared = roughness(domain, materials_rounds=0), roughness(domain)
     unseen = smooth & ~sees
@@ -71,7 +71,7 @@ def test_a_lobe_that_a_texel_does_not_see_is_told_by_others_of_its_material(card
     assert np.median(np.abs(shared[~smooth] - MATT)) <= np.median(np.abs(alone[~smooth] - MATT)) + 0.02
 
 
-def test_a_single_texel_of_another_material_keeps_it_where_its_samples_speak(card):
+def test_a_lone_texel_keeps_its_material_if_its_samples_decide(card):
     domain, smooth, _ = card
     stack = domain.stack.values.copy()
     stack[:, 8, 4], stack[:, 3, 7] = domain.stack.values[:, 8, 20], domain.stack.values[:, 3, 15]
@@ -82,7 +82,7 @@ def test_a_single_texel_of_another_material_keeps_it_where_its_samples_speak(car
 
 
 @pytest.mark.parametrize("stop", [1, 4, 7, 8], ids=lambda n: f"after-{n}")
-def test_a_checkpoint_within_a_round_goes_on_to_the_same_maps(card, stop, tmp_path):
+def test_a_checkpoint_within_a_round_resumes_to_the_same_maps(card, stop, tmp_path):
     schedule = STANDARD.replaced(materials_iterations=3, iterations=2)
     with Recovery(card[0], MODEL, schedule, 1) as whole:
         progress = whole.step()

@@ -13,7 +13,7 @@ from tests.builders.command_line import run_cli
 from tests.builders.domains import make_domain
 
 
-def test_a_black_background_without_a_mask_is_no_part_of_relit_pictures(tmp_path):
+def test_an_unmasked_black_background_is_left_out_of_relit_pictures(tmp_path):
     lights = cli_maker.dome_lights(14, widest=60)
     values = cli_maker.smooth_maps((20, 26), {}, seed=3)
     images = cli_maker.render_oracle("lambert", values, lights)
@@ -49,7 +49,7 @@ def test_a_clipped_pixel_is_white_in_the_photograph_and_no_part_of_the_error():
     np.testing.assert_array_equal(row.counted, domain.solvable & (domain.stack.values[0, ..., 3] > 0))
 
 
-def test_texels_of_a_mesh_that_the_camera_does_not_see_are_no_part_of_its_photograph():
+def test_texels_unseen_by_the_camera_are_left_out_of_its_photograph():
     domain = make_domain(6, 8, holes=False, card=False)
     domain.stack.values[0, 2, 3] = 0
     assert not first_row(domain).covered[2, 3]

@@ -151,7 +151,7 @@ def uneven():
     return card("falloff_lobe", shape=(12, 13), noise=0.001)
 
 
-def test_normals_of_a_base_that_is_not_lambertian_are_the_prefits(recover, uneven):
+def test_normals_of_a_non_lambertian_base_come_from_the_prefit(recover, uneven):
     domain, truth = uneven
     errors = []
     for iterations in (STANDARD.prefit.iterations, 0):
@@ -161,7 +161,7 @@ def test_normals_of_a_base_that_is_not_lambertian_are_the_prefits(recover, uneve
     assert errors[0] < 0.3 and errors[1] > 1, errors
 
 
-def test_narrow_lights_do_not_tell_a_fall_off_from_a_tilt_so_a_prior_does(recover, monkeypatch):
+def test_a_prior_separates_fall_off_and_tilt_under_narrow_lights(recover, monkeypatch):
     lights = dome_lights(12, widest=22)
     errors = []
     for deviation in (prefit._FALLOFF_DEVIATION, 100.0):
@@ -176,7 +176,7 @@ def test_narrow_lights_do_not_tell_a_fall_off_from_a_tilt_so_a_prior_does(recove
     assert errors[0] < 0.7 * errors[1], errors
 
 
-def test_of_a_surface_that_the_model_tells_the_prefit_spoils_nothing(recover):
+def test_the_prefit_does_not_degrade_surfaces_of_the_model(recover):
     domain, truth = card("principled", shape=(12, 13))
     errors = []
     for iterations in (STANDARD.prefit.iterations, 0):
@@ -193,7 +193,7 @@ def test_of_a_surface_that_the_model_tells_the_prefit_spoils_nothing(recover):
      ({"search": ["base_color"]}, {}, 12)],
     ids=["switched-off", "nine-observations", "known-normal", "a-normal-nobody-asks-for"],
 )  # fmt: skip
-def test_where_there_is_nothing_to_prefit_there_is_no_prefit(recover, settings, fixed, observations):
+def test_the_prefit_needs_iterations_observations_and_a_free_normal(recover, settings, fixed, observations):
     domain, _ = card("principled", shape=(3, 4), observations=observations)
     titles = [s.title for s in recover(domain, PRINCIPLED, STANDARD.replaced(**settings), fixed=fixed)._stages]
     assert "prefit of the normals" not in titles and titles[-1] == "refinement"
@@ -228,7 +228,7 @@ def half():
     return with_samples(told, np.ascontiguousarray(stack)), truth
 
 
-def test_the_judge_takes_the_refinement_where_its_model_explains_the_texel_and_else_the_prefits_normal(recover, half):
+def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(recover, half):
     domain, truth = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
@@ -256,7 +256,7 @@ def test_the_judge_takes_the_refinement_where_its_model_explains_the_texel_and_e
         np.testing.assert_array_equal(found[name][kept], before[name][kept])
 
 
-def test_where_the_prefits_normal_is_kept_the_rest_is_the_best_that_goes_with_it(recover, half):
+def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):
     domain, _ = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
@@ -288,7 +288,7 @@ def test_where_the_prefits_normal_is_kept_the_rest_is_the_best_that_goes_with_it
     assert np.quantile(found_cost, 0.9) < 1.01 and (accepted_cost > 1.02).mean() > 0.3, (accepted_cost, found_cost)
 
 
-def test_the_judge_compares_what_float64_compares(recover):
+def test_the_acceptance_test_matches_float64(recover):
     domain, truth = card("principled", shape=(7, 9), noise=0.01, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
     recovery = recover(domain, PRINCIPLED, STANDARD)
     recovery.step(iterations=0)
@@ -316,7 +316,7 @@ def test_the_judge_compares_what_float64_compares(recover):
         assert (same[clear] == taken).mean() > 0.97
 
 
-def test_with_fewer_samples_than_the_prefit_needs_a_texel_is_not_judged(recover, uneven):
+def test_the_acceptance_test_skips_texels_with_too_few_samples(recover, uneven):
     domain, _ = uneven
     stack = domain.stack.values.copy()
     few = np.zeros(domain.shape, bool)
@@ -335,7 +335,7 @@ def test_with_fewer_samples_than_the_prefit_needs_a_texel_is_not_judged(recover,
     assert not kept[few].any() and kept[~few].mean() > 0.5
 
 
-def test_how_well_the_prefit_fits_is_what_float64_says(recover, uneven):
+def test_the_prefits_misfit_matches_float64(recover, uneven):
     domain, _ = uneven
     recovery = recover(domain, PRINCIPLED, STANDARD)
     while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
@@ -378,7 +378,7 @@ def test_slices_give_the_whole_bit_for_bit(recover, whole):
 
 
 @pytest.mark.parametrize("stop", [None, 0, 2, 3, 5, 6, 7, 10], ids=lambda n: f"after-{n}")
-def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
+def test_a_checkpoint_resumes_to_the_same_maps(recover, whole, tmp_path, stop):
     # Before all; in the prefit's swarm, at its end, in its refinement, at its end; in the stage; in the refinement.
     domain, wanted, progress = whole
     first = recover(domain, PRINCIPLED, SHORT)
@@ -393,7 +393,7 @@ def test_a_checkpoint_goes_on_to_the_same_maps(recover, whole, tmp_path, stop):
     assert bits_of(second.maps(confidence=False)) == wanted and second.progress == progress
 
 
-def test_a_run_that_is_in_the_prefits_refinement_goes_back_to_its_swarm(recover, whole, tmp_path):
+def test_a_run_in_the_prefits_refinement_loads_a_checkpoint_of_its_swarm(recover, whole, tmp_path):
     domain, wanted, _ = whole
     recovery = recover(domain, PRINCIPLED, SHORT)
     recovery.step(iterations=1)
@@ -412,7 +412,7 @@ def test_a_run_that_is_in_the_prefits_refinement_goes_back_to_its_swarm(recover,
     # Trimmed least squares has 2.6°; the best of the Lambertian peers, tuned against the truth, 2.04°.
     [("bunny_lambert", 1.0), ("bunny_specular", 1.7)],
 )
-def test_the_normals_of_a_rendered_bunny_are_found_without_tuning(recover, shared_data, name, limit):
+def test_normals_of_a_rendered_bunny_are_recovered_without_tuning(recover, shared_data, name, limit):
     folder = shared_data / name
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")

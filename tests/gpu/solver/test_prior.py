@@ -171,7 +171,7 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
     assert not deviation[covered][:, others].any()  # normals are not pooled
 
 
-def test_the_noise_is_that_of_the_samples_and_of_the_neighbours(prior):
+def test_the_noise_combines_samples_and_neighbours(prior):
     domain, truth, _ = smooth(8, 9, observations=12)
     domain.stack.values[2:, 4, 4, 3] = 0  # two samples tell less than the model has unknowns
     bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
@@ -195,7 +195,7 @@ def test_the_noise_is_that_of_the_samples_and_of_the_neighbours(prior):
     assert np.sqrt(noise[4, 4, 2]) == pytest.approx(NOISE * np.sqrt(36 / 28), rel=0.1)
 
 
-def test_what_the_samples_tell_is_the_inverse_of_the_normal_matrix_at_that_noise(prior):
+def test_own_deviations_come_from_the_inverse_normal_matrix(prior):
     domain, truth, _ = smooth(6, 7)
     bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
     bench.run(2)
@@ -214,7 +214,7 @@ def test_what_the_samples_tell_is_the_inverse_of_the_normal_matrix_at_that_noise
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_texels_that_know_do_not_move_and_those_that_do_not_take_what_their_likes_have(prior, entry):
+def test_certain_texels_stay_and_uncertain_ones_follow_alike_texels(prior, entry):
     domain, truth, right = smooth(12, 14)
     ignorant = np.zeros(domain.shape, bool)
     ignorant[[3, 3, 8, 8], [2, 11, 6, 7]] = True  # the last two beside the other material
@@ -242,7 +242,7 @@ def test_texels_that_know_do_not_move_and_those_that_do_not_take_what_their_like
             assert abs(found[name][row, column, 0] - own) < 0.2 * abs(own - other)
 
 
-def test_a_texel_keeps_what_it_had_where_its_samples_say_that_its_neighbours_are_wrong(prior):
+def test_a_texel_keeps_its_estimate_if_its_samples_contradict_its_neighbours(prior):
     domain, truth, _ = smooth(8, 8)
     values = {name: value.copy() for name, value in truth.items()}
     bench = prior(TWO_LOBES, domain, values, schedule_of(tolerance=3.0))
@@ -270,7 +270,7 @@ def test_a_texel_keeps_what_it_had_where_its_samples_say_that_its_neighbours_are
     assert abs(found["w"][3, 3, 0] - 0.05) > 0.2
 
 
-def test_two_lobes_are_told_better_with_their_neighbours_than_without(recover):
+def test_neighbours_improve_two_lobes(recover):
     domain, truth, _ = smooth(16, 18, 24)
     few = np.random.default_rng(3).random(domain.shape) < 0.15
     domain.stack.values[6:, few, 3] = 0
@@ -310,7 +310,7 @@ def test_tiles_with_a_halo_of_its_reach_give_the_same_bits(recover, card):
 
 
 @pytest.mark.parametrize("on_device", [None, 1])
-def test_tiles_that_are_exchanged_by_the_program_do_so_too(recover, on_device):
+def test_the_lock_step_driver_gives_the_same_bits(recover, on_device):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
     schedule = schedule_of().replaced(materials_rounds=1, materials_iterations=2)
     whole = recover(domain, TWO_LOBES, schedule)
@@ -323,7 +323,7 @@ def test_tiles_that_are_exchanged_by_the_program_do_so_too(recover, on_device):
         assert bits_of(run.maps()) == bits_of(whole.maps())
 
 
-def test_slices_looks_between_and_checkpoints_change_nothing(recover, tmp_path):
+def test_slices_reads_and_checkpoints_change_nothing(recover, tmp_path):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
     schedule = schedule_of()
     whole = recover(domain, TWO_LOBES, schedule)
@@ -344,7 +344,7 @@ def test_slices_looks_between_and_checkpoints_change_nothing(recover, tmp_path):
         assert bits_of(second.maps()) == wanted
 
 
-def test_a_look_before_the_end_shows_what_the_refinement_has_found(recover):
+def test_maps_before_the_end_show_the_refinement(recover):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
     without = recover(domain, TWO_LOBES, schedule_of(rounds=0))
     without.step()
@@ -382,7 +382,7 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, 
         assert (maps.values[first] <= maps.values[second])[maps.covered].all()
 
 
-def test_the_bytes_that_a_prior_takes_are_those_of_the_plan(monkeypatch, recover):
+def test_a_prior_takes_the_planned_bytes(monkeypatch, recover):
     schedule = schedule_of().replaced(iterations=0)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12).phases[-1]
     domain, truth, _ = smooth(9, 11, 12)

@@ -79,14 +79,14 @@ def in_tiny_slices(run):
 
 @pytest.mark.parametrize("drive", [one_by_one, in_uneven_steps, in_tiny_slices])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_however_it_is_stepped_the_maps_are_the_same_bit_for_bit(turned, preset, drive):
+def test_stepping_does_not_change_the_maps(turned, preset, drive):
     schedule = PRESETS[preset].replaced(levels=3)
     wanted, progress = found(turned[0], schedule)
     maps, told = found(turned[0], schedule, drive=drive)
     assert bits_of(maps) == bits_of(wanted) and told == progress
 
 
-def test_a_step_makes_the_iterations_it_is_asked_for_across_levels(turned):
+def test_a_step_makes_the_requested_iterations_across_levels(turned):
     schedule = PRESETS["swarm"].replaced(levels=3, level_iterations=0.5)
     with Pyramid(turned[0], LAMBERT, schedule, 1, entry="fragment") as run:
         assert run.step(iterations=0).iteration_in_all == 0
@@ -104,7 +104,7 @@ def test_a_step_makes_the_iterations_it_is_asked_for_across_levels(turned):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_run_goes_on_from_a_checkpoint_of_any_level(turned, tmp_path, preset):
+def test_a_run_resumes_from_a_checkpoint_of_any_level(turned, tmp_path, preset):
     schedule = PRESETS[preset].replaced(levels=3)
     wanted, progress = found(turned[0], schedule)
     every, file = progress.iterations_in_all // 6, tmp_path / "checkpoint.npz"
@@ -131,7 +131,7 @@ def test_a_checkpoint_of_other_levels_is_refused(turned, tmp_path):
         run.load(file)
 
 
-def test_a_subject_that_is_the_same_everywhere_is_found_the_same_with_levels():
+def test_levels_do_not_change_a_uniform_subject():
     domain = make_domain(13, 11, observations=20, holes=False)
     truth = {
         "base_color": np.broadcast_to(np.float32([0.3, 0.5, 0.7]), (13, 11, 3)),
@@ -170,7 +170,7 @@ def test_maps_of_a_coarse_level_have_the_size_of_the_domain(turned):
     assert np.median(angles(last.values["normal"], truth["normal"])[domain.solvable]) < 5
 
 
-def test_what_is_known_is_known_at_every_level(turned):
+def test_fixed_parameters_are_fixed_at_every_level(turned):
     domain, truth = turned
     schedule = PRESETS["swarm"].replaced(levels=3, iterations=40)
     maps, _ = found(domain, schedule, fixed={"normal": truth["normal"]})
@@ -178,7 +178,7 @@ def test_what_is_known_is_known_at_every_level(turned):
     assert np.median(np.abs(maps.values["base_color"] - truth["base_color"])[domain.solvable]) < 5e-3
 
 
-def test_finer_levels_are_shorter_and_begin_at_what_was_given():
+def test_finer_levels_are_shorter_and_begin_at_the_given_estimate():
     schedule = load_schedule("standard").replaced(levels=3, level_iterations=0.5)
     first, *finer = level_schedules(schedule)
     assert first == schedule.replaced(levels=1) and len(finer) == 2

@@ -69,7 +69,7 @@ def in_slices_of_iterations(recovery):
 @pytest.mark.parametrize(
     "drive", [one_by_one, in_uneven_steps, in_tiny_slices, in_slices_with_looks_between, in_slices_of_iterations]
 )
-def test_however_it_is_stepped_the_maps_are_the_same_bit_for_bit(whole, recover, drive):
+def test_stepping_does_not_change_the_maps(whole, recover, drive):
     domain, schedule, wanted, evaluations = whole
     recovery = recover(domain, schedule=schedule)
     drive(recovery)
@@ -77,7 +77,7 @@ def test_however_it_is_stepped_the_maps_are_the_same_bit_for_bit(whole, recover,
     assert bits_of(recovery.maps()) == wanted
 
 
-def test_a_step_makes_the_iterations_it_is_asked_for(whole, recover):
+def test_a_step_makes_the_requested_iterations(whole, recover):
     domain, schedule, _, evaluations = whole
     recovery = recover(domain, schedule=schedule)
     assert recovery.step(iterations=0).iteration == 0
@@ -126,7 +126,7 @@ def test_tiles_of_several_stages_are_the_whole_bit_for_bit(whole, recover):
     assert run_tiled(domain, LAMBERT, schedule, 2) == wanted
 
 
-def test_a_tile_tells_when_it_reads_its_neighbours(recover):
+def test_a_tile_reports_when_it_reads_neighbours(recover):
     schedule = SHORT.replaced(neighbourhood=5, c3_until=0.5, neighbour_every=5)
     recovery = recover(subject(5, 4)[0], schedule=schedule)
     found = [recovery.reach]
@@ -137,7 +137,7 @@ def test_a_tile_tells_when_it_reads_its_neighbours(recover):
     assert found == [0] + [2] * 5 + [0, 0, 0, 1, 0, 0, 0]
 
 
-def test_a_halo_given_to_a_tile_moves_no_texel_of_its_own(recover):
+def test_a_received_halo_moves_no_own_texel(recover):
     domain, _ = subject()
     part = tile(domain, 3, 3, 6, 6, halo=2)
     recovery = recover(part)
@@ -157,7 +157,7 @@ def test_a_halo_given_to_a_tile_moves_no_texel_of_its_own(recover):
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("stop", [0, 1, 7, 11, 12, 13, 23])
-def test_a_run_goes_on_from_a_checkpoint_bit_for_bit(whole, recover, tmp_path, stop, entry):
+def test_a_run_resumes_from_a_checkpoint_bit_for_bit(whole, recover, tmp_path, stop, entry):
     domain, schedule, wanted, evaluations = whole
     path = tmp_path / "run.irpso"
     first = recover(domain, schedule=schedule, entry=entry)
@@ -177,7 +177,7 @@ def test_a_run_goes_on_from_a_checkpoint_bit_for_bit(whole, recover, tmp_path, s
 
 
 @pytest.mark.parametrize("slices", [1, 5, 40])
-def test_a_checkpoint_in_the_middle_of_an_iteration_goes_on_bit_for_bit(whole, recover, tmp_path, slices):
+def test_a_checkpoint_within_an_iteration_resumes_bit_for_bit(whole, recover, tmp_path, slices):
     domain, schedule, wanted, _ = whole
     path = tmp_path / "run.irpso"
     first = recover(domain, schedule=schedule)
@@ -202,7 +202,7 @@ def test_a_finished_run_loads_as_finished(whole, recover, tmp_path):
     assert second.step().done and bits_of(second.maps()) == wanted
 
 
-def test_a_refused_checkpoint_leaves_the_run_as_it_was(whole, recover, tmp_path):
+def test_a_refused_checkpoint_leaves_the_run_unchanged(whole, recover, tmp_path):
     domain, schedule, wanted, _ = whole
     path = tmp_path / "run.irpso"
     other = recover(domain, schedule=schedule, seed=2)

@@ -202,7 +202,7 @@ def test_the_optimum_is_that_of_scipy(refinement, name, central):
         assert texel.cost(at(found, row, column)) < 1.001 * wanted
 
 
-def test_no_number_leaves_its_range_and_the_optimum_on_it_is_scipys(refinement):
+def test_values_stay_in_range_and_the_bounded_optimum_is_scipys(refinement):
     model, shape = load_model("principled"), (4, 6)
     truth = materials(model, shape, seed=4)
     start = near(model, truth, 0.1)
@@ -247,7 +247,7 @@ def test_lobes_end_in_rising_order_with_their_weight(refinement):
 # ---- what costs nothing, what helps ------------------------------------------------------------------------------
 
 
-def test_a_texel_that_is_done_costs_nothing(refinement):
+def test_a_converged_texel_costs_nothing(refinement):
     model, shape = load_model("lambert"), (5, 6)
     truth = materials(model, shape)
     bench = refinement(model, observed(model, truth, shape), truth, schedule_of("l2", iterations=20))
@@ -283,7 +283,7 @@ def gold(shape):
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
 @pytest.mark.parametrize("card", [True, False])
-def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(refinement, card, entry):
+def test_a_start_uses_the_mirror_direction_of_the_brightest_sample(refinement, card, entry):
     model, shape = load_model("metallic_roughness"), (3, 4)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=30, **({} if card else {"card": False, "near": True}))
@@ -311,7 +311,7 @@ def test_a_start_stands_in_the_mirror_direction_of_the_brightest_sample(refineme
     np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
-def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wide_delta(refinement):
+def test_the_mirror_start_and_a_wide_delta_recover_a_metal_with_a_wrong_normal(refinement):
     model, shape = load_model("metallic_roughness"), (8, 8)
     truth = gold(shape)
     domain = observed(model, truth, shape, observations=24, noise=0.003)
@@ -330,7 +330,7 @@ def test_a_metal_whose_normal_is_far_off_is_found_from_the_mirror_start_and_a_wi
 
 @pytest.mark.parametrize("card", [True, False])
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_texel_takes_what_a_neighbour_has_found(refinement, card, entry):
+def test_a_texel_takes_a_neighbours_better_material(refinement, card, entry):
     model, shape = load_model("lambert"), (4, 5)
     truth = {
         name: np.broadcast_to(v[:1, :1], (*shape, v.shape[-1])).copy() for name, v in materials(model, shape).items()
@@ -389,7 +389,7 @@ def voted(refinement, truth, start, votes, entry="fragment", unseen=None):
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_a_lone_texel_whose_samples_do_not_decide_is_outvoted(refinement, entry):
+def test_a_lone_undecided_texel_is_outvoted(refinement, entry):
     truth = uniform((7, 7))
     start = {name: v.copy() for name, v in truth.items()}
     start["roughness"][3, 3], start["specular"][3, 3] = 0.9, 0.0
@@ -468,7 +468,7 @@ def test_slices_and_checkpoints_change_nothing(recover, tmp_path, entry, breaks)
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])
-def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, entry):
+def test_tiles_that_exchange_results_equal_the_whole_bit_for_bit(recover, entry):
     model, domain = lobes()
     schedule = load_schedule("swarm").replaced(
         iterations=3, particles=4, seed="random", refinement=replace(SETTINGS, **WHOLE)
@@ -478,7 +478,7 @@ def test_tiles_that_exchange_what_they_found_are_the_whole_bit_for_bit(recover, 
     assert run_tiled(domain, model, schedule, SPREAD_REACH, entry) == bits_of(whole.maps())
 
 
-def test_a_known_parameter_and_one_that_no_stage_searches_stay(recover):
+def test_fixed_and_unsearched_parameters_stay(recover):
     model, domain = lobes()
     fixed = {"base_color": np.float32([0.4, 0.5, 0.6])}
     schedule = load_schedule("swarm").replaced(search=["normal", "diffuse"], iterations=0, refinement=SETTINGS)

@@ -22,7 +22,7 @@ recover = pytest.fixture(recoveries)
 # ---- what is not there -------------------------------------------------------------------------------------------
 
 
-def test_what_weighs_nothing_may_be_nan_and_changes_nothing(recover):
+def test_samples_of_weight_0_may_be_nan(recover):
     domain, _ = subject()
     dark = domain.stack.values[..., 3] == 0
     assert np.isnan(domain.stack.values[dark, :3]).all() and dark.any()
@@ -54,7 +54,7 @@ def test_the_unit_of_the_lights_does_not_matter(recover):
         np.testing.assert_array_equal(found[0][name], found[1][name])
 
 
-def test_a_texel_that_nothing_is_known_of_stays_at_the_default(recover):
+def test_an_unobserved_texel_stays_at_the_default(recover):
     domain, _ = subject()
     unseen = ~domain.solvable
     assert (unseen & domain.bake.coverage).any() and (~domain.bake.coverage).any()
@@ -99,7 +99,7 @@ def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
 # ---- stages ------------------------------------------------------------------------------------------------------
 
 
-def test_known_maps_are_held_exactly_and_the_rest_is_found(recover):
+def test_fixed_maps_are_exact_and_the_rest_is_recovered(recover):
     domain, truth = subject(observations=12)
     schedule = load_schedule("swarm").replaced(iterations=700, seed="random")
     recovery = recover(domain, schedule=schedule, fixed={"normal": truth["normal"]})
@@ -204,7 +204,7 @@ def test_the_residual_is_the_mean_absolute_error_of_the_render(recover):
     np.testing.assert_allclose(maps.residual[maps.covered], error[maps.covered], rtol=1e-5, atol=1e-6)
 
 
-def test_looking_at_maps_often_keeps_nothing(recover):
+def test_reading_maps_often_keeps_no_memory(recover):
     recovery = recover(subject()[0], entry="compute")
     for _ in range(5):
         recovery.step(iterations=1)
@@ -235,7 +235,7 @@ def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search
     assert (maps.values["r1"] <= maps.values["r2"])[maps.covered].all()
 
 
-def test_exchanging_the_lobes_leaves_the_render_as_it_was(recover):
+def test_exchanging_the_lobes_keeps_the_render(recover):
     domain, truth = subject(7, 5, "cook_torrance_two_lobe", observations=12, rng_seed=8)
     noise = {**truth, "base_color": truth["base_color"] * 0.8}
     exchanged = {**noise, "r1": noise["r2"], "r2": noise["r1"], "w": 1 - noise["w"]}

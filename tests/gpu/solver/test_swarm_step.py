@@ -205,7 +205,7 @@ def rounding_of(step: oracle.Step) -> np.ndarray:
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_a_step_of_the_swarm_is_that_of_the_oracle(case, bench):
+def test_a_swarm_step_matches_the_oracle(case, bench):
     b = bench(case)
     b.stage.iteration = 0
     b.randomise()

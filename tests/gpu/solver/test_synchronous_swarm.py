@@ -83,7 +83,7 @@ def assert_equal_iterations(b, step, places):
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_a_generation_is_that_of_the_oracle(case, bench):
+def test_a_generation_matches_the_oracle(case, bench):
     b = bench(case)
     b.stage.iteration = 0
     b.randomise()
@@ -170,7 +170,7 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
 
 
-def test_somebody_leads_even_where_no_render_has_a_fitness(bench):
+def test_a_swarm_has_a_best_without_any_fitness(bench):
     case = BY_NAME["two-lobes-solved-with-their-weight"]
     domain = make_domain(4, 5, observations=6, holes=False)
     domain.stack.values[2, 1, 3, 0] = np.nan

@@ -125,7 +125,7 @@ def test_error_and_values_are_those_of_the_maps(recover, probe, card):
     assert recovery.progress.done and state.particles is None
 
 
-def test_a_texel_that_is_not_solved_has_no_state_and_one_outside_is_refused(recover, probe):
+def test_an_unsolved_texel_has_no_state_and_one_outside_is_refused(recover, probe):
     domain, _ = subject()
     reader = probe(recover(domain))
     row, column = np.argwhere(~domain.solvable)[0]
@@ -158,7 +158,7 @@ def test_every_phase_of_standard_is_read(recover, probe):
     assert names[swarms[0]] - {None} == {("roughness", "specular")}
 
 
-def test_a_swarm_that_is_being_placed_is_not_told(recover, probe):
+def test_an_unplaced_swarm_is_not_shown(recover, probe):
     domain, _ = subject()
     recovery = recover(domain)
     reader = probe(recovery)
@@ -169,7 +169,7 @@ def test_a_swarm_that_is_being_placed_is_not_told(recover, probe):
     assert np.isfinite(reader.read(row, column).particles.fitness).all()
 
 
-def test_a_coarse_level_is_read_at_the_texel_that_lies_there(probe):
+def test_a_coarse_level_is_read_at_its_own_texel(probe):
     domain, _ = subject(20, 23, holes=False)
     schedule = load_schedule("swarm").replaced(iterations=3, levels=2, particles=4, particles_per_dimension=0.0)
     with Pyramid(domain, load_model("lambert"), schedule, entry="fragment") as pyramid:
@@ -197,7 +197,7 @@ def test_little_is_read_back(recover, probe, monkeypatch):
     assert len(read) == 2 and sum(read) < 60
 
 
-def test_reading_changes_nothing_that_is_found(recover, probe):
+def test_reading_a_texel_does_not_change_the_maps(recover, probe):
     domain, _ = subject()
     runs = [recover(domain), recover(domain)]
     reader, (row, column) = probe(runs[0]), some_texels(domain)[0]

@@ -80,7 +80,7 @@ def test_tiles_give_the_maps_of_the_whole_bit_for_bit(name, card):
 
 @pytest.mark.parametrize("on_scratch", [False, True])
 @pytest.mark.parametrize("name", SCHEDULES)
-def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_path):
+def test_swapped_tiles_give_the_maps_of_the_whole_bit_for_bit(name, on_scratch, tmp_path):
     domain = with_hole(model="cook_torrance_two_lobe", card=False, observations=12)
     wanted, progress = whole_of(domain, SCHEDULES[name])
     with tiled(domain, SCHEDULES[name], FEW, resident=False, scratch=tmp_path if on_scratch else None) as recovery:
@@ -92,7 +92,7 @@ def test_tiles_that_take_turns_on_the_device_do_so_too(name, on_scratch, tmp_pat
 
 @pytest.mark.parametrize("resident", [True, False])
 @pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
-def test_a_prior_that_looks_far_beyond_its_tile_is_that_of_the_whole(card, resident):
+def test_a_prior_with_a_reach_beyond_its_tile_equals_the_whole(card, resident):
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
     schedule = load_schedule("standard").replaced(iterations=2, prior_rounds=2, prior_scales=2)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12)
@@ -105,7 +105,7 @@ def test_a_prior_that_looks_far_beyond_its_tile_is_that_of_the_whole(card, resid
 
 
 @pytest.mark.parametrize("on_device", [2, 4])
-def test_as_many_tiles_as_are_allowed_stay_on_the_device(on_device):
+def test_the_allowed_number_of_tiles_stays_on_the_device(on_device):
     domain = with_hole(card=False)
     wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
     boxes = [(0, 0, 9, 6), (9, 0, 8, 6), (0, 6, 4, 7), (4, 6, 5, 7), (9, 6, 8, 7)]
@@ -125,7 +125,7 @@ def test_compute_dispatches_over_tiles_give_the_maps_of_the_whole(tmp_path):
 
 
 @pytest.mark.parametrize("resident", [True, False])
-def test_slices_of_time_and_looks_between_change_nothing(resident, monkeypatch):
+def test_time_slices_and_reads_change_nothing(resident, monkeypatch):
     monkeypatch.setattr("irpso_addon.solver.engine.lockstep.BAND_SECONDS", 1e-9)  # the smallest bands on any machine
     domain = with_hole(card=False)
     wanted, progress = whole_of(domain, SCHEDULES["wide window"], model=LAMBERT)
@@ -143,7 +143,7 @@ def test_slices_of_time_and_looks_between_change_nothing(resident, monkeypatch):
         assert everything(recovery.maps()) == wanted
 
 
-def test_a_step_makes_the_iterations_it_is_asked_for_in_tiles_too():
+def test_a_tiled_step_makes_the_requested_iterations():
     with tiled(with_hole(), SHORT.replaced(c3=0.0, neighbour_every=0), FEW, resident=False, model=LAMBERT) as recovery:
         assert (recovery.step(iterations=0).iteration, recovery.progress.evaluations > 0) == (0, True)
         assert recovery.step(iterations=1).iteration == 1
@@ -153,7 +153,7 @@ def test_a_step_makes_the_iterations_it_is_asked_for_in_tiles_too():
 
 @pytest.mark.parametrize("stop", [0, 3, 6, 7])
 @pytest.mark.parametrize("how", ["resident", "turns", "scratch"])
-def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
+def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
     domain = with_hole(card=False)
     schedule = SCHEDULES["several stages"].replaced(neighbour_every=2)
     wanted, progress = whole_of(domain, schedule, model=LAMBERT)
@@ -175,7 +175,7 @@ def test_tiles_go_on_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
-def test_a_checkpoint_does_not_know_how_the_domain_was_divided(name, tmp_path):
+def test_a_checkpoint_does_not_depend_on_the_tiles(name, tmp_path):
     domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES[name]
     wanted, progress = whole_of(domain, schedule)
     makes = {
@@ -267,7 +267,7 @@ def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, dev
 
 
 @pytest.mark.parametrize("preset, budget", [("swarm", 3 << 20), ("standard", 5 << 19)])
-def test_tiles_that_take_turns_take_no_more_than_the_plan_says(preset, budget, device):
+def test_swapped_tiles_take_at_most_the_planned_bytes(preset, budget, device):
     domain, _ = subject(40, 40, holes=False, observations=12)
     schedule = load_schedule(preset).replaced(iterations=6)
     cost = recovery_cost(LAMBERT, schedule, (), 12)

@@ -73,7 +73,7 @@ def test_a_side_longer_than_a_picture_shows_fewer_texels(domain, wanted, monkeyp
     np.testing.assert_array_equal(found, wanted[COLOR][rows][:, columns])
 
 
-def test_tiles_that_take_turns_show_what_they_had_found_when_they_were_there_last(domain, wanted):
+def test_swapped_tiles_show_their_last_state(domain, wanted):
     with tiled(domain, on_device=1) as recovery, closing(display_of(recovery)) as display:
         neighbour_reads = 0
         while not recovery.step(time_budget_s=1e-6).done:
@@ -86,7 +86,7 @@ def test_tiles_that_take_turns_show_what_they_had_found_when_they_were_there_las
     assert any(same[y : y + h, x : x + w].all() for x, y, w, h in BOXES)  # the tile on the device is up to date
 
 
-def test_a_texel_is_read_from_its_tile_while_that_is_on_the_device(domain, whole):
+def test_a_texel_is_read_from_a_resident_tile(domain, whole):
     with tiled(domain) as recovery:
         recovery.step()
         with closing(texel_probe_of(recovery)) as probe, closing(TexelProbe(whole)) as other:
@@ -100,7 +100,7 @@ def test_a_texel_is_read_from_its_tile_while_that_is_on_the_device(domain, whole
         assert 0 < sum(there) < len(there)
 
 
-def test_the_mean_error_of_tiles_that_take_turns_counts_them_all(domain, whole):
+def test_the_mean_error_of_swapped_tiles_counts_all(domain, whole):
     with tiled(domain, on_device=1) as recovery:
         recovery.step()
         for number in range(len(BOXES)):

@@ -71,7 +71,7 @@ def test_a_circle_counts_from_the_upper_left_and_a_table_is_never_overwritten(ph
         ({"found_by": "CIRCLE", "circle": (900, 10, 20)}, "outside the image"),
     ],
 )
-def test_what_is_missing_is_said_and_nothing_written(photographs, given, words):
+def test_missing_input_is_reported_and_nothing_written(photographs, given, words):
     before = sorted(p.name for p in photographs.iterdir())
     with pytest.raises(RuntimeError, match=words):
         press(photographs, **given)

@@ -73,7 +73,7 @@ def test_cameras_follow_a_mesh_that_blender_imports_from_obj(scene, tmp_path, ax
     np.testing.assert_allclose(found, metashape_pixels(straight)[: len(found)], atol=0.02)
 
 
-def test_meshrooms_mesh_and_cameras_stand_together_and_move_with_their_empty(scene, tmp_path):
+def test_meshrooms_mesh_and_cameras_match_and_move_with_their_empty(scene, tmp_path):
     plain = {"type": "pinhole", "distortionParams": ""}
     bpy.ops.irpso.import_cameras(filepath=str(alicevision(tmp_path / "a.sfm", (1, 2, 6), plain)))
     camera = bpy.data.objects["IMG_0001.JPG"]
@@ -97,7 +97,7 @@ def test_a_light_seen_by_an_imported_camera_has_all_of_its_lens(scene, tmp_path)
     np.testing.assert_allclose(np.c_[found[:, 0], HEIGHT / 4 - found[:, 1]], expected, atol=1e-3)
 
 
-def test_importing_again_brings_cameras_up_to_date_and_leaves_their_empty(scene, tmp_path):
+def test_importing_again_updates_cameras_and_keeps_their_empty(scene, tmp_path):
     colmap(tmp_path / "model")
     bpy.ops.irpso.import_cameras(directory=str(tmp_path / "model"))
     camera = bpy.data.objects["IMG_0001.JPG"]
@@ -131,20 +131,20 @@ def test_a_capture_of_such_cameras_is_imported_and_its_scene_is_it_again(scene, 
 
 
 @pytest.mark.parametrize(("chosen", "words"), [("", "no file was chosen"), ("gone.xml", "gone.xml: is not there")])
-def test_what_is_no_file_of_cameras_is_told(scene, tmp_path, chosen, words):
+def test_another_file_than_cameras_is_reported(scene, tmp_path, chosen, words):
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.irpso.import_cameras(filepath=str(tmp_path / chosen) if chosen else "")
     assert not scene.objects and not scene.collection.children
 
 
-def test_cameras_that_cannot_be_had_are_reported(scene, tmp_path, capfd):
+def test_unreadable_cameras_are_reported(scene, tmp_path, capfd):
     metashape(tmp_path / "a.xml")
     assert bpy.ops.irpso.import_cameras(filepath=str(tmp_path / "a.xml")) == {"FINISHED"}
     assert len([obj for obj in scene.objects if obj.type == "CAMERA"]) == 1
     assert "1 camera of Metashape; 2 left out: 'IMG_0002' is disabled" in capfd.readouterr().out
 
 
-def test_a_distortion_that_is_none_is_told_with_the_cameras_name(scene):
+def test_invalid_distortion_is_reported_with_the_cameras_name(scene):
     obj = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
     scene.collection.objects.link(obj)
     obj[DISTORTION] = 0.1

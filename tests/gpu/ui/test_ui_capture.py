@@ -142,7 +142,7 @@ def test_a_list_of_lights_is_a_card_and_cameras_around_something_are_a_mesh(scen
 
 
 @pytest.mark.parametrize("chosen", ["nothing", "gone/capture.toml", "odd.lp", ""])
-def test_what_is_no_capture_is_told_in_one_line_and_changes_nothing(scene, tmp_path, chosen):
+def test_another_file_than_a_capture_is_reported_in_one_line_and_changes_nothing(scene, tmp_path, chosen):
     write_diligent(tmp_path / "good")
     bpy.ops.irpso.import_capture(filepath=str(tmp_path / "good"))
     (tmp_path / "nothing").mkdir()
@@ -169,7 +169,7 @@ def test_findings_of_the_check_are_kept_as_settings(scene, tmp_path):
     assert any("003.exr: is all black" in item.message for item in scene.irpso.findings)
 
 
-def test_lights_are_judged_for_what_is_to_be_recovered(scene):
+def test_light_sufficiency_follows_the_recovered_parameters(scene):
     settings = scene.irpso
     asked = {}
     for name in ("lambert", "principled", "cook_torrance_two_lobe"):
@@ -242,7 +242,7 @@ def test_blender_projects_points_where_the_camera_does(scene, name):
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_lights_are_read_where_they_stand_also_below_parents_and_hidden(scene, hidden):
+def test_lights_are_read_at_world_positions_even_parented_or_hidden(scene, hidden):
     direction = np.array([0.48, 0.64, 0.6])
     light = add_light(scene, "Key")
     scene_setup.set_light(light, Light(tuple(direction), (2.0, 1.0, 0.5)), (1, 2, 3), 4.0)
@@ -284,7 +284,7 @@ def test_the_scene_of_a_capture_is_the_capture_again(scene, tmp_path, single_fil
     assert_same(created(scene, tmp_path / "views"), expected)
 
 
-def test_it_is_so_for_a_folder_with_a_mask_and_after_saving_and_opening(scene, tmp_path):
+def test_the_scene_of_a_masked_capture_survives_saving(scene, tmp_path):
     normals, mask = sphere(24)
     write_diligent(tmp_path / "ball", shade(normals), mask=mask)
     expected = read_capture(tmp_path / "ball", decode)
@@ -294,7 +294,7 @@ def test_it_is_so_for_a_folder_with_a_mask_and_after_saving_and_opening(scene, t
     assert_same(scene_capture.capture_of(bpy.context.scene), expected)
 
 
-def test_it_is_so_for_the_icon(scene, shared_data):
+def test_the_scene_of_the_icon_is_the_capture_again(scene, shared_data):
     expected = read_capture(shared_data / "rti_icon", decode)
     found = created(scene, shared_data / "rti_icon")
     assert len(found.observations) == 72
@@ -311,7 +311,7 @@ def test_the_colour_space_of_files_goes_along(scene, tmp_path, bits, space):
     assert_same(created(scene, tmp_path), read_capture(tmp_path, decode))
 
 
-def test_running_it_again_keeps_what_is_the_users_and_drops_what_is_gone(scene, tmp_path):
+def test_setup_again_keeps_the_users_objects_and_removes_stale_ones(scene, tmp_path):
     mine = add_light(scene, "My own", kind="AREA")
     camera = add_camera(scene)
     normals, mask = sphere(24)
@@ -328,7 +328,7 @@ def test_running_it_again_keeps_what_is_the_users_and_drops_what_is_gone(scene, 
     assert len([light for light in bpy.data.lights if light.name.startswith("Light")]) == 4
 
 
-def test_one_light_shines_at_a_time_and_its_photograph_lies_behind(scene, tmp_path):
+def test_one_light_shines_at_a_time_over_its_photograph(scene, tmp_path):
     write_views(tmp_path / "views")
     created(scene, tmp_path / "views")
     lights = [obj for obj in scene.objects if obj.type == "LIGHT"]
@@ -484,7 +484,7 @@ def test_lights_get_images_in_the_order_of_their_numbers(scene, tmp_path):
 
 
 @pytest.mark.parametrize("chosen", ["scene.blend", "gone.png"])
-def test_what_is_no_image_is_refused_in_one_line_before_a_light_is_given_one(scene, tmp_path, chosen):
+def test_another_file_than_an_image_is_refused_before_lights_change(scene, tmp_path, chosen):
     add_camera(scene)
     add_light(scene, "Lamp 1"), add_light(scene, "Lamp 2")
     write_png(tmp_path / "a.png", np.full((4, 4, 3), 10))
@@ -589,7 +589,7 @@ def nothing(scene, tmp_path):
         (nothing, "no light of this scene has a photograph"),
     ],
 )
-def test_what_cannot_be_a_capture_is_told_with_the_remedy(scene, tmp_path, spoil, told):
+def test_an_incomplete_scene_is_reported_with_the_remedy(scene, tmp_path, spoil, told):
     add_camera(scene)
     write_png(tmp_path / "b.png", np.zeros((4, 4, 3)))
     add_light(scene, "Key", image_of(tmp_path / "a.png", np.full((4, 4, 3), 100)))

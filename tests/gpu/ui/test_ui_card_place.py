@@ -30,7 +30,7 @@ def test_a_card_stands_beside_what_is_at_the_origin():
     np.testing.assert_array_equal(place[1:3, 3], 0)
 
 
-def test_what_stands_elsewhere_is_no_obstacle():
+def test_distant_objects_do_not_move_a_card():
     bpy.ops.mesh.primitive_cube_add(size=2, location=(0, 0, 3))
     bpy.ops.mesh.primitive_cube_add(size=2, location=(4, 0, 0))
     bpy.ops.object.light_add(type="POINT", location=(0, 0, 0))
@@ -38,7 +38,7 @@ def test_what_stands_elsewhere_is_no_obstacle():
     np.testing.assert_array_equal(card_place.free_place(bpy.context, 1.0), np.eye(4))
 
 
-def test_a_card_is_free_until_somebody_moves_it():
+def test_a_card_is_free_until_the_user_moves_it():
     card = bpy.data.objects.new("card", None)
     bpy.context.scene.collection.objects.link(card)
     assert card_place.is_free(card)
@@ -50,7 +50,7 @@ def test_a_card_is_free_until_somebody_moves_it():
     assert not card_place.is_free(card)
 
 
-def test_what_is_close_to_the_cards_edge_is_in_its_way_too():
+def test_an_object_near_the_cards_edge_moves_it():
     bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.65, 0, 0))
     bpy.context.view_layer.update()
     assert card_place.free_place(bpy.context, 1.0)[0, 3] > 0.75 + 0.5
@@ -81,7 +81,7 @@ def test_the_largest_viewport_turns_to_the_place_of_a_card_from_straight_above()
     assert shown(None, place, height=3.0).view_distance == pytest.approx(3 * view.view_distance)
 
 
-def test_a_card_that_stands_out_of_sight_is_looked_at_along_its_own_axis_and_one_in_sight_is_left():
+def test_the_view_turns_to_a_card_out_of_sight_only():
     turn = Euler((0.3, 0.8, 0.1))
     card = SimpleNamespace(matrix_world=Matrix.LocRotScale((3, 4, 5), turn, (2, 2, 2)))
     view = shown(card, np.eye(4))

@@ -57,7 +57,7 @@ def refusal(**values):
     return str(caught.value).strip()
 
 
-def test_what_is_ticked_lies_beside_the_maps_and_can_be_read_back(settings, tmp_path):
+def test_chosen_exports_lie_beside_the_maps_and_read_back(settings, tmp_path):
     wanted = {"normal_object": True, "normal_directx": True, "height": True}
     assert bpy.ops.irpso.export(filepath=str(tmp_path / "out"), **wanted) == {"FINISHED"}
     files = {path.name for path in (tmp_path / "out").iterdir()}
@@ -68,7 +68,7 @@ def test_what_is_ticked_lies_beside_the_maps_and_can_be_read_back(settings, tmp_
     assert read_result(tmp_path / "out").maps.covered.shape == SHAPE
 
 
-def test_keep_displaces_the_card_where_that_is_ticked_and_no_more_where_it_is_not(settings):
+def test_keep_displaces_the_card_only_if_chosen(settings):
     settings.displacement = True
     assert bpy.ops.irpso.keep() == {"FINISHED"}
     material = bpy.data.materials["IRPSO leaf"]
@@ -98,7 +98,7 @@ def test_the_button_writes_the_chosen_format(kind, place, files, settings, tmp_p
         assert {path.name for path in (tmp_path / place).iterdir()} == files
 
 
-def test_gltf_wants_the_card_to_be_kept_first_and_leaves_the_file_as_it_was(settings, tmp_path):
+def test_gltf_needs_a_kept_card_and_does_not_change_the_file(settings, tmp_path):
     wanted = {"filepath": str(tmp_path / "leaf.glb"), "format": "gltf"}
     assert "press Keep first" in refusal(**wanted)
     bpy.ops.irpso.keep()
@@ -109,7 +109,7 @@ def test_gltf_wants_the_card_to_be_kept_first_and_leaves_the_file_as_it_was(sett
     assert bpy.context.view_layer.objects.active.name == "IRPSO leaf"
 
 
-def test_a_place_that_cannot_be_written_is_told_in_one_line(settings, tmp_path):
+def test_an_unwritable_path_is_reported_in_one_line(settings, tmp_path):
     (tmp_path / "file").write_text("in the way")
     for kind in ("maps", "textures"):
         said = refusal(filepath=str(tmp_path / "file" / "set"), format=kind)

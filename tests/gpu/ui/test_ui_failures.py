@@ -30,7 +30,7 @@ def broken(*_, **__):
     raise IndexError("index -1 is out of bounds")
 
 
-def test_a_check_that_fails_ends_and_is_told_in_the_panel(scene, tmp_path, monkeypatch):
+def test_a_failed_check_ends_and_is_reported_in_the_panel(scene, tmp_path, monkeypatch):
     write_diligent(tmp_path)
     scene.irpso.capture_path = str(tmp_path)
 
@@ -46,7 +46,7 @@ def test_a_check_that_fails_ends_and_is_told_in_the_panel(scene, tmp_path, monke
 
 
 @pytest.mark.parametrize("name", ["_idle", "_draw_view", "_draw_pixels", "_draw_image", "_follow"])
-def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, name):
+def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
     due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
     fails = dict.fromkeys(("update", "wants_redraw", "close"), broken)
@@ -68,7 +68,7 @@ def test_a_drawing_that_fails_again_and_again_is_told_once(monkeypatch, caplog, 
 
 
 @pytest.mark.parametrize("operator", [recover.IRPSO_OT_run, probes.IRPSO_OT_probe])
-def test_a_modal_operator_that_fails_leaves_and_is_told(monkeypatch, operator):
+def test_a_failed_modal_operator_ends_and_is_reported(monkeypatch, operator):
     left = []
     one = SimpleNamespace(_handle=broken, _leave=lambda context: left.append(True) or {"FINISHED"},
                           _session=SimpleNamespace(pause=lambda: left.append("paused")))  # fmt: skip
@@ -76,18 +76,18 @@ def test_a_modal_operator_that_fails_leaves_and_is_told(monkeypatch, operator):
     assert left[-1] is True and failures.messages()[0].endswith("has ended: index -1 is out of bounds")
 
 
-def test_a_list_that_cannot_be_filled_is_told_and_not_raised(monkeypatch):
+def test_a_list_that_cannot_be_filled_is_reported_and_not_raised(monkeypatch):
     monkeypatch.setattr(upkeep, "is_wanting", broken)
     assert upkeep.fill_lists() is None and len(failures.messages()) == 1
 
 
-def test_an_expected_error_is_told_in_its_own_words_with_settings_as_blender_calls_them():
+def test_an_expected_error_keeps_its_text_with_blenders_setting_names():
     with failures.reported("The check"):
         raise InputError("--memory 1K: is too little")
     assert failures.messages() == ("Memory Budget 1K: is too little",)
 
 
-def test_what_was_told_is_dismissed_by_its_button_or_by_another_file():
+def test_messages_are_dismissed_by_the_button_or_another_file():
     for dismiss in (bpy.ops.irpso.dismiss_failures, lambda: bpy.ops.wm.read_factory_settings(use_empty=True)):
         with failures.reported("The check"):
             broken()

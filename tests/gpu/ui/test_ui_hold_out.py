@@ -72,7 +72,7 @@ def relighting(report):
     return {key: value for key, value in report.items() if key.startswith("relighting")}
 
 
-def test_the_window_finds_what_the_command_line_finds(settings, of_cli, tmp_path):
+def test_window_and_command_line_hold_out_the_same(settings, of_cli, tmp_path):
     running = begin()
     while running.active:
         running.tick(0.05)
@@ -95,7 +95,7 @@ def test_the_window_finds_what_the_command_line_finds(settings, of_cli, tmp_path
     assert report["lights"] == wanted["lights"]
 
 
-def test_off_fits_all_photographs_and_tells_nothing_of_unseen_ones(settings, of_cli, tmp_path):
+def test_off_fits_all_photographs_and_reports_no_unseen_ones(settings, of_cli, tmp_path):
     settings.hold_out = "OFF"
     assert settings.bl_rna.properties["hold_out"].default == "OFF"
     running = begin()
@@ -112,7 +112,7 @@ def test_off_fits_all_photographs_and_tells_nothing_of_unseen_ones(settings, of_
     assert (tmp_path / "out" / "normal.exr").read_bytes() == (tmp_path / "cli" / "normal.exr").read_bytes()
 
 
-def test_a_run_that_is_stopped_is_relit_and_once_more_when_it_has_gone_on(settings):
+def test_a_stopped_run_is_relit_again_after_resuming(settings):
     running = begin()
     while running.progress is None or running.progress.iteration_in_all < 3:
         running.tick(0.01)
@@ -130,7 +130,7 @@ def test_a_run_that_is_stopped_is_relit_and_once_more_when_it_has_gone_on(settin
     assert running.unseen.startswith("Unseen photographs: ") and running.unseen != early
 
 
-def test_while_photographs_are_relit_the_panel_says_so_and_the_time_of_the_search_stands(settings):
+def test_the_panel_shows_relighting_and_the_search_time_stops(settings):
     running = begin()
     while not running.relighting:
         running.tick(0.05)
@@ -225,7 +225,7 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
     )  # a stack on a disk is not read into memory
 
 
-def test_photographs_held_out_belong_to_what_was_asked_and_make_another_domain(settings):
+def test_held_out_photographs_are_part_of_the_recipe_and_of_the_domain(settings):
     from irpso_addon.ui.properties.recipe import apply_recipe
     from irpso_addon.ui.session.job import make_job
 

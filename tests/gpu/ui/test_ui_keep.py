@@ -71,7 +71,7 @@ def image_values(name):
     return values.reshape(height, width, -1)
 
 
-def test_without_a_recovery_every_button_says_what_to_do():
+def test_without_a_recovery_every_button_names_the_next_step():
     for operator in (bpy.ops.irpso.keep, bpy.ops.irpso.export):
         assert "press Recover" in refusal(operator)
 
@@ -86,7 +86,7 @@ def test_keep_puts_the_maps_on_a_visible_card(recovered):
     assert all(bpy.data.images[f"IRPSO leaf {name}"].packed_file is not None for name in MAPS)
 
 
-def test_the_kept_images_hold_what_was_found_to_16_bits(recovered):
+def test_the_kept_images_hold_the_maps_in_16_bits(recovered):
     bpy.ops.irpso.keep()
     found = recovered.maps().values
     normal = image_values("normal")[..., :3] * 2 - 1
@@ -94,7 +94,7 @@ def test_the_kept_images_hold_what_was_found_to_16_bits(recovered):
     assert np.abs(image_values("roughness")[..., 0] - found["roughness"][..., 0]).max() < 2 / 65535
 
 
-def test_keeping_again_updates_what_is_there_and_leaves_the_users_nodes(recovered):
+def test_keeping_again_updates_the_material_and_keeps_the_users_nodes(recovered):
     bpy.ops.irpso.keep()
     material = bpy.data.materials["IRPSO leaf"]
     mine = material.node_tree.nodes.new("ShaderNodeHueSaturation")
@@ -111,7 +111,7 @@ def test_keeping_again_updates_what_is_there_and_leaves_the_users_nodes(recovere
     assert obj.visible_get()
 
 
-def test_a_card_that_was_taken_out_of_the_scene_comes_back(recovered):
+def test_a_card_removed_from_the_scene_is_linked_again(recovered):
     bpy.ops.irpso.keep()
     (obj,) = bpy.context.scene.objects
     bpy.context.scene.collection.objects.unlink(obj)
@@ -200,7 +200,7 @@ def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
     assert set(pictures_of(recovered, found)) == {"preview", "confidence", "convergence"}
 
 
-def test_a_fifth_probe_takes_the_place_and_the_number_of_the_oldest_which_is_told(recovered, capfd):
+def test_a_fifth_probe_replaces_the_oldest_with_a_message(recovered, capfd):
     for column in range(4):
         bpy.ops.irpso.probe(row=2, column=column)
     assert "moved" not in capfd.readouterr().out

@@ -39,7 +39,7 @@ def begun():
     return session.begin(make_job(bpy.context))
 
 
-def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(settings):
+def test_lights_are_refined_on_request_or_automatically(settings):
     from irpso_addon.pipeline.job import LightOptions
     from irpso_addon.ui.session.job import make_job
 
@@ -50,7 +50,7 @@ def test_lights_are_looked_for_where_that_is_asked_for_or_left_to_the_program(se
     settings.refine_directions = 0
 
 
-def test_strengths_are_found_in_slices_before_the_search_and_told_with_the_result(settings, truth, monkeypatch):
+def test_strengths_are_estimated_in_slices_and_reported(settings, truth, monkeypatch):
     from irpso_addon.ui.panels import recovery as panels
     from irpso_addon.ui.session import keep, session
 

@@ -88,7 +88,7 @@ def test_linear_ticks_are_round_even_and_not_too_many(low, high, most):
 @pytest.mark.parametrize(
     ("top", "ticks"), [(50, [0, 50]), (20, [0, 10, 20]), (0.1, [0, 0.05, 0.1]), (35, [0, 10, 20, 30])]
 )
-def test_the_top_of_a_legend_has_its_number_however_few_there_are(top, ticks):
+def test_a_legend_always_labels_its_top(top, ticks):
     assert ticks_to(top, 4) == pytest.approx(ticks)
 
 
@@ -106,7 +106,7 @@ def test_numbers_at_ticks_are_short():
     ]  # fmt: skip
 
 
-def test_side_regions_that_lie_over_a_viewport_are_kept_free_and_others_do_not_matter():
+def test_only_overlapping_side_regions_are_kept_free():
     window = Rectangle(100, 50, 800, 600)
     sides = [
         ("LEFT", Rectangle(100, 50, 60, 600)), ("RIGHT", Rectangle(700, 50, 200, 600)),
@@ -124,7 +124,7 @@ def test_boxes_are_stacked_upward_then_in_columns_and_left_out_where_there_is_no
     assert places == [Rectangle(10, 20, 200, 150), Rectangle(220, 20, 180, 300), None]
 
 
-def test_boxes_stand_left_of_the_legend_or_above_it_where_more_of_them_fit():
+def test_boxes_lie_left_of_the_legend_or_above_it_if_more_fit():
     legend_box, sizes = Rectangle(410, 20, 100, 210), [(290, 140)]
     wide, high = Rectangle(10, 20, 500, 400), Rectangle(10, 20, 380, 400)
     assert stacked_around(None, wide, sizes, 10) == stacked(wide, sizes, 10)
@@ -174,7 +174,7 @@ def test_an_image_editor_that_draws_no_map_says_why():
     assert "choose View" in flat.why_covered(SimpleNamespace(mode="PAINT", image=None))
 
 
-def test_lights_between_the_viewer_and_the_subject_are_told_from_those_around_it():
+def test_lights_over_the_subject_are_distinguished_from_those_around_it():
     matrix, size = perspective_of((0, 0, 5), (0, 0, 0)), (800, 600)
     corners = np.array([[x, y, 0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
     places = np.array([[0, 0, 1.0], [0.3, -0.2, 0.8], [1.2, 0, 0.5], [0, -0.9, 0.1]])
@@ -191,14 +191,14 @@ def test_observations_are_counted_from_one_in_the_legend():
     ("component", "words"),
     [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 to 1"), ("roughness", "Roughness 0.02 to 1")],
 )
-def test_an_axis_of_the_swarm_is_called_as_the_parameter_that_is_searched_along_it(component, words):
+def test_swarm_axes_are_named_after_their_parameters(component, words):
     from irpso_addon.ui.overlay.swarm import _words
 
     (axis,) = choose_axes([component], [], load_model("principled"))
     assert _words(axis) == words
 
 
-def test_curves_lie_where_iteration_and_the_logarithm_of_the_error_say():
+def test_curves_plot_log_error_over_iteration():
     area = Rectangle(40, 30, 300, 120)
     plot = curve_plot(area, [[(0, 10.0), (50, 1.0), (100, 0.1)], [(0, math.nan), (100, 5.0)], []])
     assert plot.curves[0] == pytest.approx(np.array([(40, 150), (190, 90), (340, 30)]))
@@ -231,7 +231,7 @@ def test_a_ray_through_a_pixel_meets_the_point_that_is_drawn_there():
     assert not to_pixels(matrix, behind, size)[1][0]
 
 
-def test_a_pixel_is_as_wide_as_two_projected_points_say():
+def test_pixel_size_matches_projected_points():
     matrix, size = perspective_of((0, -5, 0), (0, 0, 0)), (800, 600)
     one = pixel_size(matrix, np.zeros(3), size)
     pixels, _ = to_pixels(matrix, np.array([[0, 0, 0], [100 * one, 0, 0]]), size)
@@ -283,7 +283,7 @@ def test_a_card_is_one_wide_around_the_origin_as_its_object_will_be(shape):
     assert corners == pytest.approx(np.array([(-0.5, -y, 0), (0.5, -y, 0), (0.5, y, 0), (-0.5, y, 0)]), abs=1e-9)
 
 
-def test_distant_lights_stand_on_the_dome_in_the_turned_direction_and_near_ones_at_their_place():
+def test_distant_lights_lie_on_the_dome_and_near_ones_at_their_position():
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = 2 * turn, (5, 6, 7)
@@ -300,7 +300,7 @@ def test_distant_lights_stand_on_the_dome_in_the_turned_direction_and_near_ones_
     assert guide_lines(dome_of(lights[2:], np.ones((1, 3)), placement)) == []
 
 
-def test_a_lights_colour_keeps_its_hue_and_tells_its_strength_among_the_others():
+def test_a_lights_colour_shows_its_hue_and_relative_strength():
     colors = light_colors(np.array([[1, 0.5, 0.25], [4, 2, 1], [0, 0, 0]]))
     assert colors[1].max() == pytest.approx(1)
     assert colors[0] / colors[0].max() == pytest.approx(colors[1] / colors[1].max())
@@ -331,7 +331,7 @@ def test_a_circle_is_flat_and_round():
     assert points @ normal == pytest.approx(0, abs=1e-12)
 
 
-def test_a_ball_around_the_subject_holds_its_corners_wherever_it_stands():
+def test_the_bounding_sphere_contains_the_placed_corners():
     frame = np.diag([2.0, 3.0, 1.0, 1.0])
     frame[:3, 3] = (1, 1, 1)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (0, 1) for z in (2, 5)], float)
@@ -377,7 +377,7 @@ def test_the_turning_box_stays_inside_its_area_and_keeps_z_upright():
     assert reached[0] == pytest.approx(200, rel=0.01) or reached[1] == pytest.approx(180, rel=0.01)
 
 
-def test_what_is_nearer_to_the_viewer_is_told_to_be():
+def test_box_pixels_orders_points_by_distance_to_the_viewer():
     view = view_of(0.0, 0.3)
     _, depth = box_pixels(np.array([[0.5, 0.0, 0.5], [0.5, 1.0, 0.5]]), view, Rectangle(0, 0, 100, 100))
     assert depth[0] > depth[1]
@@ -425,7 +425,7 @@ def test_a_star_has_five_points():
     assert points[0] == pytest.approx([0, 10])
 
 
-def test_the_goal_lies_where_a_particle_with_the_true_value_would():
+def test_the_true_value_is_marked_at_its_particle_position():
     model = load_model("principled")
     names = ("roughness", "base_color.r", "base_color.g", "base_color.b")
     axes = choose_axes(names, (), model)

@@ -145,7 +145,7 @@ def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings
 
 
 @pytest.mark.bpy_only
-def test_what_is_given_is_asked_for_where_a_map_is_not_recovered(settings):
+def test_fixed_maps_have_value_fields(settings):
     items = settings.parameters
     items["base_color"].recover = items["roughness"].recover = items["normal"].recover = False
     found = drawn()
@@ -219,7 +219,7 @@ def test_the_observation_can_be_chosen_wherever_there_are_lights_of_a_capture(se
     assert drawn().props.count("observation") == 1
 
 
-def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, card):
+def test_the_panels_show_the_next_steps_from_loading_to_kept(settings, card):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
 
@@ -258,7 +258,7 @@ def test_from_loading_to_kept_the_panels_show_what_can_be_done_now(settings, car
     assert "View" not in labels() and "Capture" in labels() and "irpso.keep" not in drawn().operators
 
 
-def test_the_view_shows_the_settings_of_what_is_chosen_and_nothing_else(settings, card):
+def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
 
@@ -314,7 +314,7 @@ def test_a_path_may_be_relative_to_the_file(settings, recwarn):
 
 
 @pytest.mark.bpy_only
-def test_numbers_are_written_for_people():
+def test_numbers_are_formatted_readably():
     from irpso_addon.ui.common import drawing
 
     assert [drawing.clock(s) for s in (0.4, 35, 723.2, 3723)] == ["0:00", "0:35", "12:03", "1:02:03"]

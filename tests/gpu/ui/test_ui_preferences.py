@@ -34,7 +34,7 @@ def test_without_preferences_there_are_defaults():
 
 
 @pytest.mark.bpy_only
-def test_the_preferences_start_with_the_defaults_and_then_say_what_was_set(enabled, tmp_path):
+def test_preferences_start_with_defaults_and_keep_changes(enabled, tmp_path):
     assert preferences.current(bpy.context) == preferences.Wanted()
     enabled.memory, enabled.entry, enabled.display_rate = " device=4G,host=8G ", "compute", 99
     enabled.output_folder = str(tmp_path)
@@ -43,13 +43,13 @@ def test_the_preferences_start_with_the_defaults_and_then_say_what_was_set(enabl
 
 @pytest.mark.bpy_only
 @pytest.mark.parametrize(("text", "fault"), [("", ""), (" ", ""), ("4G", ""), ("device=2G", ""), ("much", "write an")])
-def test_a_budget_that_cannot_be_read_is_told(text, fault):
+def test_an_unreadable_budget_is_reported(text, fault):
     assert preferences.memory_fault(text)[:8] == fault
     assert "--memory" not in preferences.memory_fault(text)
 
 
 @pytest.mark.bpy_only
-def test_the_report_is_copied_once_there_is_one(monkeypatch, found):
+def test_the_report_can_be_copied_after_doctor(monkeypatch, found):
     assert preferences.report() == "" and not bpy.ops.irpso.copy_report.poll()
     monkeypatch.setattr(preferences.probe, "probe", lambda: found)
     assert bpy.ops.irpso.doctor() == {"FINISHED"}
@@ -62,7 +62,7 @@ def test_the_report_is_copied_once_there_is_one(monkeypatch, found):
 
 
 @pytest.mark.bpy_only
-def test_a_machine_without_a_gpu_is_reported_and_told(monkeypatch, found):
+def test_a_machine_without_a_gpu_is_reported(monkeypatch, found):
     monkeypatch.setattr(preferences.probe, "probe", lambda: found)
     bpy.ops.irpso.doctor()
 

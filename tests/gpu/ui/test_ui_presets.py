@@ -97,7 +97,7 @@ def test_every_setting_of_a_schedule_is_a_property_that_shows_the_value_in_effec
 
 
 @pytest.mark.parametrize("name", ["inertia", "delta", "refinement_ftol", "prior_likeness", "c3"])
-def test_a_number_that_is_typed_reaches_the_schedule_as_it_was_typed(name):
+def test_a_typed_number_reaches_the_schedule_exactly(name):
     for typed in (0.07, 0.1, 0.3, 0.025, 1e-05, 0.123456):
         setattr(settings(), name, typed)
         part, _, field = name.rpartition("_") if name.startswith(("refinement", "prior")) else ("", "", name)
@@ -105,7 +105,7 @@ def test_a_number_that_is_typed_reaches_the_schedule_as_it_was_typed(name):
         assert [getattr(group, field) for group in groups if hasattr(group, field)] == [typed]
 
 
-def test_a_setting_that_is_set_back_no_longer_differs():
+def test_a_reset_setting_no_longer_differs():
     from irpso_addon.ui.properties.schedule_settings import differences
 
     settings().delta, settings().particles, settings().loss = 0.5, 99, "l1"
@@ -114,7 +114,7 @@ def test_a_setting_that_is_set_back_no_longer_differs():
     assert differences(settings()) == {}
 
 
-def test_limits_are_those_that_a_schedule_is_checked_by():
+def test_property_limits_equal_schedule_limits():
     settings().seeded = 7
     settings().particles = -3
     settings().percentile = 0
@@ -211,7 +211,7 @@ def test_a_preset_file_with_a_mistake_is_refused_in_one_line_and_changes_nothing
     assert schedule() == before and settings().preset == "standard"
 
 
-def test_an_own_preset_that_is_gone_is_refused_in_one_line(tmp_path):
+def test_a_missing_own_preset_is_refused_in_one_line(tmp_path):
     assert "No such file" in refusal(bpy.ops.irpso.preset_load, filepath=str(tmp_path / "gone.py"))
 
 
@@ -225,7 +225,7 @@ def test_a_schedule_of_the_users_own_is_a_preset_by_its_path(tmp_path):
         schedule()
 
 
-def test_what_a_scene_keeps_of_its_schedule_comes_back_with_the_file(tmp_path):
+def test_a_scenes_schedule_survives_saving(tmp_path):
     settings().preset = "paper"
     settings().delta = 0.07
     before = schedule()

@@ -106,7 +106,7 @@ def test_shadows_are_predicted_unless_switched_off_and_that_makes_another_domain
     assert sources[0] == sources[2] != sources[1]
 
 
-def test_reading_for_a_mesh_is_done_when_its_images_and_its_camera_are(job):
+def test_reading_a_mesh_ends_with_its_images_and_camera(job):
     from irpso_addon.ui.session import session
 
     bpy.ops.mesh.primitive_plane_add(size=2)
@@ -186,7 +186,7 @@ def test_both_ends_of_a_range_can_be_given(job):
         job()
 
 
-def test_a_schedule_that_is_refused_is_not_taken_for_the_one_that_runs(running):
+def test_a_refused_schedule_does_not_replace_the_running_one(running):
     running.pause()
     before = running.job.schedule
     for _ in range(2):
@@ -195,7 +195,7 @@ def test_a_schedule_that_is_refused_is_not_taken_for_the_one_that_runs(running):
         assert running.state == "paused" and running.job.schedule == before
 
 
-def test_whatever_goes_wrong_in_a_tick_ends_the_session_and_is_told(running, monkeypatch):
+def test_any_error_in_a_tick_ends_the_session_and_is_reported(running, monkeypatch):
     def fail(**_):
         raise RuntimeError("the device is gone")
 
@@ -210,7 +210,7 @@ def test_stopping_keeps_and_ends_the_run(running):
     assert bpy.ops.irpso.recover.poll()
 
 
-def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_was_not(job):
+def test_a_stopped_run_resumes_to_the_maps_of_an_unstopped_one(job):
     from irpso_addon.ui.session import session
 
     bpy.context.scene.irpso.schedule.preset = "swarm"
@@ -234,7 +234,7 @@ def test_a_run_that_was_stopped_says_where_and_goes_on_to_the_maps_of_one_that_w
     session.end()
 
 
-def test_what_was_kept_is_so_until_that_is_undone(running):
+def test_kept_maps_stay_kept_until_undo(running):
     from irpso_addon.ui.operators import recover
     from irpso_addon.ui.overlay import surface
 
@@ -253,7 +253,7 @@ def test_what_was_kept_is_so_until_that_is_undone(running):
     assert seen() == (False, "Disc")
 
 
-def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypatch):
+def test_stopping_reports_in_one_line_why_it_cannot_keep(running, monkeypatch):
     from irpso_addon.ui.session import keep
 
     def refuse(*_):
@@ -266,7 +266,7 @@ def test_stopping_tells_in_one_line_what_keeps_it_from_keeping(running, monkeypa
     assert running.state == "paused" and not running.kept
 
 
-def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
+def test_a_mesh_is_shown_with_the_uv_map_of_its_maps(job):
     from irpso_addon.ui.session import session
 
     settings = bpy.context.scene.irpso
@@ -292,7 +292,7 @@ def test_a_mesh_is_shown_in_the_uv_map_that_its_maps_were_made_in(job):
     session.end()
 
 
-def test_errors_call_settings_as_blender_does(job, monkeypatch):
+def test_errors_use_blenders_setting_names(job, monkeypatch):
     from irpso_addon.ui.properties import preferences
     from irpso_addon.ui.session import session
 

@@ -107,7 +107,7 @@ def test_only_the_active_slot_is_recovered_and_replaced(settings):
         session.end()
 
 
-def test_slots_that_are_not_there_are_said_before_anything_is_read(settings):
+def test_missing_slots_are_reported_before_anything_is_read(settings):
     from irpso_addon.ui.session.job import missing
 
     settings.slots = "NAMED"
@@ -185,7 +185,7 @@ def test_tiles_lie_flat_where_their_texture_coordinates_are(show_uvedit):
     assert (one[0].x, one[0].y, one[0].width, one[0].height) == (20, 10, 100, 100) and len(one) == 1
 
 
-def test_a_click_finds_texels_of_slots_that_are_recovered_alone(settings):
+def test_a_click_finds_only_texels_of_recovered_slots(settings):
     from irpso_addon.ui.overlay import probes
 
     settings.slots = "ACTIVE"

@@ -70,7 +70,7 @@ def forget_settings(settings):
     settings.schedule.preset, settings.parameters["roughness"].recover = "standard", True
 
 
-def test_it_goes_on_with_its_own_settings_to_the_maps_of_a_run_that_was_never_closed(stored, plane):
+def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, plane):
     from irpso_addon.ui.session import session
     from irpso_addon.ui.session.job import make_job
 
@@ -95,7 +95,7 @@ def test_it_goes_on_with_its_own_settings_to_the_maps_of_a_run_that_was_never_cl
     session.end()
 
 
-def test_what_is_kept_or_discarded_by_hand_is_not_stored(plane, folder):
+def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     from irpso_addon.ui.session import session, unkept
     from irpso_addon.ui.session.job import make_job
 
@@ -108,7 +108,7 @@ def test_what_is_kept_or_discarded_by_hand_is_not_stored(plane, folder):
     assert unkept.listed() == [] and not folder.exists()
 
 
-def test_discarding_what_was_restored_deletes_it_and_so_does_forget(stored, folder):
+def test_discard_and_forget_delete_a_stored_recovery(stored, folder):
     from irpso_addon.ui.session import session, unkept
 
     mine = folder / "mine.npz"
@@ -123,7 +123,7 @@ def test_discarding_what_was_restored_deletes_it_and_so_does_forget(stored, fold
     assert unkept.listed() == [] and mine.exists()
 
 
-def test_what_has_gone_with_the_file_is_said_and_nothing_is_changed(stored, plane):
+def test_missing_objects_are_reported_and_nothing_is_changed(stored, plane):
     plane.seed = 99
     bpy.data.objects.remove(bpy.data.objects["Plane"])
     with pytest.raises(RuntimeError) as caught:
@@ -132,7 +132,7 @@ def test_what_has_gone_with_the_file_is_said_and_nothing_is_changed(stored, plan
     assert stored.path.exists()
 
 
-def test_photographs_that_have_changed_are_told_in_words_of_the_panel(stored, plane):
+def test_changed_photographs_are_reported_in_the_panels_words(stored, plane):
     from irpso_addon.ui.session import session
 
     plane.parameters["roughness"].image.pixels.foreach_set(np.full(8 * 8 * 4, 0.5, np.float32))

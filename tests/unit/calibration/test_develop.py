@@ -96,7 +96,7 @@ def test_half_floats_and_a_plain_folder(photographs, tmp_path):
     np.testing.assert_allclose(channels["G"].astype(float), SCENE[2], atol=1e-3)
 
 
-def test_what_clips_in_every_exposure_is_left_out(photographs, tmp_path):
+def test_pixels_clipped_in_every_exposure_have_weight_0(photographs, tmp_path):
     light = SCENE[0][..., None] * np.ones(3)
     light[20:24, 20:24] = 9
     for i, (_, below) in enumerate(TIMES):
@@ -255,7 +255,7 @@ def test_a_bracket_that_clips_everywhere_is_named(photographs, tmp_path):
     assert code == 2 and "06.png: all pixels are clipped" in err and not (tmp_path / "out").exists()
 
 
-def test_two_photographs_of_one_name_are_refused(photographs, tmp_path):
+def test_photographs_with_the_same_name_are_refused(photographs, tmp_path):
     for name in ("filenames.txt", "light_directions.txt"):
         (photographs / name).unlink()
     (photographs / "00.tif").write_bytes((photographs / "00.png").read_bytes())

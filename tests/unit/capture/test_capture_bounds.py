@@ -13,7 +13,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
 
 
-def test_what_a_weight_tells_is_told_back():
+def test_bounds_in_weights_read_back():
     rng = np.random.default_rng(0)
     weight = np.float32(rng.choice([0, 0.25, 0.5, 1], (40, 50)))
     clipped = rng.random((40, 50, 3)) < 0.3
@@ -38,7 +38,7 @@ def test_a_channel_at_the_files_largest_code_is_a_bound(bits):
     np.testing.assert_array_equal(found.clipped, (colour == 1).any(axis=-1))
 
 
-def test_floats_and_what_has_no_weight_are_no_bounds():
+def test_floats_and_samples_of_weight_0_are_no_bounds():
     rgba = np.ones((2, 2, 4), np.float32)
     rgba[0, 0, 3] = 0
     assert (samples_of_picture(Picture(rgba, 32)).bounds[..., 3] >= 0).all()
@@ -69,7 +69,7 @@ def test_a_card_keeps_bounds_and_a_schedule_may_drop_them():
     np.testing.assert_array_equal(np.maximum(kept[..., 3], 0), dropped[..., 3])
 
 
-def test_a_capture_of_bounds_alone_says_that_nothing_is_seen_lit():
+def test_a_capture_of_bounds_alone_is_refused_as_unlit():
     from irpso_addon.core.errors import InputError
 
     images = [np.ones((3, 3, 4), np.float32) for _ in range(4)]

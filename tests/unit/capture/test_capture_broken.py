@@ -211,7 +211,7 @@ def test_a_broken_lp_file_is_refused_in_one_line(tmp_path, case):
     refused(tmp_path, str(tmp_path), word)
 
 
-def test_what_is_no_capture_is_refused_in_one_line(tmp_path):
+def test_another_path_than_a_capture_is_refused_in_one_line(tmp_path):
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "empty", "holds no capture")
     refused(tmp_path / "nowhere", "nowhere", "is not there")
@@ -231,7 +231,7 @@ def test_sizes_that_differ_are_refused_before_any_image_is_decoded(tmp_path):
         read_capture(tmp_path)
 
 
-def test_what_a_decoder_cannot_read_is_told_by_inspect_too(tmp_path):
+def test_inspect_reports_undecodable_images(tmp_path):
     def decoder(path):
         raise InputError(f"{path}: is of a rare kind; save it again")
 
@@ -245,7 +245,7 @@ def test_what_a_decoder_cannot_read_is_told_by_inspect_too(tmp_path):
     assert "mask.png: is of a rare kind" in inspect_capture(tmp_path, decoder).findings[0].message
 
 
-def test_all_broken_images_are_told_of_and_not_only_the_first(tmp_path):
+def test_all_broken_images_are_reported(tmp_path):
     write_diligent(tmp_path, FRAMES)
     for name in ("001.exr", "003.exr", "004.exr"):
         cut(name, 0.5)(tmp_path)
@@ -263,7 +263,7 @@ def test_a_file_that_may_not_be_read_is_named(tmp_path, name):
     refused(tmp_path, name, "cannot be read")
 
 
-def test_a_file_that_shrinks_between_looking_and_reading_is_refused(tmp_path):
+def test_a_file_that_shrinks_after_its_header_was_read_is_refused(tmp_path):
     write_diligent(tmp_path, FRAMES)
     capture = read_capture(tmp_path)
     exr("001.exr", (6, 8))(tmp_path)

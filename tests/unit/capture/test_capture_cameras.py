@@ -47,7 +47,7 @@ def test_every_observation_has_the_camera_of_its_image_or_the_one_it_names(scan)
     assert all(mask.all() for mask in capture.masks)
 
 
-def test_only_cameras_that_are_used_are_the_captures_and_a_table_may_give_them_masks(scan):
+def test_a_capture_has_only_used_cameras_and_a_table_may_mask_them(scan):
     mask = np.zeros((48, 64, 1))
     mask[:10] = 255
     write_png(scan / "mask.png", mask)
@@ -106,13 +106,13 @@ def test_a_photograph_on_its_side_and_at_half_the_size_has_its_camera_turned_and
         ),
     ],
 )
-def test_what_does_not_fit_the_file_of_cameras_is_told(scan, observations, top, words):
+def test_contradictions_to_the_cameras_file_are_reported(scan, observations, top, words):
     write_png(scan / "small.png", np.full((48, 20, 3), 90))
     with pytest.raises(CaptureError, match=words):
         read(scan, observations, top)
 
 
-def test_a_file_of_cameras_that_is_missing_or_a_matrix_without_one_is_told(tmp_path):
+def test_a_missing_cameras_file_or_a_matrix_without_one_is_reported(tmp_path):
     write_png(tmp_path / "a.png", np.full((2, 2, 3), 90))
     rest = f'[[camera]]\n[[observation]]\nimage = "a.png"\n{LIT}'
     for top, words in (
@@ -125,7 +125,7 @@ def test_a_file_of_cameras_that_is_missing_or_a_matrix_without_one_is_told(tmp_p
             read_spec(tmp_path)
 
 
-def test_a_full_size_model_says_the_same_through_the_table(tmp_path):
+def test_a_full_size_model_reads_the_same_through_the_table(tmp_path):
     colmap(tmp_path / "c")
     write_png(tmp_path / "IMG_0001.png", np.full((HEIGHT // 4, WIDTH // 4, 3), 90))
     body = f'cameras = "c"\n[[observation]]\nimage = "IMG_0001.png"\n{LIT}'
@@ -136,7 +136,7 @@ def test_a_full_size_model_says_the_same_through_the_table(tmp_path):
     np.testing.assert_allclose(camera.project(POINTS)[0], np.c_[u, HEIGHT - v] / 4, atol=1e-9)
 
 
-def test_inspect_tells_of_lenses_cones_and_cosines(scan):
+def test_inspect_reports_lenses_cones_and_cosines(scan):
     near = "light_position = [0, 0, 1]\nlight_axis = [0, 0, -1]\n"
     (scan / "capture.toml").write_text(
         f'cameras = "colmap"\n[[observation]]\nimage = "IMG_1.png"\n{LIT}'
@@ -202,7 +202,7 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
         ("", 'light_position = [0, 0, 1]\nlight_axis = [0, 0, 1]\nlight_cosine = "yes"', "must be true or false"),
     ],
 )
-def test_distortion_and_cones_that_make_no_sense_are_told(tmp_path, camera, light, words):
+def test_invalid_distortion_and_cones_are_reported(tmp_path, camera, light, words):
     write_png(tmp_path / "a.png", np.full((2, 2, 3), 90))
     (tmp_path / "capture.toml").write_text(f'[[camera]]\n{camera}\n[[observation]]\nimage = "a.png"\n{light}\n')
     with pytest.raises(CaptureError, match=words):

@@ -118,7 +118,7 @@ def test_a_frame_without_a_number_is_damaged(tmp_path):
     assert read_capture(tmp_path, skip_damaged=True).left_out == ()
 
 
-def test_what_is_wrong_with_the_list_or_the_mask_is_refused_all_the_same(tmp_path):
+def test_faults_of_the_list_or_the_mask_are_never_skipped(tmp_path):
     path = table(tmp_path)
     (tmp_path / "003.png").unlink()
     path.write_text(path.read_text().replace('image = "005.png"', 'image = "005.exr"\npart = "gone"'))
@@ -131,7 +131,7 @@ def test_what_is_wrong_with_the_list_or_the_mask_is_refused_all_the_same(tmp_pat
     assert "--skip-damaged" not in str(caught.value)
 
 
-def test_a_camera_whose_images_are_all_damaged_goes_with_them(tmp_path):
+def test_a_camera_with_only_damaged_images_is_removed(tmp_path):
     diligent(tmp_path)
     cameras = "".join(f'[[camera]]\nname = "{name}"\nfov_degrees = {fov}\n' for name, fov in (("a", 20), ("b", 40)))
     rows = "".join(
@@ -146,7 +146,7 @@ def test_a_camera_whose_images_are_all_damaged_goes_with_them(tmp_path):
     assert capture.cameras[0].scale[0] == pytest.approx(12 / np.tan(np.radians(20)))
 
 
-def test_a_capture_without_a_whole_image_is_refused(tmp_path):
+def test_a_capture_without_an_intact_image_is_refused(tmp_path):
     diligent(tmp_path)
     for k in range(len(ALL)):
         (tmp_path / f"{k:03d}.png").unlink()
@@ -154,7 +154,7 @@ def test_a_capture_without_a_whole_image_is_refused(tmp_path):
         read_capture(tmp_path, decode, skip_damaged=True)
 
 
-def test_indices_are_those_of_the_list_though_images_are_left_out(tmp_path):
+def test_indices_follow_the_list_despite_left_out_images(tmp_path):
     diligent(tmp_path)
     for k in (2, 5):
         (tmp_path / f"{k:03d}.png").unlink()
@@ -181,7 +181,7 @@ def test_an_image_that_changes_is_decoded_again(tmp_path, monkeypatch):
     assert decoded[9:] == ["004.png"]
 
 
-def test_inspect_names_what_is_left_out_and_looks_the_rest_over(tmp_path):
+def test_inspect_names_left_out_images_and_checks_the_rest(tmp_path):
     diligent(tmp_path)
     rotten(tmp_path / "003.png")
     (tmp_path / "007.png").unlink()

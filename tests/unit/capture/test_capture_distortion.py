@@ -42,7 +42,7 @@ def camera_of(lens):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_points_fall_where_opencv_says(lens):
+def test_distortion_matches_opencv(lens):
     camera = camera_of(lens)
     depth = RNG.uniform(1, 9, 60)
     seen = RNG.uniform(-0.6, 0.6, (60, 2)) * depth[:, None]
@@ -54,7 +54,7 @@ def test_points_fall_where_opencv_says(lens):
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_what_a_pixel_shows_falls_on_that_pixel(lens):
+def test_undistortion_inverts_distortion(lens):
     camera = camera_of(lens)
     points = camera.points(2.5)
     assert np.isfinite(points).all()
@@ -65,7 +65,7 @@ def test_what_a_pixel_shows_falls_on_that_pixel(lens):
     assert np.abs(straight.project(points)[0] - np.stack([x, y], axis=-1)).max() > 0.5
 
 
-def test_what_lies_beyond_the_turning_point_of_a_barrel_does_not_come_back_into_the_image():
+def test_points_beyond_a_barrels_turning_point_are_not_in_the_image():
     # r (1 − 0.25 r²) rises up to r² = 4/3 and is back at the middle at r = 2.
     assert reach((-0.25,)) == pytest.approx(np.sqrt(4 / 3), rel=1e-12)
     camera = Camera(100, 100, (50.0, 50.0), (50.0, 50.0), np.eye(4), True, (-0.25,))
@@ -92,7 +92,7 @@ def test_a_lens_that_tangential_terms_fold_shows_no_point_twice():
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 9, (float("nan"),), (0.1, float("inf"))])
-def test_distortion_that_is_no_such_list_is_refused(distortion):
+def test_an_invalid_list_of_coefficients_is_refused(distortion):
     with pytest.raises(CaptureError, match="up to 8 finite numbers: k1, k2, p1, p2, k3"):
         Camera(4, 4, (4.0, 4.0), (2.0, 2.0), np.eye(4), True, distortion)
 

@@ -81,7 +81,7 @@ def ball():
 
 @pytest.mark.parametrize("lights", [WIDE, NARROW, OBLIQUE], ids=["24 wide", "12 narrow", "12 oblique"])
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_the_fall_off_tells_dielectrics_right_and_metals_never_wrong(ball, encoding, lights):
+def test_the_fall_off_decides_dielectrics_right_and_metals_never_wrong(ball, encoding, lights):
     found = {name: told(surface, encoding, lights, *ball) for name, surface in {**MATT, **OTHERS}.items()}
     assert {name: found[name] for name in MATT} == dict.fromkeys(MATT, encoding)
     assert not [name for name, answer in found.items() if answer not in ("", encoding)], found
@@ -94,7 +94,7 @@ def test_a_subject_that_faces_one_way_decides_nothing(ball):
         assert told(surface, "srgb", NARROW, normals, ball[1]) == ""
 
 
-def test_linear_8_bit_files_that_do_not_state_it_are_read_as_linear_and_that_is_said(tmp_path, ball):
+def test_unlabelled_linear_8_bit_files_are_read_as_linear_with_a_finding(tmp_path, ball):
     normals, mask = ball
     codes = encoded(photographed(MATT["clay"], NARROW, normals), "linear")
     folder = write_capture_of(tmp_path / "ball", codes, NARROW, mask)
@@ -110,7 +110,7 @@ def test_linear_8_bit_files_that_do_not_state_it_are_read_as_linear_and_that_is_
 
 
 @pytest.mark.parametrize("name", ["clay", "metal 0.55", "black"])
-def test_srgb_files_that_do_not_state_it_stay_srgb(tmp_path, ball, name):
+def test_unlabelled_srgb_files_stay_srgb(tmp_path, ball, name):
     normals, mask = ball
     surface = {**MATT, **OTHERS}[name]
     codes = encoded(photographed(surface, WIDE, normals), "srgb")
@@ -131,7 +131,7 @@ def test_srgb_files_that_do_not_state_it_stay_srgb(tmp_path, ball, name):
     ],
     ids=["sRGB chunk", "gAMA of sRGB", "gAMA of linear", "16 bits", "asked for"],
 )
-def test_what_is_stated_counts_and_a_contradiction_is_only_warned_of(
+def test_a_stated_encoding_is_used_and_a_contradiction_is_a_warning(
     tmp_path, ball, values, bits, extra, asked, read_as, said
 ):
     normals, mask = ball

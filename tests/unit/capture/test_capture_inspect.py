@@ -40,13 +40,13 @@ def test_a_sound_capture_has_facts_and_no_findings(tmp_path):
     assert str(tmp_path) in text and text.endswith("nothing suspicious")
 
 
-def test_lights_that_are_not_unit_are_told_with_their_line(tmp_path):
+def test_lights_of_another_length_than_1_are_reported_with_their_line(tmp_path):
     found = report(tmp_path, lights=RINGS * np.where(np.arange(12) == 3, 1.01, 1)[:, None])
     assert found.codes == {"lights_not_unit"} and "line 4: 1 direction is not" in finding(found, "lights_not_unit")
     assert checks.not_unit(np.array([[0, 0, 1], [0, 0, 1.0009], [0, 0, 1.0011]])).tolist() == [False, False, True]
 
 
-def test_lights_in_one_plane_are_told(tmp_path):
+def test_lights_in_one_plane_are_reported(tmp_path):
     angle = np.linspace(-1, 1, 12)
     fan = np.stack([np.sin(angle), np.zeros(12), np.cos(angle)], axis=-1)
     found = report(tmp_path / "flat", shade(NORMALS, fan), fan)
@@ -65,7 +65,7 @@ def test_two_lights_are_too_few(tmp_path):
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_what_cannot_give_a_normal_is_called_enough_for_nothing(tmp_path, count):
+def test_lights_without_a_normal_suffice_for_nothing(tmp_path, count):
     found = report(tmp_path, FRAMES[:count], RINGS[:count])
     assert dict(found.facts)["enough for"] == "not for normals (few), roughness (few), two lobes (few)"
     assert f"has {count} light{'s' * (count > 1)}; a normal needs at least three" in finding(found, "lights_few")
@@ -98,7 +98,7 @@ DISTANT = [Light(tuple(light)) for light in RINGS.tolist()]
         ([*near((0, 0, 3), (1, 0, 3)), Light((1.0, 0.0, 0.0))], "coplanar"),
     ],
 )
-def test_lights_that_leave_the_normal_open_everywhere_are_told_from_those_that_do_not(lights, code):
+def test_degenerate_lights_are_distinguished_from_sufficient_ones(lights, code):
     lack = sufficiency.no_normal(lights)
     assert (lack and lack.code) == code
     # By its definition: the directions from points drawn at random, of full rank at one of them or at none.
@@ -109,7 +109,7 @@ def test_lights_that_leave_the_normal_open_everywhere_are_told_from_those_that_d
     assert (max(ranks) == 3) == (code is None)
 
 
-def test_near_lights_in_one_place_are_enough_for_nothing(tmp_path):
+def test_near_lights_at_one_position_suffice_for_nothing(tmp_path):
     write_diligent(tmp_path, FRAMES[:5], RINGS[:5])
     rows = "".join(f'[[observation]]\nimage = "{k:03d}.exr"\nlight_position = [0, 0, 2]\n' for k in range(5))
     (tmp_path / "capture.toml").write_text(f"[[camera]]\n{rows}")
@@ -151,7 +151,7 @@ def test_the_spread_across_a_fan_is_its_width_over_its_length():
         (7, {"normals", "roughness", "two lobes"}, "7 lights are few for normals: with 5, 14%"),
     ],
 )
-def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(count, short, said):
+def test_too_few_lights_for_a_goal_are_reported_with_the_measured_figure(count, short, said):
     lights = even_lights(count)
     found = {goal: list(sufficiency.shortfalls(goal, count, lights)) for goal in sufficiency.GOALS}
     assert {goal for goal, lacks in found.items() if lacks} == set(short)
@@ -163,7 +163,7 @@ def test_lights_are_told_to_be_few_for_what_is_asked_with_the_measured_figure(co
     ("degrees", "across", "codes"),
     [(73, 1, set()), (46, 1, set()), (33, 1, {"narrow"}), (12, 1, {"narrow"}), (73, 0.25, {"flat"})],
 )
-def test_lights_are_told_to_be_narrow_or_flat_for_two_lobes(degrees, across, codes):
+def test_narrow_or_flat_lights_for_two_lobes_are_reported(degrees, across, codes):
     lacks = list(sufficiency.shortfalls("two lobes", 200, even_lights(200, degrees, across)))
     assert {lack.code for lack in lacks} == codes
     assert not list(sufficiency.shortfalls("normals", 200, even_lights(200, degrees, across)))
@@ -171,7 +171,7 @@ def test_lights_are_told_to_be_narrow_or_flat_for_two_lobes(degrees, across, cod
         assert "within about 33°" in lacks[0].message and "within 30° 17%" in lacks[0].message
 
 
-def test_a_capture_is_warned_of_what_is_asked_alone(tmp_path):
+def test_shortfalls_are_reported_for_the_goals_only(tmp_path):
     path = write_diligent(tmp_path, FRAMES, RINGS, MASK)
     assert inspect_capture(path).findings == ()
     assert dict(inspect_capture(path).facts)["enough for"].startswith("normals; not for roughness (few")
@@ -180,7 +180,7 @@ def test_a_capture_is_warned_of_what_is_asked_alone(tmp_path):
     assert "12 lights are few for roughness: with 10, 35%" in finding(found, "lights_few")
 
 
-def test_one_light_given_twice_is_told(tmp_path):
+def test_a_repeated_light_is_reported(tmp_path):
     lights = RINGS.copy()
     lights[7] = lights[2]
     found = report(tmp_path, lights=lights)
@@ -199,14 +199,14 @@ def test_two_cameras_may_have_the_same_lights(tmp_path):
     assert "lights_same" not in inspect_capture(tmp_path / "pair").codes
 
 
-def test_a_table_on_its_side_is_told(tmp_path):
+def test_a_transposed_table_is_reported(tmp_path):
     write_diligent(tmp_path, FRAMES, RINGS, MASK)
     np.savetxt(tmp_path / "light_directions.txt", RINGS.T)
     found = inspect_capture(tmp_path)
     assert found.codes == {"lights_transposed"} and not found.usable
 
 
-def test_a_frame_copied_twice_is_told_and_one_with_a_little_noise_too(tmp_path):
+def test_a_copied_frame_is_reported_even_with_little_noise(tmp_path):
     frames = FRAMES.copy()
     frames[5] = frames[2]
     frames[9] = frames[4] * (1 + 0.001 * RNG.standard_normal((64, 64)))
@@ -224,7 +224,7 @@ def test_similarity_is_the_relative_distance():
 
 
 @pytest.mark.parametrize("move", [(3, 0), (0, -2), (-5, 4)])
-def test_a_shifted_frame_is_told_by_how_much(tmp_path, move):
+def test_a_shifted_frame_is_reported_with_its_shift(tmp_path, move):
     frames = FRAMES.copy()
     frames[4] = np.roll(frames[4], (move[1], move[0]), axis=(0, 1))
     found = report(tmp_path, frames)
@@ -234,7 +234,7 @@ def test_a_shifted_frame_is_told_by_how_much(tmp_path, move):
     assert shifts[4].tolist() == list(move) and not np.delete(shifts, 4, axis=0).any()
 
 
-def test_frames_larger_than_what_is_kept_are_looked_over_reduced(tmp_path):
+def test_large_frames_are_checked_at_reduced_size(tmp_path):
     normals, mask = sphere(600)
     frames = shade(normals, RINGS) * (0.4 + 0.6 * np.kron(RNG.random((100, 100)), np.ones((6, 6))))
     frames[3] = np.roll(frames[3], 30, axis=1)
@@ -242,7 +242,7 @@ def test_frames_larger_than_what_is_kept_are_looked_over_reduced(tmp_path):
     assert found.codes == {"shifted"} and "+30 px right, +0 px up" in finding(found, "shifted")
 
 
-def test_what_is_not_a_number_or_negative_or_black_is_told(tmp_path):
+def test_nan_negative_and_black_images_are_reported(tmp_path):
     frames = FRAMES.astype(np.float32)
     frames[1, 30, 30:33] = np.nan
     frames[2, 31, 31] = -0.5
@@ -274,13 +274,13 @@ def test_clipped_pixels_are_counted(tmp_path):
         ((1, 1, -1), "lights_reversed", "toward the light"),
     ],
 )
-def test_axes_that_are_mirrored_are_told_apart(tmp_path, signs, code, word):
+def test_mirrored_axes_are_distinguished(tmp_path, signs, code, word):
     wavy, mask = waves()
     found = report(tmp_path, shade(wavy, RINGS), RINGS * signs, mask)
     assert found.codes == {code} and word in finding(found, code)
 
 
-def test_images_upside_down_are_told(tmp_path):
+def test_upside_down_images_are_reported(tmp_path):
     wavy, mask = waves()
     found = report(tmp_path, shade(wavy, RINGS)[:, ::-1], RINGS, mask[::-1])
     assert found.codes == {"mirrored"} and "upside down" in finding(found, "mirrored")
@@ -306,13 +306,13 @@ def test_the_mirror_test_follows_the_mixed_derivative():
         assert checks.mirror_agreement(normals, np.ones((9, 9), bool)) == (sign, 64)
 
 
-def test_normals_of_a_ball_point_out_of_its_mask():
+def test_ball_normals_point_outward():
     x, y, count = checks.outwardness(NORMALS, MASK)
     assert count > 100 and 0.2 < x < 0.6 and y == pytest.approx(x, rel=0.05)
     assert checks.outwardness(NORMALS * [-1, 1, 1], MASK)[0] == pytest.approx(-x)
 
 
-def test_cameras_are_looked_at_in_their_own_axes(tmp_path):
+def test_checks_use_each_cameras_own_axes(tmp_path):
     # The camera looks along −x: what is right for it is −z… of the world; the lights are turned with it.
     turn = np.array([[0, 0, 1, 4], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     wavy, mask = waves()
@@ -335,7 +335,7 @@ def test_five_lights_about_the_axis_are_not_suspicious():
 
 
 @pytest.mark.parametrize("shape", [(16, 17_000), (17_000, 16), (64, 16_384), (20, 300), (1, 500), (2, 2), (1, 1)])
-def test_a_strip_of_any_width_is_looked_over(tmp_path, shape):
+def test_a_strip_of_any_width_is_checked(tmp_path, shape):
     texture = np.random.default_rng(2).random(shape)
     frames = np.stack([(0.5 + 0.1 * k) * texture for k in range(3)]).astype(np.float32)
     found = report(tmp_path, frames, RINGS[:3], None, half=True)
@@ -380,7 +380,7 @@ def test_shading_that_a_raking_light_moves_is_no_shift(seed):
 
 
 @pytest.mark.parametrize("pixels", [2, 3, 4])
-def test_shifts_of_what_has_texture_are_found_under_raking_lights_too(pixels):
+def test_shifts_of_textured_subjects_are_found_under_raking_lights(pixels):
     rng = np.random.default_rng(pixels)
     texture = rng.random((48, 48)).repeat(2, axis=0).repeat(2, axis=1)
     frames = raked_caps(4) * (0.2 + 0.8 * texture)

@@ -88,7 +88,7 @@ def test_texture_without_noise_is_not_taken_for_noise():
 
 
 @pytest.mark.parametrize("deviation", [1.5, 3.0])
-def test_what_jpeg_leaves_of_the_noise_and_adds_to_it_is_found(deviation):
+def test_noise_is_measured_through_jpeg(deviation):
     truth = clean(texture=0.0)
     spoiled = jpeg(noisy(truth, deviation))
     assert found(spoiled) == pytest.approx((spoiled - truth).std(), rel=0.25)
@@ -110,7 +110,7 @@ def test_a_black_background_does_not_count_with_a_mask_or_without():
     assert found(codes, mask=mask) == found(codes) == pytest.approx(3.0)
 
 
-def test_it_does_not_depend_on_the_order_of_the_images_or_on_part_of_the_domain():
+def test_the_noise_does_not_depend_on_image_order_or_window():
     looked_at = np.linspace(0, 23, 12).round().astype(int)
     others = np.setdiff1d(np.arange(24), looked_at)
     codes = clean(24)
@@ -123,7 +123,7 @@ def test_it_does_not_depend_on_the_order_of_the_images_or_on_part_of_the_domain(
     assert whole == pytest.approx(4 / 255)
 
 
-def test_few_images_have_the_usual_noise_and_finer_files_none():
+def test_few_images_get_the_usual_noise_and_finer_files_none():
     codes = noisy(clean(12), 5.0)
     assert found(codes[:6]) == found(codes, cameras=2) == 255 * USUAL
     assert found(codes[:, :7, :7]) == 255 * USUAL
@@ -131,11 +131,11 @@ def test_few_images_have_the_usual_noise_and_finer_files_none():
     assert found(codes, coarse=False) == 0 == images_read(capture_of(codes, coarse=False))
 
 
-def test_it_stays_within_its_limits():
+def test_the_noise_stays_within_its_limits():
     assert found(noisy(clean(), 20.0)) == 255 * MOST
 
 
-def test_as_many_images_are_read_as_are_announced():
+def test_the_announced_number_of_images_is_read():
     for count in (8, 20):
         capture = capture_of(clean(count))
         steps = sum(1 for _ in noise_of(capture))

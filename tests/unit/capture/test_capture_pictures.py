@@ -24,7 +24,7 @@ def test_the_srgb_curve_has_the_values_of_its_standard():
     np.testing.assert_allclose(found, [0, 0.02 / 12.92, 0.0031308, (0.103 / 1.055) ** 2.4, 0.21404114, 1], rtol=1e-5)
 
 
-def test_8_bits_are_srgb_and_16_bits_linear_unless_told_otherwise():
+def test_8_bits_are_srgb_and_16_bits_linear_by_default():
     codes = np.full((2, 3, 3), 188)
     np.testing.assert_allclose(samples_of_picture(picture(codes, 8)).rgba[0, 0, 0], 0.50289, atol=1e-5)
     np.testing.assert_allclose(samples_of_picture(picture(codes, 8), "linear").rgba[0, 0, 0], 188 / 255)
@@ -56,7 +56,7 @@ def test_grey_and_alpha_become_rgb_and_weight():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1 / 255])
-def test_a_mask_may_be_grey_or_rgb_or_alpha_and_of_any_brightness(scale):
+def test_a_mask_may_be_grey_rgb_or_alpha_of_any_brightness(scale):
     wanted = np.array([[True, False], [False, True]])
     white = np.where(wanted, scale, 0).astype(np.float32)
     plain = np.ones_like(white)
@@ -93,7 +93,7 @@ def test_turning_upright_follows_the_eight_cases_of_the_standard():
         np.testing.assert_array_equal(found, expected, err_msg=str(orientation))
 
 
-def test_headers_tell_kind_size_and_depth(tmp_path):
+def test_headers_give_kind_size_and_depth(tmp_path):
     codes = np.zeros((4, 6, 3), int)
     write_png(tmp_path / "a.png", codes, 16)
     header = read_header(tmp_path / "a.png")
@@ -114,7 +114,7 @@ def test_headers_tell_kind_size_and_depth(tmp_path):
     assert (header.kind, header.width, header.height, header.bits) == ("TIFF", 9, 8, 16)
 
 
-def test_no_beginning_of_a_png_passes_for_the_whole(tmp_path):
+def test_a_truncated_png_is_refused_at_any_length(tmp_path):
     write_png(tmp_path / "a.png", np.arange(60).reshape(4, 5, 3))
     whole = (tmp_path / "a.png").read_bytes()
     for length in range(len(whole)):

@@ -62,7 +62,7 @@ def test_under_distant_lights_a_card_needs_no_distance_and_one_changes_nothing()
 
 
 @pytest.mark.parametrize("value", ["0", "-420.0", "nan", "inf", '"far"', "true", "[420]"])
-def test_a_distance_that_is_none_is_refused_in_one_line(tmp_path, value):
+def test_an_invalid_distance_is_refused_in_one_line(tmp_path, value):
     table = write_near_card(tmp_path / "card") / "capture.toml"
     table.write_text(table.read_text().replace("card_distance = 420.0", f"card_distance = {value}"))
     with pytest.raises(InputError, match=r"capture.toml: card_distance must be a number above 0, as in card_d[^\n]*$"):
@@ -83,7 +83,7 @@ def test_the_distance_comes_back_with_a_written_capture_and_stays_in_a_calibrate
     assert read_spec(tmp_path / "new.toml").card_distance == DISTANCE
 
 
-def test_inspect_says_how_large_the_card_is_and_that_its_distance_is_missing(tmp_path):
+def test_inspect_reports_the_size_of_a_card_and_a_missing_distance(tmp_path):
     folder = write_near_card(tmp_path / "card")
     report = inspect_capture(folder, goals=())
     assert dict(report.facts)["card"] == "420 from its camera, 225.1 × 150.1" and not report.findings
@@ -91,14 +91,14 @@ def test_inspect_says_how_large_the_card_is_and_that_its_distance_is_missing(tmp
     assert codes(unknown) == {"card_distance"} and codes(unknown, card_distance=DISTANCE) == set()
 
 
-def test_inspect_tells_of_a_distance_and_lamps_in_different_units(tmp_path):
+def test_inspect_reports_distance_and_lamps_in_different_units(tmp_path):
     folder = write_near_card(tmp_path / "card")
     assert codes(folder, card_distance=0.42) == {"light_behind", "light_far"}
     assert "lights_narrow" in inspect_capture(folder, card_distance=420_000.0).codes
 
 
 @pytest.mark.parametrize(("turn", "code"), [((1, 1, 1), set()), ((1, -1, 1), {"mirrored"})])
-def test_inspect_tells_of_lamps_whose_y_counts_downward(tmp_path, turn, code):
+def test_inspect_reports_lamps_with_y_downward(tmp_path, turn, code):
     y, x = np.mgrid[:64, :96] / 8.0
     q, p = np.gradient(3 * np.sin(0.7 * (x + y)) + 2 * np.sin(x - 0.4 * y))
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1)
@@ -110,7 +110,7 @@ def test_inspect_tells_of_lamps_whose_y_counts_downward(tmp_path, turn, code):
     assert codes(tmp_path / "card") == code
 
 
-def test_inspect_tells_of_strengths_that_are_not_those_at_distance_1(tmp_path):
+def test_inspect_reports_strengths_not_given_at_distance_1(tmp_path):
     capture, _ = near_card()
     weak = tuple(replace(o, light=replace(o.light, intensity=(1.4,) * 3)) for o in capture.observations)
     write_capture(replace(capture, observations=weak), tmp_path / "card")
@@ -118,7 +118,7 @@ def test_inspect_tells_of_strengths_that_are_not_those_at_distance_1(tmp_path):
     assert finding.code == "light_strength" and "distance squared" in finding.message
 
 
-def test_inspect_tells_of_a_camera_that_says_no_width_though_lamps_have_places(tmp_path):
+def test_inspect_reports_a_camera_without_a_width_beside_positioned_lamps(tmp_path):
     table = write_near_card(tmp_path / "card", camera=WIDE) / "capture.toml"
     assert "lens" not in codes(tmp_path / "card")
     kept = [line for line in table.read_text().splitlines() if not line.startswith(("orthographic", "world_width"))]
@@ -132,7 +132,7 @@ def test_a_focal_length_in_millimetres_looks_like_no_lens(focal, odd):
 
 
 @pytest.mark.parametrize(("scale", "odd"), [(1.0, False), (1000.0, True), (0.001, True)])
-def test_lamps_and_cameras_in_different_units_are_told_of(scale, odd):
+def test_lamps_and_cameras_in_different_units_are_reported(scale, odd):
     capture, _ = near_card()
     aside = np.array([[0, 0, 1, DISTANCE], [0, 1, 0, 0], [-1, 0, 0, -DISTANCE], [0, 0, 0, 1.0]])
     cameras = []
@@ -144,14 +144,14 @@ def test_lamps_and_cameras_in_different_units_are_told_of(scale, odd):
     assert [code for code, _ in camera_problems(moved)] == ["light_unit"] * odd
 
 
-def test_ranks_do_not_agree_on_captures_with_other_distances_or_lenses():
+def test_ranks_refuse_captures_with_different_distances_or_lenses():
     capture, _ = near_card()
     longer = replace(capture.cameras[0], scale=(99.0, 99.0))
     others = [capture, replace(capture, card_distance=421.0), replace(capture, cameras=(longer,))]
     assert len({_digest_of_capture(one) for one in others}) == 3
 
 
-def test_a_checkpoint_of_another_distance_is_refused_in_words(tmp_path):
+def test_a_checkpoint_of_another_distance_is_refused_with_the_reason(tmp_path):
     model, schedule = load_model("lambert"), load_schedule("standard")
     near, far = (
         checkpoint.identity(domain_from_card(near_card(card_distance=d)[0]), model, schedule, 0, "fragment")
@@ -187,7 +187,7 @@ def calibrated(balls, spec, radius=None, **asked):
     return run_steps(calibrate_steps(spec, balls[1], Request("matte", "near", **asked), radius=radius))
 
 
-def test_calibration_tells_how_far_a_card_is_that_the_balls_lie_on(balls):
+def test_calibration_reports_the_distance_of_the_card_under_the_balls(balls):
     spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
     found = calibrated(balls, spec, radius=10.0)
     assert found.card_distance == pytest.approx(DISTANCE, rel=0.01)
@@ -202,14 +202,14 @@ def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
 
 
-def test_places_in_radii_do_not_go_into_a_capture_with_lengths_of_its_own(balls):
+def test_positions_in_ball_radii_are_refused_for_a_capture_with_lengths(balls):
     spec = with_camera(read_photographs(balls[0]), {"fov_degrees": 20.0}, "--fov")
     with pytest.raises(InputError, match="has card_distance; .* give --radius in it, or --lights distant"):
         calibrated(balls, replace(spec, card_distance=DISTANCE))
     calibrated(balls, replace(spec, card_distance=DISTANCE), radius=10.0)
 
 
-def test_the_width_that_places_of_lamps_are_counted_in_is_written(balls, tmp_path):
+def test_the_width_in_the_lamps_unit_is_written(balls, tmp_path):
     table = tmp_path / "capture.toml"
     table.write_text(written_table(calibrated(balls, read_photographs(balls[0])), tmp_path, {}))
     assert "world_width = 2" in table.read_text() and read_spec(table).views[0].lens

@@ -27,7 +27,7 @@ def test_the_exposure_is_read_from_hand_made_bytes(order, tmp_path):
     assert expected.amount == pytest.approx(1 / 60 * 2 / 5.6**2)
 
 
-def test_an_exposure_without_aperture_and_iso_counts_its_time_alone():
+def test_an_exposure_without_aperture_and_iso_uses_its_time_only():
     assert exposure_of(exif((2, 1))).amount == 2.0
 
 
@@ -93,7 +93,7 @@ def test_a_raw_file_is_developed_without_curve_or_brightening(tmp_path, rawpy_st
     assert _File.how["user_wb"] == [1, 1, 1, 1]
 
 
-def test_a_full_photosite_has_weight_0_where_it_stands_upright(tmp_path, rawpy_stub, monkeypatch):
+def test_a_saturated_photosite_has_weight_0_at_its_upright_position(tmp_path, rawpy_stub, monkeypatch):
     (tmp_path / "a.dng").write_bytes(b"raw")
     sensor = np.full((8, 12), 300)
     sensor[1, 2] = 1000
@@ -117,7 +117,7 @@ def test_a_capture_of_raw_files_needs_no_other_decoder(tmp_path, rawpy_stub):
 # What follows runs where rawpy is installed: LibRaw itself reads files that were written byte by byte.
 
 
-def test_libraw_gives_back_what_the_mosaic_was_made_of(tmp_path):
+def test_libraw_recovers_the_mosaics_source(tmp_path):
     pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
     path, neutral = tmp_path / "a.dng", np.array([0.5, 1.0, 0.7])
     for scale in (0.5, 0.85, 1.3):  # LibRaw's own guess of white would change from one to the next

@@ -53,7 +53,7 @@ def test_intensities_may_be_one_number_a_line_and_are_1_without_the_file(tmp_pat
         ("", False, (4, 4)),
     ],
 )
-def test_camera_toml_says_what_camera_it_is(tmp_path, text, perspective, scale):
+def test_camera_toml_describes_the_camera(tmp_path, text, perspective, scale):
     write_diligent(tmp_path, FRAMES)
     (tmp_path / "camera.toml").write_text(text)
     camera = read_capture(tmp_path).cameras[0]
@@ -136,7 +136,7 @@ def test_a_written_capture_comes_back(tmp_path, single_file, half):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_writing_refuses_a_folder_with_something_in_it_and_leaves_nothing_half_done(tmp_path):
+def test_writing_refuses_a_used_folder_and_leaves_no_partial_files(tmp_path):
     capture, _ = two_cameras()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "precious").write_text("x")
@@ -170,7 +170,7 @@ def test_a_table_may_name_parts_by_number_and_one_file_for_all(tmp_path):
     assert capture.observations[0].light == Light((0.0, 0.0, 5.0), distant=False)
 
 
-def test_the_colour_space_asked_for_goes_before_the_one_in_the_table(tmp_path):
+def test_the_colour_space_argument_overrides_the_table(tmp_path):
     write_png(tmp_path / "a.png", np.full((2, 2, 3), 128))
     (tmp_path / "capture.toml").write_text(
         'colour_space = "linear"\n[[camera]]\n[[observation]]\nimage = "a.png"\nlight_direction = [0, 0, 1]\n'

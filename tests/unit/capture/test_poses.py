@@ -83,7 +83,7 @@ def colmap_pixels(model, parameters):
 
 @pytest.mark.parametrize("model", COLMAP_LENSES)
 @pytest.mark.parametrize("place", [".", "sparse/0"])
-def test_colmap_cameras_see_points_where_its_models_say(tmp_path, model, place):
+def test_colmap_cameras_project_like_its_models(tmp_path, model, place):
     colmap(tmp_path / place, model, row(COLMAP_LENSES[model]))
     found = read_poses(tmp_path)
     assert (found.program, list(found.cameras)) == ("COLMAP", ["IMG_0001.JPG"])
@@ -123,7 +123,7 @@ POSE = "1 0 0 0 1 2 3"
         ({"model": "MY_OWN"}, "of model MY_OWN, which is not read; undistort in COLMAP"),
     ],
 )
-def test_a_broken_colmap_model_is_told_in_one_line(tmp_path, given, words):
+def test_a_broken_colmap_model_is_reported_in_one_line(tmp_path, given, words):
     with pytest.raises(CaptureError) as caught:
         read_poses(colmap(tmp_path, **given))
     told = str(caught.value)
@@ -193,7 +193,7 @@ def metashape_pixels(t):
 
 
 @pytest.mark.parametrize("world", ["", COMPONENT, CHUNK])
-def test_metashape_cameras_see_points_where_its_manual_says(tmp_path, world):
+def test_metashape_cameras_project_like_its_manual(tmp_path, world):
     found = read_poses(metashape(tmp_path / "cameras.xml", world=world))
     assert (found.program, list(found.cameras)) == ("Metashape", ["IMG_0001"])
     camera = found.cameras["IMG_0001"]
@@ -214,7 +214,7 @@ def test_cameras_that_are_disabled_or_not_aligned_are_named_as_such(tmp_path):
     assert found.name_of("photos/img_0001.tif", "here") == "IMG_0001"
 
 
-def test_a_label_that_several_photographs_have_is_told_only_where_it_is_used(tmp_path):
+def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
     found = read_poses(metashape(tmp_path / "a.xml", camera=other + again))
@@ -232,7 +232,7 @@ def test_a_label_that_several_photographs_have_is_told_only_where_it_is_used(tmp
         ({"p3": 5}, "P3 and P4"),
     ],
 )
-def test_metashape_terms_that_no_camera_of_ours_has_are_refused_where_they_count(tmp_path, terms, refused):
+def test_unsupported_metashape_terms_are_refused_unless_zero(tmp_path, terms, refused):
     metashape(tmp_path / "a.xml", {**TERMS, **terms})
     if not refused:
         assert_sees(read_poses(tmp_path / "a.xml").cameras["IMG_0001"], metashape_pixels(TERMS))
@@ -265,7 +265,7 @@ BOMB = """<!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;
         ({"reference": '<reference>GEOGCS["WGS 84",1]</reference>'}, "its world is the Earth"),
     ],
 )
-def test_a_broken_metashape_file_is_told_in_one_line(tmp_path, given, words):
+def test_a_broken_metashape_file_is_reported_in_one_line(tmp_path, given, words):
     with pytest.raises(CaptureError) as caught:
         read_poses(metashape(tmp_path / "cameras.xml", **given))
     assert words in str(caught.value) and len(str(caught.value).splitlines()) == 1
@@ -281,7 +281,7 @@ def test_a_broken_metashape_file_is_told_in_one_line(tmp_path, given, words):
         (lambda whole: whole.replace("<cameras", "<kameras").replace("</cameras", "</kameras"), "holds no camera"),
     ],
 )
-def test_what_is_no_metashape_file_is_told(tmp_path, text, words):
+def test_another_file_than_metashapes_is_reported(tmp_path, text, words):
     path = metashape(tmp_path / "cameras.xml")
     path.write_text(text(path.read_text()))
     with pytest.raises(CaptureError, match=words):
@@ -355,7 +355,7 @@ def test_alicevision_cameras_see_points_of_the_mesh_of_their_version(tmp_path, v
         ),
     ],
 )
-def test_all_of_alicevisions_distortions_that_are_read_bend_as_its_models_do(tmp_path, kind, values):
+def test_alicevision_distortions_match_its_models(tmp_path, kind, values):
     found = read_poses(alicevision(tmp_path / "a.json", (1, 2, 2), kind))
     assert_sees(found.cameras["/scan/IMG_0001.JPG"], alicevision_pixels(*values))
 
@@ -395,7 +395,7 @@ def test_views_without_a_pose_or_in_a_rig_are_named_as_such(tmp_path):
         ({"poses": []}, "none of its cameras can be used: '/scan/IMG_0001.JPG' was not aligned"),
     ],
 )
-def test_a_broken_alicevision_file_is_told_in_one_line(tmp_path, given, words):
+def test_a_broken_alicevision_file_is_reported_in_one_line(tmp_path, given, words):
     more = {key: given[key] for key in ("poses",) if key in given}
     path = alicevision(tmp_path / "a.sfm", **{**given, **more} if "version" not in given else {})
     if "version" in given:
@@ -408,7 +408,7 @@ def test_a_broken_alicevision_file_is_told_in_one_line(tmp_path, given, words):
 @pytest.mark.parametrize(
     ("text", "words"), [("{", "is cut short or no JSON"), ("[" * 99999, "no JSON"), ("[]", "no views"), ("{}", "views")]
 )
-def test_what_is_no_alicevision_file_is_told(tmp_path, text, words):
+def test_another_file_than_alicevisions_is_reported(tmp_path, text, words):
     (tmp_path / "a.sfm").write_text(text)
     with pytest.raises(CaptureError, match=words):
         read_poses(tmp_path / "a.sfm")
@@ -421,7 +421,7 @@ def a_camera(tmp_path, model="FULL_OPENCV"):
     return read_poses(colmap(tmp_path, model, row(COLMAP_LENSES[model]))).cameras["IMG_0001.JPG"]
 
 
-def test_a_camera_of_a_moved_world_sees_the_moved_points_where_it_saw_them(tmp_path):
+def test_moving_the_world_keeps_projections(tmp_path):
     camera = a_camera(tmp_path)
     world = np.eye(4)
     world[:3, :3], world[:3, 3] = SCALE * ROTATION, SHIFT
@@ -436,7 +436,7 @@ def test_a_camera_of_a_moved_world_sees_the_moved_points_where_it_saw_them(tmp_p
     "matrix",
     [np.diag([1, 1, 2, 1]), np.diag([1, 1, -1, 1]), np.diag([1, 1, 1, 2]), np.full((4, 4), np.nan), np.zeros((4, 4))],
 )
-def test_a_matrix_that_does_more_than_turn_move_and_scale_is_refused(matrix):
+def test_a_matrix_other_than_a_similarity_is_refused(matrix):
     with pytest.raises(CaptureError, match="^here: cameras_matrix"):
         similarity(matrix, "here: cameras_matrix")
 
@@ -461,7 +461,7 @@ def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it
     np.testing.assert_allclose((told[0, 0] + centres @ step)[:, 0], stored, atol=1e-9)
 
 
-def test_a_program_that_turned_the_picture_itself_is_taken_at_its_word(tmp_path):
+def test_a_size_already_turned_by_the_program_is_kept(tmp_path):
     camera = a_camera(tmp_path)
     assert of_picture(camera, WIDTH, HEIGHT, 6, "here") == camera
 

@@ -51,7 +51,7 @@ def test_boxes_hold_every_covered_texel_once_and_about_as_many_each(ranks):
     assert max(texels) <= 1.5 * coverage.sum() / ranks
 
 
-def test_ranks_that_a_small_domain_has_no_texels_for_have_no_box():
+def test_ranks_without_texels_have_no_box():
     found = split(np.ones((5, 7), bool), NEED, 4)
     assert found.boxes == ((0, 0, 7, 5), None, None, None)
     with pytest.raises(InputError, match="no texel is covered"):
@@ -67,7 +67,7 @@ def test_a_rank_whose_texels_do_not_fit_its_share_of_the_device_says_so():
         check_fits(found, Told([]), Memory(2 * size - 2, 1 << 30), sharing=2)
 
 
-def test_a_checkpoint_that_rank_0_has_no_room_for_is_refused_before_it_is_gathered():
+def test_a_checkpoint_too_large_for_rank_0_is_refused_before_gathering():
     found = split(np.ones((256, 256), bool), NEED, 2)
     state = 256 * 256 * NEED.kept
     check_gathered(found, Memory(1, state))
@@ -76,7 +76,7 @@ def test_a_checkpoint_that_rank_0_has_no_room_for_is_refused_before_it_is_gather
 
 
 @pytest.mark.parametrize("reach", [1, 3, 4])
-def test_as_much_of_a_halo_is_told_as_is_read(reach):
+def test_a_published_halo_has_the_width_that_is_read(reach):
     domain = make_domain(13, 17, holes=False)
     boxes = [(0, 0, 7, 5), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 12, 8)]
     places = [place_of(box, tile(domain, *box, halo=4)) for box in boxes]
@@ -102,7 +102,7 @@ def window(domain, box):
     return slice(y0, y0 + height), slice(x0, x0 + width)
 
 
-def test_samples_that_lie_with_others_read_like_those_in_memory():
+def test_distributed_samples_read_like_those_in_memory():
     domain = make_domain(6, 5, observations=7, holes=False)
     stack, asked = domain.stack, []
 
@@ -165,7 +165,7 @@ def test_ranks_on_one_machine_take_its_gpus_in_turn(monkeypatch, tmp_path):
     assert chosen == [("pci-0000_01_00_0", 2), ("pci-0000_41_00_0", 1), ("pci-0000_01_00_0", 2)]
 
 
-def test_what_fails_on_another_rank_fails_here_with_its_name_and_kind():
+def test_an_error_of_another_rank_is_raised_here_with_its_name_and_type():
     with pytest.raises(Agreed) as raised:
         Told([(GpuUnavailableError, "no GPU context", "rank 1 on node7")]).agreed(lambda: 3)
     assert isinstance(raised.value.error, GpuUnavailableError) and raised.value.error.exit_code == 3
@@ -173,7 +173,7 @@ def test_what_fails_on_another_rank_fails_here_with_its_name_and_kind():
     assert Told([None]).agreed(lambda: 3) == 3
 
 
-def test_what_fails_everywhere_alike_is_said_as_one_process_would():
+def test_an_error_on_all_ranks_is_reported_like_one_process():
     def fail():
         raise InputError("capture.toml: no such file")
 
@@ -183,7 +183,7 @@ def test_what_fails_everywhere_alike_is_said_as_one_process_would():
 
 
 @pytest.mark.parametrize("name", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])
-def test_processes_that_mpi4py_is_missing_for_are_refused_rather_than_each_doing_all(name, monkeypatch):
+def test_ranks_without_mpi4py_are_refused(name, monkeypatch):
     monkeypatch.setitem(sys.modules, "mpi4py", None)
     monkeypatch.setenv(name, "1")
     assert joined() is None
@@ -192,7 +192,7 @@ def test_processes_that_mpi4py_is_missing_for_are_refused_rather_than_each_doing
         joined()
 
 
-def test_ranks_that_would_read_another_capture_or_hear_other_options_are_named(monkeypatch):
+def test_ranks_with_another_capture_or_options_are_named(monkeypatch):
     told = {"program": ("version 1", "a"), "options": ("9 of them", "x")}
     monkeypatch.setattr(job, "_about", lambda options, capture: told)
     for other, words in (({**told, "options": ("9 of them", "y")}, "options of rank 1"), (told, "")):
@@ -205,7 +205,7 @@ def test_ranks_that_would_read_another_capture_or_hear_other_options_are_named(m
             job.check_alike(ranks, Namespace(), None)
 
 
-def test_what_is_sent_is_counted_message_by_message(monkeypatch):
+def test_sent_messages_are_counted(monkeypatch):
     monkeypatch.setattr("irpso_addon.cluster.transport._LARGEST", 40)
     here = SimpleNamespace(Get_rank=lambda: 0, Get_size=lambda: 3)
     sent = []

@@ -79,7 +79,7 @@ def test_a_tile_with_a_halo_is_refused():
         coarser(tile(make_domain(8, 8), 2, 2, 4, 4, halo=1))
 
 
-def test_a_world_normal_that_is_the_same_everywhere_survives_the_way_down_and_up_in_turned_frames():
+def test_a_constant_world_normal_survives_down_and_upsampling_in_turned_frames():
     domain = make_domain(9, 10, card=False, rng_seed=5)
     coarse = coarser(domain)
     world = unit(np.array([0.1, -0.2, 1.0]))

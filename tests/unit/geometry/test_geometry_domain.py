@@ -49,7 +49,7 @@ def test_lights_of_a_card_are_turned_into_the_cameras_frame():
     np.testing.assert_array_equal(domain.views, [[0, 0, 1, 0]] * 3)
 
 
-def test_outside_the_mask_and_at_pixels_that_are_no_number_the_stack_is_zero():
+def test_the_stack_is_zero_outside_the_mask_and_at_nan():
     mask = np.ones((5, 7), bool)
     mask[0] = False
     taken, pictures = capture(mask=mask)
@@ -66,7 +66,7 @@ def test_a_clipped_pixel_of_a_card_keeps_its_radiance_and_has_no_weight():
     np.testing.assert_array_equal(domain.stack.values[1, 3, 3], [*pictures[1][3, 3, :3], 0])
 
 
-def test_outside_a_spots_cone_a_card_keeps_the_radiance_that_was_photographed():
+def test_a_card_keeps_its_radiance_outside_a_spots_cone():
     spot = Light((0, 0, 0), (1, 1, 1), distant=False, axis=(0, 0, -1), cone=10.0)
     taken, pictures = capture(lights=[spot] * 3)
     domain = domain_from_card(replace(taken, card_distance=1.0))
@@ -95,7 +95,7 @@ def test_a_texel_that_is_black_under_every_light_is_not_solvable():
         ({"images": [np.zeros((5, 7, 4), np.float32)], "lights": [], "count": 0}, "no images"),
     ],
 )
-def test_a_card_that_cannot_be_is_refused_with_the_reason(change, message):
+def test_an_invalid_card_is_refused_with_the_reason(change, message):
     with pytest.raises(InputError, match=message):
         domain_from_card(capture(**change)[0])
 
@@ -107,7 +107,7 @@ def test_a_card_of_two_cameras_is_refused():
 
 
 @pytest.mark.parametrize("chosen", [[2, 0], np.array([True, False, True])])
-def test_a_subset_keeps_the_chosen_observations_together(chosen):
+def test_a_subset_keeps_the_chosen_observations(chosen):
     lights = [Light((0, 0, 1), (k, k, k)) for k in range(3)]
     domain = domain_from_card(capture(lights=lights)[0])
     part = subset(domain, chosen)
@@ -116,7 +116,7 @@ def test_a_subset_keeps_the_chosen_observations_together(chosen):
     np.testing.assert_array_equal(part.stack.values, domain.stack.values[expected])
 
 
-def test_tiles_with_their_halos_cut_away_put_the_domain_together_again():
+def test_tiles_without_halos_make_up_the_domain():
     domain = domain_from_card(capture(width=23, height=17)[0])
     whole = np.full_like(domain.stack.values, np.nan)
     for y0 in range(0, 17, 6):
@@ -163,7 +163,7 @@ def test_collapsed_texture_coordinates_are_refused_with_their_share_of_the_surfa
         check_uvs("Rock", "UVMap", mesh.positions, uvs * np.nan)
 
 
-def test_the_frames_of_texels_are_right_handed_where_their_sign_is_and_mirrored_elsewhere():
+def test_texel_frames_follow_the_tangent_sign():
     rng = np.random.default_rng(5)
     # Columns: tangent, bitangent, normal of a right-handed frame.
     turns = Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()

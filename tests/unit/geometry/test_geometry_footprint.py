@@ -56,7 +56,7 @@ def test_texels_of_whole_pixels_hold_their_exact_mean(kind, ratio):
 
 
 @pytest.mark.parametrize(("kind", "most"), [("checkers", 0.03), ("wide checkers", 0.05), ("noise", 0.04)])
-def test_texels_of_three_and_a_half_pixels_hold_their_mean_where_their_centres_are_far_off(kind, most):
+def test_texels_of_3_5_pixels_hold_their_mean(kind, most):
     sampled, expected = read(kind, 64, 16, 3.45)
     centres, _ = read(kind, 64, 16, 3.45, steps=False)
     off, before = (np.sqrt(np.mean((values - expected) ** 2)) for values in (sampled, centres))
@@ -64,7 +64,7 @@ def test_texels_of_three_and_a_half_pixels_hold_their_mean_where_their_centres_a
     assert off < most and before > 4 * off
 
 
-def test_texels_no_larger_than_a_pixel_are_read_between_four_pixels_as_ever():
+def test_texels_up_to_a_pixel_are_bilinear():
     camera = Camera.orthographic(16, 16, 2.0, ABOVE)
     mesh = plane(1.6)
     image = np.float32(picture("noise", 16)[0])
@@ -72,7 +72,7 @@ def test_texels_no_larger_than_a_pixel_are_read_between_four_pixels_as_ever():
     np.testing.assert_array_equal(areas.sample(image), centres.sample(image))
 
 
-def test_a_jacobian_is_how_far_a_texel_reaches_in_the_image():
+def test_the_jacobian_is_a_texels_extent_in_the_image():
     mesh = plane(2.0)
     tilt = np.deg2rad(35)
     matrix = np.array(
@@ -88,7 +88,7 @@ def test_a_jacobian_is_how_far_a_texel_reaches_in_the_image():
         np.testing.assert_allclose(found[:, :, axis], slope * side, rtol=2e-3, atol=2e-3)
 
 
-def test_a_texel_weighs_as_much_as_the_part_of_its_pixels_that_is_usable_and_nothing_below_three_quarters():
+def test_a_texels_weight_is_its_usable_part_and_0_below_three_quarters():
     camera = Camera.orthographic(36, 36, 2.0, ABOVE)
     _, p = projector(plane(2.0, columns=1, rows=1), camera, (9, 9))
     image = np.float32(picture("noise", 36)[0])
@@ -136,7 +136,7 @@ def tilted(degrees, distance=4.0):
 
 
 @pytest.mark.parametrize("degrees", [0, 45, 70, 80, 83])
-def test_a_slant_weighs_the_less_the_flatter_it_is_and_nothing_at_the_limit(degrees):
+def test_a_slanted_view_loses_weight_to_0_at_the_limit(degrees):
     camera = Camera.orthographic(40, 40, 3.0, tilted(degrees))
     _, p = projector(plane(2.0), camera, (64, 64), grazing=0.1)
     weights = p.sample(np.ones((40, 40, 4), np.float32))[..., 3][p.visible]

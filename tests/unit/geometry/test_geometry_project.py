@@ -47,7 +47,7 @@ def test_texels_outside_the_image_have_no_weight():
     assert (p.sample(image_of(camera))[~inside] == 0).all()
 
 
-def test_a_clipped_pixel_takes_the_weight_of_all_texels_that_it_touches_and_is_not_blended_in():
+def test_a_clipped_pixel_zeroes_the_weight_of_touched_texels():
     camera = Camera.orthographic(16, 16, 2.0, ABOVE)
     bake, p = projector(plane(2.0), camera, (37, 37))
     image = image_of(camera)
@@ -92,7 +92,7 @@ def test_a_texel_that_touches_a_clipped_pixel_has_its_radiance_without_weight(te
     np.testing.assert_array_equal(sampled[lost][:, :3], whole[lost][:, :3])
 
 
-def test_a_texel_next_to_a_pixel_centre_by_rounding_does_not_read_the_pixels_beyond():
+def test_rounding_at_a_pixel_centre_reads_no_further_pixel():
     camera = Camera(16, 16, (8.0, 8.0), (8.0004, 7.9996), ABOVE, False)
     _, p = projector(plane(2.0), camera, (16, 16))
     image = image_of(camera)
@@ -126,7 +126,7 @@ def test_a_plane_behind_another_is_hidden_where_the_other_covers_it(gap):
 
 
 @pytest.mark.parametrize("perspective", [True, False])
-def test_the_side_of_a_sphere_that_faces_the_camera_is_seen_and_the_other_is_not(perspective):
+def test_only_the_near_side_of_a_sphere_is_seen(perspective):
     mesh = sphere(columns=32, rows=16)
     camera = Camera.from_fov(60, 60, 40, ABOVE) if perspective else Camera.orthographic(60, 60, 2.4, ABOVE)
     bake, p = projector(mesh, camera, (64, 32), grazing=0.1)

@@ -31,7 +31,7 @@ def looked_up(seams, texel, by):
 
 
 @pytest.mark.parametrize("turn", TURNS)
-def test_past_a_cut_lies_what_the_sheet_has_there_however_the_part_is_placed(turn):
+def test_past_a_cut_lies_the_continuing_sheet(turn):
     subject = sheet(turn)
     seams = subject.domain().seams
     assert len(np.unique(seams.island)) == 3 and subject.bake.coverage[subject.bake.coverage].size > 200
@@ -48,7 +48,7 @@ def test_past_a_cut_lies_what_the_sheet_has_there_however_the_part_is_placed(tur
     assert crossed > 20
 
 
-def test_islands_that_lie_side_by_side_are_no_neighbours_and_a_border_of_the_surface_has_none():
+def test_adjacent_islands_and_open_borders_have_no_neighbours():
     def strip(x0, z):
         p = np.array([[[0, 0, z], [8, 0, z], [8, 16, z]], [[0, 0, z], [8, 16, z], [0, 16, z]]], float)
         normals = np.zeros((2, 3, 3)) + (0, 0, 1)
@@ -65,7 +65,7 @@ def test_islands_that_lie_side_by_side_are_no_neighbours_and_a_border_of_the_sur
     assert looked_up(seams, (12, 8), (-1, 0)) is None
 
 
-def test_corners_that_differ_by_rounding_are_one_and_an_edge_of_three_triangles_is_a_border():
+def test_corners_are_merged_within_rounding_and_non_manifold_edges_are_borders():
     p = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 0], [1, 0, 0], [1, 1, 0]]], float)
     uv = p[..., :2] * 0.5 + 0.25
     uv[1] += 1e-5
@@ -111,7 +111,7 @@ def arms_domain():
 
 
 @pytest.mark.parametrize("sewn", [False, True])
-def test_the_banks_of_a_gap_in_an_island_see_each_other_only_where_they_are_sewn_together(sewn):
+def test_sides_of_a_gap_are_neighbours_only_where_connected(sewn):
     seams, _ = two_arms(sewn)
     assert (seams.island >= 0).sum() == 2 * ARM * LONG + FOOT * (2 * ARM + GAP) and seams.island.max() == 0
     left, right = CORNER[0] + ARM - 1, CORNER[0] + ARM + GAP  # the columns along the gap
@@ -146,7 +146,7 @@ def test_at_half_the_size_the_same_surface_lies_across_a_cut(turn):
     assert (seams.island[y, x] == seams.of[~left][0]).all()
 
 
-def test_a_finer_map_takes_nothing_from_the_island_beside():
+def test_upsampling_does_not_mix_adjacent_islands():
     domain = sheet("as it is").domain()
     island = np.where(domain.bake.coverage, (np.arange(domain.shape[1]) >= 9) + 2 * (domain.seams.island > 0), -1)
     domain = replace(domain, seams=replace(domain.seams, island=island.astype(np.int32)))
@@ -157,7 +157,7 @@ def test_a_finer_map_takes_nothing_from_the_island_beside():
 
 
 @pytest.mark.parametrize("turn", ["mirrored and turned", "past the square's edge", "two arms"])
-def test_a_tile_sees_across_seams_what_the_whole_does(turn):
+def test_a_tile_reads_across_seams_like_the_whole(turn):
     whole = arms_domain() if turn == "two arms" else sheet(turn).domain(reach=6)
     reached, met = 3, 0
     rows, columns = whole.shape
@@ -192,7 +192,7 @@ def test_a_tile_sees_across_seams_what_the_whole_does(turn):
 @pytest.mark.parametrize(
     "preset, model, reach, most", [("swarm", "lambert", 1, 1.2), ("standard", "principled", 16, 2)]
 )
-def test_a_plan_leaves_room_for_what_seams_take(preset, model, reach, most):
+def test_a_plan_includes_the_bytes_of_seams(preset, model, reach, most):
     domain = sheet("mirrored and turned").domain()
     edges = domain.seams.edges.some(domain.seams.edges.other >= 0)
     borders = Borders((edges.start + edges.end) / 2, np.linalg.norm(edges.end - edges.start, axis=-1))

@@ -47,7 +47,7 @@ def off_by_a_constant(found, truth, covered):
 
 
 @pytest.mark.parametrize("where", ["all", "disc", "islands"])
-def test_the_height_of_a_smooth_relief_comes_back_in_texels_inside_any_mask(where):
+def test_the_height_of_a_smooth_relief_is_recovered_in_any_mask(where):
     z, normals = waves(90, 127)
     covered = masks(90, 127)[where]
     camera = Camera.orthographic(127, 90, 3.0)
@@ -65,7 +65,7 @@ def test_the_number_of_steps_does_not_grow_with_the_size():
     assert steps[1] < 1.5 * steps[0]
 
 
-def test_through_a_perspective_camera_a_ball_comes_back_round():
+def test_a_ball_seen_in_perspective_is_recovered_round():
     camera = Camera(120, 100, (150.0, 170.0), (57.0, 52.0))
     rays = camera.points()
     centre, radius = np.array([0.1, -0.05, -6.0]), 1.4
@@ -107,7 +107,7 @@ def test_normals_that_contradict_each_other_are_integrated_as_scipy_does_it():
     assert off_by_a_constant(found, truth.reshape(rows, columns), covered) < 1e-3
 
 
-def test_a_wall_that_no_camera_sees_the_slope_of_does_not_bend_what_lies_around_it():
+def test_an_unseen_wall_does_not_bend_its_surroundings():
     z, normals = waves(64, 64)
     spoiled = normals.copy()
     spoiled[:, 30:32] = unit(np.array([1.0, 0.2, 0.0]))  # n_z = 0: the slope has no end
@@ -123,7 +123,7 @@ def test_a_wall_that_no_camera_sees_the_slope_of_does_not_bend_what_lies_around_
     assert np.isfinite(found).all()
 
 
-def test_the_picture_of_a_height_gives_the_height_back_by_scale_and_midlevel():
+def test_a_height_picture_decodes_by_scale_and_midlevel():
     z, normals = waves(40, 40)
     covered = masks(40, 40)["disc"]
     found = relief.card_height(Camera.orthographic(40, 40, 1.0), normals, covered)
@@ -142,7 +142,7 @@ def test_the_cosine_transform_is_scipys_and_is_undone(shape):
     np.testing.assert_allclose(height._cosines(height._cosines(forward, 0, True), 1, True), values, atol=1e-12)
 
 
-def test_islands_of_the_texture_are_told_apart_even_where_they_touch():
+def test_touching_islands_are_distinguished():
     right, left = geometry_oracle.plane(u_span=(0.5, 1.0)), geometry_oracle.plane(u_span=(0.0, 0.5), z=1.0)
     number = relief.uv_islands(geometry_oracle.joined(right, left))
     assert len(np.unique(number)) == 2 and len(np.unique(number[: len(right.uvs)])) == 1

@@ -34,7 +34,7 @@ def test_tiles_stand_side_by_side_in_the_order_of_their_numbers():
     np.testing.assert_allclose(uvs, expected, atol=1e-7)
 
 
-def test_the_unit_square_alone_stays_bit_for_bit_and_another_tile_alone_becomes_it():
+def test_the_unit_square_alone_is_unchanged_and_another_tile_moves_to_it():
     uvs = np.random.default_rng(0).random((50, 3, 2)).astype(np.float32)
     tiles, same = lay_out("map", uvs)
     assert tiles == (1001,) and same is uvs
@@ -68,12 +68,12 @@ def test_rounding_past_a_border_and_triangles_without_area_make_no_tile():
         ([(10, 0), (0, 100), (9, 99)], "2 of 3 triangles .* 0 cross"),
     ],
 )
-def test_triangles_across_borders_or_where_there_are_no_tiles_are_counted_and_refused(places, said):
+def test_triangles_across_or_outside_tiles_are_counted_and_refused(places, said):
     with pytest.raises(InputError, match=f"UV map: {said}.*or pack all into the unit square"):
         lay_out("UV map", triangles(*places))
 
 
-def test_a_set_wider_than_random_numbers_are_keyed_is_refused_with_the_remedy():
+def test_a_set_too_wide_for_the_random_numbers_is_refused_with_the_remedy():
     assert layout_size((1001, 1002), 32, 8) == (64, 8)
     assert layout_size(tuple(range(1001, 1016)), 4096, 4096) == (61440, 4096)
     with pytest.raises(InputError, match="16 UDIM tiles of 4096 texels are 65536 side by side; the limit is 65535"):
@@ -130,7 +130,7 @@ def test_slots_are_named_by_name_number_or_both():
         slots_of_text("0", ())
 
 
-def test_an_overlap_is_between_slots_only_where_most_of_it_is():
+def test_an_overlap_counts_as_between_slots_by_majority():
     materials = np.array([0, 0, 2])
     first, last = np.array([[1, 1, 0, 2]]), np.array([[3, 3, 0, 2]])
     assert overlapping_slots(materials, first, last) == (0, 2)

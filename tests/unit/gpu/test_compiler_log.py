@@ -43,7 +43,7 @@ def test_messages_come_with_the_row_of_the_code_above_them():
 
 
 @pytest.mark.parametrize(("word", "stage"), [("Vert", "vertex"), ("Frag", "fragment"), ("Compute", "compute")])
-def test_the_stage_is_read_from_the_head_of_its_log(word, stage):
+def test_the_shader_stage_is_read_from_its_logs_header(word, stage):
     log = LOG_4_2 + LOG_4_2.replace("Frag", word)
     assert [row[0] for row in rows_of(log)] == ["fragment"] * 5 + [stage] * 5
 
@@ -62,6 +62,6 @@ def test_the_colours_of_a_terminal_do_not_hide_messages():
     assert messages_of(LOG_5_0) == expected
 
 
-def test_every_row_has_the_file_and_line_that_its_mark_gives():
+def test_every_row_maps_to_its_file_and_line():
     source = '#line 1 "a.glsl"\nfloat a;\nfloat b;\n#line 1 "b.glsl"\nfloat c;\n'
     assert places_of(source) == [("a.glsl", 1), ("a.glsl", 1), ("a.glsl", 2), ("b.glsl", 1), ("b.glsl", 1)]

@@ -86,7 +86,7 @@ def samplers_of(kernel):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", MODELS, ids=lambda name: Path(name).stem)
-def test_no_pass_of_any_model_and_preset_asks_for_more_than_every_gpu_has(made, name, variant):
+def test_every_pass_of_every_model_and_preset_fits_the_common_limits(made, name, variant):
     model = load_model(name)
     for preset in shipped_presets():
         schedule = load_schedule(preset).replaced(**VARIANTS[variant])

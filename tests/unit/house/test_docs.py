@@ -65,14 +65,14 @@ def test_the_table_of_settings_is_the_panels_own():
 
 
 @pytest.mark.parametrize("name", ["first_recovery.md", "install.md"])
-def test_every_button_that_is_named_is_there(name):
+def test_every_named_button_exists(name):
     labels = set(re.findall(r"\*\*(.+?)\*\*", (DOCS / name).read_text(encoding="utf-8")))
     sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "irpso_addon" / "ui").rglob("*.py"))
     sources += "".join(path.read_text(encoding="utf-8") for path in (ROOT / "shaders" / "models").glob("*.toml"))
     assert [label for label in labels if f'"{label}' not in sources] == []
 
 
-def test_every_setting_that_is_advised_is_in_the_panel_that_is_named():
+def test_every_advised_setting_is_in_its_named_panel():
     pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("presets.md", "reading_maps.md")]
     advised = re.findall(r"\b([A-Z]\w+), ([A-Z][A-Za-z ]+) = \w", "\n".join(pages))
     assert len(advised) > 5
@@ -93,7 +93,7 @@ def test_every_public_name_is_listed():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_module_that_is_named_exists(page):
+def test_every_named_module_exists(page):
     names = re.findall(r"irpso_addon(?:\.\w+)+", page.read_text(encoding="utf-8"))
     assert [name for name in names if not exists(name)] == []
 

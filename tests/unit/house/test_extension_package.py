@@ -56,7 +56,7 @@ def test_the_zip_holds_nothing_else(names):
     assert names - allowed <= {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md"}
 
 
-def test_a_file_that_lies_about_stays_out(names):
+def test_a_stray_file_stays_out(names):
     lying = {path.name for path in ROOT.iterdir()} - {"irpso_addon", "presets", "shaders"}
     assert {name.split("/")[0] for name in names} & lying <= {
         "__init__.py",
@@ -130,7 +130,7 @@ def test_every_system_has_a_zip_with_its_own_wheels_alone(wheels, tmp_path):
         assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel of OpenEXR", b"a wheel of Pillow"}
 
 
-def test_a_wheel_that_does_not_exist_is_said_not_missed(wheels, tmp_path, monkeypatch, capsys):
+def test_a_missing_wheel_is_reported(wheels, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["extension.py", str(tmp_path / "dist")])
     wheels.main()
     lines = capsys.readouterr().out.splitlines()

@@ -144,7 +144,7 @@ def test_modules_import_one_another_in_no_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {frozenset({"b", "c"})}
 
 
-def test_no_room_holds_more_files_than_one_looks_over():
+def test_rooms_stay_small():
     folders = {path.parent for path in modules() if path.parent != PACKAGE}
     full = {}
     for folder in folders:
@@ -154,7 +154,7 @@ def test_no_room_holds_more_files_than_one_looks_over():
     assert full == {}
 
 
-def test_the_page_and_the_picture_of_the_architecture_are_the_programs_own():
+def test_the_architecture_page_and_picture_are_up_to_date():
     page = docs_architecture.PAGE.read_text(encoding="utf-8")
     assert page == docs_architecture.page_with_table(page), "run scripts/docs_architecture.py"
     drawn = docs_architecture.PICTURE.read_text(encoding="utf-8")
@@ -204,7 +204,7 @@ def test_a_forbidden_import_is_found(file, source):
         ("__init__.py", "def f():\n    from . import cli"),
     ],
 )
-def test_an_import_that_goes_down_is_let_through(file, source):
+def test_a_downward_import_is_allowed(file, source):
     assert broken_rules(source, PACKAGE / file) == []
 
 
@@ -214,7 +214,7 @@ def test_importing_the_package_imports_neither_blender_nor_numpy():
     assert (result.stdout.strip(), result.stderr) == ("[]", "")
 
 
-def test_the_parts_that_promise_to_work_without_blender_do():
+def test_the_rooms_without_blender_import_without_it():
     names = [
         "irpso_addon." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
         for path in modules()
@@ -236,7 +236,7 @@ def test_a_shader_in_a_string_is_found_and_one_named_in_a_docstring_is_not():
     assert glsl_in("def f():\n    'Writes the body of void main().'\n    return 1") == []
 
 
-def test_no_tracked_file_names_a_place_on_one_machine():
+def test_no_tracked_file_names_a_local_path():
     places = "|".join(["home", "root", "work", "tmp", "Users"])
     assert lines_matching(rf"(?<![\w./$}}~-])/({places})\b(?!\s*/\s*\d)") == []
 

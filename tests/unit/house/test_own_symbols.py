@@ -31,7 +31,7 @@ def blenders_libraries() -> list[Path]:
     return [path for folder in folders for path in sorted(Path(folder).glob("lib/libOpenEXR*.so*"))]
 
 
-def test_beside_blenders_own_library_the_wheel_reads_a_file(tmp_path):
+def test_the_wheel_reads_a_file_beside_blenders_own_library(tmp_path):
     libraries = blenders_libraries()
     if not libraries:
         pytest.skip("the bpy wheel, which brings Blender's OpenEXR, is absent")
@@ -60,7 +60,7 @@ def test_only_one_entry_of_the_library_changes():
     assert changed and changed[-1] - changed[0] < 16
 
 
-def test_what_is_no_library_is_refused():
+def test_another_file_than_a_library_is_refused():
     with pytest.raises(ValueError, match="no little-endian ELF-64"):
         own_symbols.symbolic(b"MZ" + bytes(100))
 

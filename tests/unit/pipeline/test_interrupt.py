@@ -35,7 +35,7 @@ def test_the_former_handlers_are_back_afterwards():
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
-def test_a_handler_of_blenders_own_gives_way_to_pythons(monkeypatch):
+def test_blenders_signal_handler_is_replaced_by_pythons(monkeypatch):
     real = signal.signal
 
     def from_outside(number, handler):

@@ -48,20 +48,20 @@ def test_a_prior_is_read(tmp_path):
         ('{ kind = "normal", value = 0.5, width = 0.1, vanishes_with = ["x"] }', "specular", "another scalar: rough"),
     ],
 )  # fmt: skip
-def test_a_prior_that_cannot_be_is_refused_in_one_line(tmp_path, prior, parameter, message):
+def test_an_invalid_prior_is_refused_in_one_line(tmp_path, prior, parameter, message):
     with pytest.raises(InputError, match=message) as refused:
         load_model(model_with(tmp_path, prior, parameter))
     assert "mine.toml" in str(refused.value) and f"'{parameter}'" in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_a_model_may_be_had_without_some_of_its_priors():
+def test_a_model_can_be_loaded_without_some_priors():
     model = load_model("metallic_roughness")
     assert {p.name for p in model.parameters if p.prior} == {"roughness", "metallic", "specular"}
     assert {p.name for p in model.without_priors(["specular"]).parameters if p.prior} == {"roughness", "metallic"}
 
 
-def test_the_variance_of_a_prior_is_that_of_its_curvature_or_of_its_slope():
+def test_the_variance_of_a_prior_follows_its_curvature_or_slope():
     normal = ParameterPrior("normal", 0.5, 0.1, "roughness")
     np.testing.assert_allclose(normal.variance(np.array([0.0, 0.9]), 1.0), [0.01, 0.01])
     np.testing.assert_allclose(
@@ -71,7 +71,7 @@ def test_the_variance_of_a_prior_is_that_of_its_curvature_or_of_its_slope():
     np.testing.assert_allclose(concave.variance(np.array([0.0, 0.5, 1.0]), 1.0), [0.01, 0.04, np.inf])
 
 
-def test_the_report_counts_where_the_prior_says_more_than_the_samples():
+def test_the_report_counts_texels_dominated_by_the_prior():
     model, shape = load_model("metallic_roughness").without_priors({"roughness"}), (2, 3)
     values = {p.name: np.full((*shape, p.components), p.default, np.float32) for p in model.parameters}
     values["metallic"][1] = 1.0
@@ -87,5 +87,5 @@ def test_the_report_counts_where_the_prior_says_more_than_the_samples():
     assert prior_shares(replace(maps, confidence=None)) == {}
 
 
-def test_presets_say_whether_priors_count():
+def test_standard_uses_priors_and_paper_does_not():
     assert load_schedule("standard").fitness.priors and not load_schedule("paper").fitness.priors

@@ -40,7 +40,7 @@ def test_a_model_need_not_have_starts(tmp_path):
         ("[[start]]\nbase_color = [0.1, 0.2]\n", "base_color must be one number, or one a component"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused(tmp_path, rows, message):
+def test_an_invalid_start_is_refused(tmp_path, rows, message):
     with pytest.raises(InputError, match=message):
         load_model(model_with(tmp_path, rows))
 

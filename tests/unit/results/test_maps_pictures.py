@@ -27,7 +27,7 @@ def oklab_lightness(rgb):
     return np.cbrt(linear @ to_lms.T) @ (0.21045, 0.79362, -0.00407)
 
 
-def test_low_errors_are_blue_high_ones_red_and_what_is_not_covered_is_grey():
+def test_low_errors_are_blue_high_ones_red_and_uncovered_texels_grey():
     error = np.array([[0.0, 1.0, 7.0, np.nan, 0.5]])
     colors = false_color(error, 1.0, np.array([[1, 1, 1, 1, 0]], bool))[0]
     assert colors[0].argmax() == 2
@@ -44,7 +44,7 @@ def test_the_colour_scale_gets_lighter_up_to_two_thirds_and_has_no_flat_part():
     assert steps.min() > 0.15 * steps.mean()
 
 
-def test_a_straight_line_lays_ink_over_its_own_area_only():
+def test_a_straight_line_covers_its_own_area_only():
     canvas = Canvas(40, 30, (0, 0, 0))
     canvas.lines([[(10, 15), (30, 15)]], 3.0, (1, 1, 1))
     ink = canvas.result()[..., 0]
@@ -65,7 +65,7 @@ def test_a_display_image_encodes_each_kind_of_map():
     np.testing.assert_allclose(normal[0, 0], (0.5, 0.8, 0.9), atol=1e-6)
 
 
-def test_a_preview_shows_what_does_not_count_and_leaves_it_out_of_the_error():
+def test_a_preview_shows_uncounted_texels_without_their_error():
     image, error = np.full((30, 20, 3), 0.5, np.float32), np.zeros((30, 20))
     error[10:, :] = 50.0
     counted = np.zeros((30, 20), bool)
@@ -100,7 +100,7 @@ def test_large_maps_are_reduced_by_averaging():
     assert (np.abs(picture - 1 / 3).max(-1) < 1e-3).sum() > 100_000
 
 
-def test_a_gallery_shows_every_map_upright_beside_the_others_and_what_is_not_covered_apart():
+def test_a_gallery_shows_maps_upright_with_uncovered_texels_apart():
     red, ramp = np.zeros((30, 40, 3), np.float32), np.zeros((30, 40, 3), np.float32)
     red[..., 0] = 1
     ramp[-5:] = 1  # the upper edge: row 0 is at the bottom

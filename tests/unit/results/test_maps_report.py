@@ -53,7 +53,7 @@ def test_an_albedo_at_its_limit_is_warned_of_with_its_share_of_the_covered_texel
     assert "albedo is at its limit 1 on 40% of the texels" in line
 
 
-def test_few_texels_at_the_limit_or_a_given_albedo_are_nothing_to_warn_of():
+def test_few_texels_at_the_limit_or_a_fixed_albedo_give_no_warning():
     assert limit_warnings(albedo_maps(0.05)) == []
     assert limit_warnings(albedo_maps(0.4), given={"albedo"}) == []
 
@@ -85,7 +85,7 @@ def test_errors_are_taken_over_evaluated_texels_and_the_excluded_fraction_is_sta
     assert set(report["ground_truth"]) == {"gloss"}
 
 
-def test_the_report_is_json_and_says_with_what_it_was_made(report):
+def test_the_report_is_json_and_names_its_versions(report):
     again = json.loads(json.dumps(report, allow_nan=False))
     assert again["settings"] == {"preset": "swarm", "lights": [0, 1, 2]}
     assert (again["seed"], again["gpu"], again["size"], again["texels"]) == (7, "a GPU", [5, 4], 15)
@@ -101,7 +101,7 @@ def test_plain_data_hold_no_nan_and_no_paths():
     }
 
 
-def test_what_is_unknown_is_counted_and_striped_and_a_known_number_is_not():
+def test_unknown_numbers_are_counted_and_striped():
     model, shape = load_model("metallic_roughness"), (20, 30)
     values = {p.name: np.full((*shape, p.components), 0.5, np.float32) for p in model.parameters}
     sigma = {p.name: np.zeros((*shape, 1 if p.is_normal else p.components), np.float32) for p in model.parameters}

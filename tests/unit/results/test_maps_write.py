@@ -133,7 +133,7 @@ def test_the_report_says_what_each_channel_is(maps, tmp_path):
     assert sorted(report["files"]) == sorted(os.listdir(tmp_path))
 
 
-def test_a_second_result_replaces_the_first_and_leaves_other_files_alone(maps, tmp_path):
+def test_a_second_result_replaces_the_first_and_keeps_other_files(maps, tmp_path):
     (tmp_path / "photo.png").write_bytes(b"mine")
     write_maps(maps, tmp_path, {})
     smaller = ReflectanceModel("other", "Other", Path("o.glsl"), MODEL.parameters[:2])
@@ -144,7 +144,7 @@ def test_a_second_result_replaces_the_first_and_leaves_other_files_alone(maps, t
     assert (tmp_path / "photo.png").read_bytes() == b"mine"
 
 
-def test_a_failure_half_way_leaves_the_former_result_whole(maps, tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_result(maps, tmp_path, monkeypatch):
     write_maps(maps, tmp_path, {"seed": 1})
     before = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
     real = write.write_exr

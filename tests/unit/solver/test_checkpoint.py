@@ -124,7 +124,7 @@ def test_a_checkpoint_of_another_version_is_refused(saved, monkeypatch):
         checkpoint.read(saved, WHO)
 
 
-def test_what_cannot_be_written_leaves_nothing_and_keeps_the_old(saved, monkeypatch):
+def test_a_failed_checkpoint_leaves_no_file_and_keeps_the_old(saved, monkeypatch):
     before = saved.read_bytes()
 
     def full_disk(*_, **__):
@@ -161,7 +161,7 @@ PARTS = {
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_a_domain_that_differs_in_one_number_is_another(tmp_path, part):
+def test_a_domain_with_one_changed_number_is_another(tmp_path, part):
     path = tmp_path / "run.irpso"
     checkpoint.write(path, checkpoint.identity(DOMAIN, **SETTINGS), checkpoint.Checkpoint(0, 0, 0, ARRAYS))
     checkpoint.read(path, checkpoint.identity(DOMAIN, **SETTINGS))
@@ -218,7 +218,7 @@ def test_a_tile_elsewhere_is_another_recovery(tmp_path):
             checkpoint.read(path, checkpoint.identity(dataclasses.replace(DOMAIN, **change), **SETTINGS))
 
 
-def test_the_samples_of_tiles_add_up_to_those_of_the_whole():
+def test_digests_of_tiles_add_up_to_the_whole():
     domain = make_domain(13, 17)
     whole = digest_of_texels(domain)
     for boxes in ([(0, 0, 17, 13)], [(0, 0, 5, 13), (5, 0, 12, 6), (5, 6, 12, 7)]):
@@ -229,7 +229,7 @@ def test_the_samples_of_tiles_add_up_to_those_of_the_whole():
     assert digest_of_texels(other) != whole
 
 
-def test_what_a_sample_without_weight_looks_like_is_no_part_of_what_was_observed():
+def test_samples_of_weight_0_do_not_change_the_digest():
     domain = make_domain(13, 17)
     shown = np.where(domain.stack.values[..., 3:] > 0, domain.stack.values, np.float32([0.7, 0.8, 0.9, 0]))
     other = with_samples(domain, shown)
@@ -238,7 +238,7 @@ def test_what_a_sample_without_weight_looks_like_is_no_part_of_what_was_observed
 
 
 @pytest.mark.parametrize("tiles", [1, 5, 6])
-def test_a_state_texel_by_texel_is_what_the_atlas_holds(tiles):
+def test_the_state_per_texel_equals_the_atlas(tiles):
     rng = np.random.default_rng(2)
     solvable = np.ones((3, 4), bool)
     solvable[1, 1] = solvable[2, 3] = False

@@ -67,7 +67,7 @@ SEARCHES = [
 
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
-def test_a_place_has_as_many_numbers_as_the_stage_searches(search, normal, n):
+def test_a_position_has_one_number_per_searched_dimension(search, normal, n):
     encoding = encoding_of(search, normal=normal)
     assert encoding.dimensions == encoding.defines["DIMENSIONS"] == n
     assert encoding.blocks == encoding.defines["BLOCKS"] == (1 if n <= 4 else 2)
@@ -75,7 +75,7 @@ def test_a_place_has_as_many_numbers_as_the_stage_searches(search, normal, n):
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
 @pytest.mark.parametrize("reach", [1.0, 0.25])
-def test_a_place_decodes_into_the_ranges_of_the_table_and_encodes_back(search, normal, n, reach):
+def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, reach):
     decode, encode = functions_of(encoding_of(search, normal=normal))
     x = [float(v) for v in np.random.default_rng(n).uniform(0, 1, 8)]
     s = material()
@@ -98,14 +98,14 @@ def test_a_place_decodes_into_the_ranges_of_the_table_and_encodes_back(search, n
     np.testing.assert_allclose(encode(s, reach), x[:n] + [0.0] * (8 - n), rtol=1e-12)
 
 
-def test_what_lies_out_of_range_is_encoded_on_the_wall():
+def test_values_out_of_range_are_encoded_at_the_limit():
     _, encode = functions_of(encoding_of(["specular"]))
     s = material()
     s.r1 = -1.0
     assert encode(s, 1.0)[:3] == [0.0, 1.0, 1.0]
 
 
-def test_the_normal_is_found_where_the_kernels_are_told():
+def test_the_normal_lies_at_the_offset_given_to_the_kernels():
     assert encoding_of(["all"]).defines["NORMAL_SIZE"] == 2 and encoding_of(["all"]).defines["NORMAL_AT"] == 3
     assert encoding_of(["normal"], normal="cartesian").defines["NORMAL_SIZE"] == 3
     assert encoding_of(["diffuse"]).defines["NORMAL_SIZE"] == 0

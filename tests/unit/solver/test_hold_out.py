@@ -12,7 +12,7 @@ from irpso_addon.solver.views.held_out import FEWEST_SPARING, order_of, relit_li
     [(5, [4]), (8, [4]), (16, [4, 12]), (24, [4, 12, 20]), (48, [4, 12, 20, 28, 36, 44]),
      (72, [6, 18, 30, 42, 54, 66]), (1000, [83, 250, 417, 584, 751, 918])],
 )  # fmt: skip
-def test_auto_spares_one_in_eight_evenly_spaced_and_six_at_most(count, chosen):
+def test_auto_holds_out_one_in_eight_evenly_spaced_and_at_most_six(count, chosen):
     assert held_out_list("auto", count) == chosen
 
 
@@ -28,11 +28,11 @@ def test_anything_else_is_a_list_of_numbers(text):
         held_out_list(text, 16)
 
 
-def test_the_fewest_of_which_one_is_spared_are_told_right():
+def test_the_least_number_for_holding_out_is_right():
     assert spared(FEWEST_SPARING) and not spared(FEWEST_SPARING - 1)
 
 
-def test_what_is_held_out_is_read_last_in_the_order_in_which_it_was_named():
+def test_held_out_images_are_read_last_in_the_named_order():
     assert order_of(6, [4, 1]) == [0, 2, 3, 5, 4, 1] and order_of(3, []) == [0, 1, 2]
 
 
@@ -44,6 +44,6 @@ def test_what_is_held_out_is_read_last_in_the_order_in_which_it_was_named():
         (None, None, "Unseen photographs: nothing to compare"),
     ],
 )
-def test_one_line_tells_the_means(psnr, highlights, line):
+def test_one_line_reports_the_means(psnr, highlights, line):
     assert relit_line({"relighting_mean_psnr_db": psnr, "relighting_highlights_mean_psnr_db": highlights}) == line
     assert relit_line({}) == ""

@@ -46,7 +46,7 @@ def test_a_surface_of_one_material_has_one(texels):
     assert share_at(table, np.array([2.0, 5.0, 0.0, 1.0])) == pytest.approx(1 / 1.25**2)  # of the least variance
 
 
-def test_texels_that_hold_no_numbers_are_no_material(groups):
+def test_texels_of_nan_are_no_material(groups):
     x = np.concatenate(groups)
     spoilt = np.concatenate([x[:1000], np.full((5, 3), np.nan), x[1000:]])
     np.testing.assert_array_equal(material_table(spoilt, 4), material_table(x, 4))
@@ -69,7 +69,7 @@ def test_the_sample_is_that_of_the_whole_whatever_the_parts_and_their_order():
     np.testing.assert_array_equal(whole[:, 3:], values[at.astype(int)])
 
 
-def test_a_sample_is_counted_in_what_makes_materials_unlike():
+def test_features_scale_each_parameter_by_its_unit():
     model = load_model("metallic_roughness")
     parameters = [p for p in model.parameters if p.name != "specular"]
     sample = np.zeros((1, 3 + model.components))

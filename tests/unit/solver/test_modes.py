@@ -36,14 +36,14 @@ def of_few(worse):
     return np.where(np.arange(SHAPE[1]) < 1, worse, 5.0)
 
 
-def test_forty_texels_of_a_material_have_to_contradict_by_three_deviations():
+def test_forty_texels_of_a_material_must_contradict_by_three_deviations():
     for mean, two in ((0.2, True), (0.25, False)):
         found = with_modes(maps_of(of_halves(mean, 5.0))).two_modes
         assert (found["roughness"][:, :20] == two).all() and not found["roughness"][:, 20:].any()
         assert not found["metallic"].any()
 
 
-def test_few_texels_that_see_it_decide_for_their_material_and_for_no_other():
+def test_few_informative_texels_decide_for_their_own_material():
     worse = np.zeros(SHAPE)
     worse[:, 0] = 9.0  # one in twenty of the blue ones
     found = with_modes(maps_of(worse)).two_modes["roughness"]
@@ -77,7 +77,7 @@ def test_texels_are_gathered_in_parts_to_the_same_end(monkeypatch):
 
 
 @pytest.mark.parametrize("alternatives", [None, {}])
-def test_maps_of_which_nothing_was_measured_stay_as_they_are(alternatives):
+def test_unmeasured_maps_stay_unchanged(alternatives):
     maps = replace(maps_of(0.0), alternatives=alternatives)
     assert with_modes(maps) is maps and maps.two_modes == {} and mode_warnings(maps, True) == []
     nothing = replace(maps_of(0.0), covered=np.zeros(SHAPE, bool))

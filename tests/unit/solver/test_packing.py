@@ -17,7 +17,7 @@ MASKS = {
 
 
 @pytest.mark.parametrize("name", MASKS)
-def test_what_is_packed_unpacks_to_itself_and_to_the_fill_elsewhere(name):
+def test_packing_and_unpacking_restores_texels_and_fills_the_rest(name):
     mask = MASKS[name]
     packing = Packing(mask)
     array = RNG.normal(size=(*mask.shape, 3)).astype(np.float32)
@@ -27,7 +27,7 @@ def test_what_is_packed_unpacks_to_itself_and_to_the_fill_elsewhere(name):
 
 
 @pytest.mark.parametrize("name", MASKS)
-def test_empty_texels_take_no_room_but_the_rest_of_a_row(name):
+def test_empty_texels_take_no_space_except_in_the_last_row(name):
     mask = MASKS[name]
     packing = Packing(mask)
     assert packing.width * packing.height - mask.sum() < max(packing.width, 2)

@@ -31,7 +31,7 @@ def disc(size, radius):
 # ---- what is asked for ---------------------------------------------------------------------------------------------
 
 
-def test_the_bytes_of_a_texel_are_those_counted_by_hand():
+def test_the_bytes_of_a_texel_match_a_count_by_hand():
     # lambert: 6 components in two RGBA textures; base colour 3 + normal on the hemisphere 2 = 5 dimensions, two blocks.
     cost = cost_of(100)
     stack, geometry = 100 * 16, 4 * 16
@@ -59,7 +59,7 @@ def test_evaluations_and_exchanges_are_counted_over_all_iterations():
 # ---- tiles ---------------------------------------------------------------------------------------------------------
 
 
-def test_what_fits_is_one_tile():
+def test_a_fitting_domain_is_one_tile():
     plan = plan_recovery(disc(64, 30), cost_of(), PLENTY)
     assert (plan.boxes, plan.halo, plan.resident, plan.passes) == ([(0, 0, 64, 64)], 0, True, 1)
     assert (plan.stack_on, plan.state_on, plan.scratch) == ("memory", "memory", 0)
@@ -105,7 +105,7 @@ def test_a_texture_that_is_too_large_makes_tiles_that_stay_on_the_device():
     assert all(5 * np.ceil(np.sqrt(tile.texels)) <= 300 for tile in narrow.tiles) and len(narrow.tiles) >= 3
 
 
-def test_a_lone_tile_that_is_not_the_whole_domain_has_a_halo():
+def test_a_single_tile_smaller_than_the_domain_has_a_halo():
     covered = np.zeros((200, 200), bool)
     covered[10:40, 20:50] = True
     cost = cost_of()
@@ -158,7 +158,7 @@ def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
     assert (plain.observations, held.observations) == (100, 90)
 
 
-def test_a_stack_that_lies_somewhere_stays_there():
+def test_an_existing_stack_stays_where_it_is():
     assert plan_recovery(disc(64, 30), cost_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
 
 
@@ -189,17 +189,17 @@ def test_amounts_of_memory_are_read(text, wanted):
 @pytest.mark.parametrize(
     "text", ["", "x", "0", "-4G", "4Q", "gpu=4G", "device=", "4G,4G", "device=1G,device=2G", "1G,", "0.1"]
 )
-def test_what_is_no_amount_of_memory_is_refused(text):
+def test_an_invalid_amount_of_memory_is_refused(text):
     with pytest.raises(InputError, match="^--memory .*: write an amount, as in 4G, or device=4G,host=8G"):
         parse_memory(text)
 
 
-def test_amounts_are_written_as_people_do():
+def test_amounts_are_formatted_readably():
     assert [amount(n) for n in (5, 2048, 3 * M, 1000 * M, 3 * G // 2, 27 * G)] == [
         "5 B", "2.0 KiB", "3.0 MiB", "1000 MiB", "1.5 GiB", "27.0 GiB"]  # fmt: skip
 
 
-def test_the_machine_fills_in_what_was_not_said(monkeypatch):
+def test_unset_budgets_come_from_the_machine(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda: 10 * G)
     real = machine_memory("host=2G", "NVIDIA H200")
     assert (real.host, real.device) == (2 * G, 4 * G) and "assumed" in real.device_from
@@ -209,7 +209,7 @@ def test_the_machine_fills_in_what_was_not_said(monkeypatch):
     assert machine_memory("3G", "llvmpipe") == Memory(3 * G, 3 * G)
 
 
-def test_the_free_memory_is_what_the_system_tells():
+def test_free_memory_comes_from_the_system():
     with open("/proc/meminfo") as file:
         told = next(int(line.split()[1]) for line in file if line.startswith("MemAvailable"))
     assert free_memory() == pytest.approx(told * 1024, rel=0.2)

@@ -170,7 +170,7 @@ def test_a_highlight_and_a_shadow_do_not_move_the_seed():
 
 
 @pytest.mark.parametrize("options", [{}, {"holes": False}, LENS], ids=str)
-def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options):
+def test_preparing_in_a_thread_gives_the_packed_stack_without_shadow(options):
     domain = make_domain(70, 61, observations=16, **options)  # more than one chunk
     schedule = load_schedule("swarm").replaced(shadow=0.4)
     with ThreadPoolExecutor(1) as pool:
@@ -194,7 +194,7 @@ def test_what_is_prepared_in_a_thread_is_the_packed_stack_without_shadow(options
     np.testing.assert_array_equal(places, np.stack(texels[::-1], axis=-1))
 
 
-def test_a_part_of_what_is_prepared_has_the_numbers_of_the_whole():
+def test_a_prepared_part_has_the_numbers_of_the_whole():
     domain = make_domain(20, 30)
     whole = prepare.prepare(domain, load_model("lambert"), load_schedule("standard"), pack=False)
     assert whole.stack is None

@@ -44,20 +44,20 @@ def test_the_time_left_is_the_rest_of_the_work_at_the_pace_so_far():
     assert left.after(205.0, at(1.0)) == 0
 
 
-def test_a_stage_that_is_slower_than_the_others_goes_on_at_its_own_pace():
+def test_a_slower_stage_keeps_its_own_pace():
     left = TimeLeft()
     left.after(0.0, at(0.0, 0, 0.5))
     left.after(50.0, at(0.5, 1, 1.0))  # 100 s for all the work so far, three times as much from here on
     assert left.after(50.0 + 300 * 0.1, at(0.6, 1, 1.0)) == pytest.approx(300 * 0.4)
 
 
-def test_a_run_that_goes_on_is_timed_from_where_it_was_taken_up():
+def test_a_resumed_run_is_timed_from_its_resume():
     left = TimeLeft()
     left.after(0.0, at(0.6))
     assert left.after(10.0, at(0.8)) == pytest.approx(10.0)
 
 
-def test_nothing_is_told_of_a_run_that_has_hardly_begun():
+def test_a_run_that_has_hardly_begun_has_no_estimate():
     left = TimeLeft()
     left.after(0.0, at(0.0))
     assert left.after(1.0, at(0.001)) is None

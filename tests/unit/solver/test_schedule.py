@@ -158,14 +158,14 @@ def test_a_free_search_is_one_stage_as_long_as_the_longest():
     assert titles(load_schedule("paper").replaced(search=["specular", "diffuse"])) == ["base_color + r1 + r2 + w"]
 
 
-def test_known_parameters_are_not_searched_and_empty_stages_fall_away():
+def test_fixed_parameters_are_not_searched_and_empty_stages_are_dropped():
     paper = load_schedule("paper")
     assert titles(paper, fixed=["normal", "base_color"]) == ["r1 + r2 + w"]
     assert titles(paper, fixed=["r1"]) == ["base_color", "normal", "r2 + w"]
     assert titles(paper, model="lambert") == ["base_color", "normal"]
 
 
-def test_the_rest_is_what_no_stage_names():
+def test_rest_means_all_parameters_that_no_stage_names():
     parameters = (Parameter("normal", 3, is_normal=True, stage="normal"), Parameter("sheen", stage="cloth"))
     model = ReflectanceModel("mine", "mine", PRESETS / "none.glsl", parameters)
     once = load_schedule("paper").replaced(cycles=1)
@@ -255,7 +255,7 @@ def test_a_refinement_comes_last_and_counts_all_its_steps(tmp_path):
     )
 
 
-def test_starts_tell_only_of_what_is_searched(tmp_path):
+def test_starts_set_only_searched_parameters(tmp_path):
     schedule = load_schedule(with_refinement(tmp_path, REFINEMENT))
     only = resolve(schedule.replaced(search=["normal", "roughness"]), load_model("principled"), set())[-1]
     assert [dict(start) for start in only.starts] == [{"roughness": (r,)} for r in (0.15, 0.4, 0.8)]
@@ -289,7 +289,7 @@ def test_a_schedule_may_be_a_refinement_and_nothing_else():
         ({"refinement_steps": 3}, "there is no setting 'refinement_steps'"),
     ],
 )
-def test_a_refinement_that_cannot_be_is_refused(settings, message):
+def test_an_invalid_refinement_is_refused(settings, message):
     with pytest.raises(InputError, match=message):
         load_schedule("swarm").replaced(**settings)
 

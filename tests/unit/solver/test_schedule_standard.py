@@ -152,7 +152,7 @@ BAD_PREFITS = {
 
 
 @pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in BAD_PREFITS.items() for v in values])
-def test_a_prefit_that_cannot_be_is_refused_in_one_line(name, value):
+def test_an_invalid_prefit_is_refused_in_one_line(name, value):
     with pytest.raises(InputError) as caught:
         load_schedule("standard").replaced(**{name: value})
     assert name in str(caught.value) and "\n" not in str(caught.value)
@@ -183,11 +183,11 @@ def test_a_prefit_of_a_preset_is_set_whole(tmp_path):
 
 @pytest.mark.parametrize("part", ["prefit", "refinement", "prior"])
 @pytest.mark.parametrize("value", [0, False])
-def test_a_part_that_is_switched_off_by_its_name_is_refused_with_the_setting_to_use(part, value):
+def test_a_disabled_part_is_refused_with_the_setting_to_use(part, value):
     with pytest.raises(InputError, match=rf"{part} has settings of its own, as in {part}_\w+=0"):
         load_schedule("standard").replaced(**{part: value})
 
 
-def test_a_judge_that_takes_no_error_for_none_is_refused():
+def test_an_acceptance_delta_of_0_is_refused():
     with pytest.raises(InputError, match="prefit_acceptance_delta must be above 0"):
         load_schedule("standard").replaced(prefit_acceptance_delta=0)

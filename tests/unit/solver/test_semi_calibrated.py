@@ -38,7 +38,7 @@ def test_shadow_and_noise_leave_the_intensities_of_a_matte_surface_within_two_pe
     assert off(found, true).mean() < 0.006
 
 
-def test_a_light_that_reaches_no_texel_keeps_its_intensity():
+def test_a_light_without_texels_keeps_its_intensity():
     rng = np.random.default_rng(3)
     domain, _ = subject("lambert", 12)
     domain = photographed(domain, true := gains(12, rng), rng, shadow=0)
@@ -74,7 +74,7 @@ def test_the_sample_holds_texels_that_are_lit_with_their_own_radiance_and_every_
                                   domain.bake.normal[sample.rows, sample.columns])  # fmt: skip
 
 
-def test_a_domain_under_other_lights_keeps_what_was_found_of_its_stack():
+def test_a_domain_under_other_lights_keeps_its_stacks_properties():
     domain, _ = subject("lambert", 5, shape=(6, 6))
     solvable = domain.solvable
     other = with_lights(domain, domain.lights[::-1], domain.intensities * 2)
@@ -83,7 +83,7 @@ def test_a_domain_under_other_lights_keeps_what_was_found_of_its_stack():
     np.testing.assert_array_equal(other.intensities, 2)
 
 
-def test_the_texels_that_lights_are_told_by_have_the_noise_of_the_whole():
+def test_sampled_texels_for_lights_have_the_noise_of_the_whole():
     rng = np.random.default_rng(4)
     domain, _ = subject("lambert", 12)
     domain = replace(photographed(domain, gains(12, rng), rng), noise=0.01)
