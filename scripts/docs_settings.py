@@ -20,10 +20,11 @@ def tables() -> str:
     """Return the tables of all settings, one for each panel."""
     lines = []
     for group, names in GROUPS.items():
-        lines += [f"**{group}**", "", "| setting | in files and `--set` | values | meaning |", "|---|---|---|---|"]
+        head = "| setting | in files and `--set` | values | default | meaning |"
+        lines += [f"**{group}**", "", head, "|---|---|---|---|---|"]
         for name in names:
             one = SETTINGS[name]
-            lines.append(f"| {one.label} | `{name}` | {_values(one)} | {_meaning(one)} |")
+            lines.append(f"| {one.label} | `{name}` | {_values(one)} | {_default(one)} | {_meaning(one)} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -43,6 +44,10 @@ def _values(setting: Setting) -> str:
     high = "" if setting.most is None else f" to {setting.most}"
     kind = "odd, " if setting.odd else "whole, " if setting.kind is int else ""
     return f"{kind}{low} {setting.least}{high} {_UNITS.get(setting.subtype, '')}".rstrip()
+
+
+def _default(setting: Setting) -> str:
+    return "in the preset" if setting.default is None else f"`{str(setting.default).lower()}`"
 
 
 def _meaning(setting: Setting) -> str:

@@ -12,6 +12,7 @@ from ..core.canvas import BACKGROUND, FAINT, GRID, PANEL, TEXT, Canvas
 from ..core.encode import encode_normal, srgb_from_linear
 from ..reflectance.model import Parameter
 from .false_color import UNCOVERED, false_color
+from .scales import linear_ticks, round_up, tick_text
 
 MARK_COLORS = ((0.96, 0.36, 0.33), (0.42, 0.80, 0.38), (0.38, 0.66, 1.00), (0.98, 0.80, 0.30))
 _SHOWN = 360  # pixels of height: integer factors enlarge small maps, or reduce large ones, to about this
@@ -198,18 +199,16 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
     errors = np.asarray(curves.errors, np.float64)
     ticks, low, high = _error_axis(errors, curves.log)
     last = float(curves.iterations[-1]) or 1.0
-    for tick in _linear_ticks(last, 4):
+    for tick in linear_ticks(0, last, 4):
         x = left + tick / last * width
         canvas.lines([[(x, top), (x, top + height)]], 1.0, GRID)
-        canvas.text(x, top + height + 18, f"{tick:g}", _SMALL, FAINT, 0.5)
+        canvas.text(x, top + height + 18, tick_text(tick), _SMALL, FAINT, 0.5)
     level = np.log10 if curves.log else np.asarray
     bottom_level, span = level(low), level(high) - level(low)
     for tick in ticks:
         y = top + height - (level(tick) - bottom_level) / span * height
         canvas.lines([[(left, y), (left + width, y)]], 1.0, GRID)
-        # "0.0001" would overlap the axis label.
-        label = _number(tick) if tick == 0 or tick >= 0.01 else f"1e{round(math.log10(tick))}"
-        canvas.text(left - 8, y + _SMALL / 2, label, _SMALL, FAINT, 1.0)
+        canvas.text(left - 8, y + _SMALL / 2, tick_text(tick), _SMALL, FAINT, 1.0)
     for color, series in reversed(list(zip(MARK_COLORS, errors.T, strict=False))):
         known = np.isfinite(series)
         series = series[known]
@@ -219,14 +218,14 @@ def _plot(canvas: Canvas, curves: Curves, left: int, top: int, width: int, heigh
     canvas.frame(left, top, width, height)
     canvas.text(left + width / 2, top - 14, curves.title, _HEADING, TEXT, 0.5)
     canvas.text(left + width / 2, top + height + 40, "iteration", _LABEL, FAINT, 0.5)
-    canvas.text_upward(left - 44, top + height / 2, f"error ({curves.unit})", _LABEL, FAINT)
+    canvas.text_upward(left - 50, top + height / 2, f"error ({curves.unit})", _LABEL, FAINT)
 
 
 def _error_axis(errors: np.ndarray, log: bool) -> tuple[list[float], float, float]:
     """Return ticks, lowest and highest value of an axis for all the errors."""
     highest = float(np.nanmax(errors)) if np.isfinite(errors).any() and np.nanmax(errors) > 0 else 1.0
     if not log:
-        ticks = _linear_ticks(highest * 1.05, 5)
+        ticks = linear_ticks(0, highest * 1.05, 5)
         return ticks, 0.0, max(highest * 1.05, ticks[-1])
     positive = errors[np.isfinite(errors) & (errors > 0)]
     lowest = max(float(positive.min()) if positive.size else highest / 10, highest * 1e-6)
@@ -266,23 +265,12 @@ def _number(value: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def _linear_ticks(highest: float, about: int) -> list[float]:
-    """Return about ``about`` round numbers (1, 2, 2.5, 5 times a power of ten) from 0 to ``highest``."""
-    raw = highest / about
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * m for m in (1, 2, 2.5, 5, 10) if power * m >= raw * 0.999)
-    return [round(i * step, 12) for i in range(int(highest / step + 1e-9) + 1)]
-
-
 def default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) -> float:
     """Return the 99th percentile of the errors, rounded up to a round number."""
     values = np.concatenate([np.ravel(e if covered is None else e[covered]) for e in errors])
     values = values[np.isfinite(values)]
     percentile = float(np.percentile(values, 99)) if values.size else 1.0
-    if percentile <= 0:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(percentile))
-    return next(power * m for m in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if power * m >= percentile * 0.999)
+    return round_up(percentile) if percentile > 0 else 1.0
 
 
 def _fit(shape: tuple[int, int]) -> float:

@@ -72,26 +72,23 @@ bool texel_kernel(ivec2 texel)
         float fitness = fitness_of(t, best, weights);
         int place = 0;
         for (int u = 0; u < FREE_COUNT; u++) {
-            int at;
-            float low;
-            float width;
-            free_at(u, at, low, width);
-            if (!searched(u) || prior_precision(c, at) > 0.0) {
+            FreeParameter free = free_at(u);
+            if (!searched(u) || prior_precision(c, free.at) > 0.0) {
                 continue;
             }
-            float own = c[at];
+            float own = c[free.at];
             float lowest = UNFIT;
             for (int i = 0; i < TRIALS; i++) {
-                float value = low + trial_at(i) * width;
-                if (abs(value - own) < FAR * width) {
+                float value = free.low + trial_at(i) * free.width;
+                if (abs(value - own) < FAR * free.width) {
                     continue;
                 }
-                c[at] = value;
+                c[free.at] = value;
                 Material s = material_from(c);
                 refit(t, best, s);
                 lowest = min(lowest, fitness_of(t, s, weights));
             }
-            c[at] = own;
+            c[free.at] = own;
             worse[place] = clamp(left * log((lowest + NOISE_FLOOR) / (fitness + NOISE_FLOOR)), -MOST, MOST);
             place++;
         }

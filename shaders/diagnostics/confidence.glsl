@@ -21,16 +21,11 @@
 // error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
 vec2 steps_of(inout float c[12], int u)
 {
-    int at;
-    float low;
-    float width;
-    free_at(u, at, low, width);
-#if NORMAL_FREE >= 0
-    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
+    FreeParameter free = free_at(u);
+    if (is_normal(u)) {
         return vec2(-STEP, STEP);
     }
-#endif
-    float x = (c[at] - low) / width;
+    float x = (c[free.at] - free.low) / free.width;
     return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
 }
 
@@ -81,11 +76,8 @@ void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FR
 {
 #if PRIORS > 0
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-        a[u * FREE_COUNT + u] += max(variance, 0.0) * width * width * prior_precision(c, at);
+        FreeParameter free = free_at(u);
+        a[u * FREE_COUNT + u] += max(variance, 0.0) * free.width * free.width * prior_precision(c, free.at);
     }
 #endif
 }
@@ -201,13 +193,10 @@ bool texel_kernel(ivec2 texel)
             deviations_from(a, variance, energy, deviation);
         }
         for (int u = 0; u < FREE_COUNT; u++) {
-            int at;
-            float low;
-            float width;
-            free_at(u, at, low, width);
-            float own = width * (variance >= 0.0 ? deviation[u] : 1.0);
+            FreeParameter free = free_at(u);
+            float own = free.width * (variance >= 0.0 ? deviation[u] : 1.0);
             // The two of a normal share a component: their variances add up, to its range at most.
-            sigma[at] = min(width, length(vec2(sigma[at], own)));
+            sigma[free.at] = min(free.width, length(vec2(sigma[free.at], own)));
         }
     }
     write_deviation(sigma);

@@ -1,8 +1,6 @@
 // A material moved along one of its unknowns, for derivatives of whatever model by differences.
 //
-// free_parameters.glsl is generated: void free_at(int u, out int component, out float low, out float width).
-// FREE_COUNT are counted, the normal as two that follow each other from NORMAL_FREE on (−1 where it was given);
-// NORMAL_COMPONENT is where it lies in the estimates.
+// free_parameters.glsl is generated: solver/kernels/free_parameters.py says what it declares.
 
 #include "material.glsl"
 #include "free_parameters.glsl"
@@ -28,14 +26,11 @@ Material moved(inout float given[12], int u, float by)
     for (int i = 0; i < 12; i++) {
         c[i] = given[i];
     }
-    int at;
-    float low;
-    float width;
-    free_at(u, at, low, width);
+    FreeParameter free = free_at(u);
 #if NORMAL_FREE >= 0
-    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
+    if (is_normal(u)) {
         vec3 n = vec3(c[NORMAL_COMPONENT], c[NORMAL_COMPONENT + 1], c[NORMAL_COMPONENT + 2]);
-        float angle = by * width;
+        float angle = by * free.width;
         n = turned_normal(n, u == NORMAL_FREE ? vec2(angle, 0.0) : vec2(0.0, angle));
         c[NORMAL_COMPONENT] = n.x;
         c[NORMAL_COMPONENT + 1] = n.y;
@@ -43,23 +38,18 @@ Material moved(inout float given[12], int u, float by)
         return material_from(c);
     }
 #endif
-    c[at] = clamp(c[at] + by * width, low, low + width);
+    c[free.at] = clamp(c[free.at] + by * free.width, free.low, free.low + free.width);
     return material_from(c);
 }
 
 // How far unknown u may go down and up, in fractions of its range; a normal may go anywhere.
 vec2 room_of(inout float c[12], int u)
 {
-    int at;
-    float low;
-    float width;
-    free_at(u, at, low, width);
-#if NORMAL_FREE >= 0
-    if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
+    FreeParameter free = free_at(u);
+    if (is_normal(u)) {
         return vec2(-1.0, 1.0);
     }
-#endif
-    float x = (c[at] - low) / width;
+    float x = (c[free.at] - free.low) / free.width;
     return vec2(-x, 1.0 - x);
 }
 

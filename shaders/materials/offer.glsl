@@ -1,20 +1,17 @@
 // Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or,
-// where u_mirror is 1, with that which mirrors its brightest sample: where the lobe was missed, so was the normal. One is
-// taken, to be refined, where its fitness is under CANDIDATE_RATIO times this texel's own, or where it has more votes by the
-// factor CROWD; of several the most probable. Where there is none, nothing is left to be done.
+// where u_mirror is 1, with the normal that mirrors its brightest sample: where the lobe was missed, so was the normal.
+// Of the materials that are worth refining (offers.glsl) the most probable one replaces the texel's own; where there is
+// none, the texel is calm.
 // Reads the best estimates so far, u_status, the materials and the samples.
 
 #include "fitness/fitness.glsl"
 #include "refine/mirror.glsl"
-#include "refine/status.glsl"
-#include "refine/votes.glsl"
+#include "refine/offers.glsl"
 
 bool texel_kernel(ivec2 texel)
 {
     Material own = estimate_at(texel);
-    vec4 status = texelFetch(u_status, texel, 0);
-    o_status = vec4(status.xy, CALM, status.w);
-    write_material(own);
+    vec4 status = write_calm(texel, own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
@@ -42,8 +39,7 @@ bool texel_kernel(ivec2 texel)
         }
         float votes = votes_of_materials(c);
         float deviance = freedom > 0.0 ? deviance_of(freedom, fitness, votes) : fitness;
-        bool wanted = fitness < CANDIDATE_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
-        if (wanted && (!found || deviance < least)) {
+        if (is_worth_refining(fitness, status.x, votes, own_votes) && (!found || deviance < least)) {
             found = true;
             least = deviance;
             write_material(offer);

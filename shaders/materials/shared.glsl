@@ -13,15 +13,6 @@ float material_number(int row, int k, int u)
     return texelFetch(u_materials, ivec2(k, row + u / 4), 0)[u % 4];
 }
 
-bool turns_normal(int u)
-{
-#if NORMAL_FREE >= 0
-    return u == NORMAL_FREE || u == NORMAL_FREE + 1;
-#else
-    return false;
-#endif
-}
-
 // How much of the surface is of a material like this one, from 0 to 1.
 float share_of(inout float c[12])
 {
@@ -30,14 +21,11 @@ float share_of(inout float c[12])
     for (int k = 0; k < count; k++) {
         float apart = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
-            if (turns_normal(u)) {
+            if (is_normal(u)) {
                 continue;
             }
-            int at;
-            float low;
-            float width;
-            free_at(u, at, low, width);
-            float x = clamp((c[at] - low) / width, 0.0, 1.0);
+            FreeParameter free = free_at(u);
+            float x = clamp((c[free.at] - free.low) / free.width, 0.0, 1.0);
             float d = (searched(u) ? x / ALIKE_SEARCHED : sqrt(x) / ALIKE_LINEAR) - material_number(0, k, u);
             apart += d * d * material_number(3, k, u);
         }
@@ -50,15 +38,12 @@ float share_of(inout float c[12])
 void take_material(int k, inout float c[12])
 {
     for (int u = 0; u < FREE_COUNT; u++) {
-        if (turns_normal(u)) {
+        if (is_normal(u)) {
             continue;
         }
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
+        FreeParameter free = free_at(u);
         float x = material_number(0, k, u) * (searched(u) ? ALIKE_SEARCHED : ALIKE_LINEAR);
-        c[at] = low + width * clamp(searched(u) ? x : x * x, 0.0, 1.0);
+        c[free.at] = free.low + free.width * clamp(searched(u) ? x : x * x, 0.0, 1.0);
     }
 }
 

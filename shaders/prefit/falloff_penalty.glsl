@@ -27,13 +27,10 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
     float scale = loss_scale(scale_at(texel));
     float precision_of = falloff_precision() / (scale * scale);
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-        if (at == FALLOFF_COMPONENT) {
-            a[u * FREE_COUNT + u] += precision_of * width * width;
-            slope[u] += precision_of * width * (c[at] - 1.0);
+        FreeParameter free = free_at(u);
+        if (free.at == FALLOFF_COMPONENT) {
+            a[u * FREE_COUNT + u] += precision_of * free.width * free.width;
+            slope[u] += precision_of * free.width * (c[free.at] - 1.0);
         }
     }
 }

@@ -30,14 +30,11 @@ void add_penalty(ivec2 texel, inout float c[12], inout float a[FREE_COUNT * FREE
     read_deviation(texel, deviation);
     float noise = texelFetch(u_noise, texel, 0).w;
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-        if (deviation[at] > 0.0) {
-            float precision_of = noise * width * width / (deviation[at] * deviation[at]);
+        FreeParameter free = free_at(u);
+        if (deviation[free.at] > 0.0) {
+            float precision_of = noise * free.width * free.width / (deviation[free.at] * deviation[free.at]);
             a[u * FREE_COUNT + u] += precision_of;
-            slope[u] += precision_of * (c[at] - mean[at]) / width;
+            slope[u] += precision_of * (c[free.at] - mean[free.at]) / free.width;
         }
     }
 }

@@ -7,8 +7,7 @@
 
 #include "common/packing.glsl"
 #include "fitness/fitness.glsl"
-#include "refine/status.glsl"
-#include "refine/votes.glsl"
+#include "refine/offers.glsl"
 
 Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
 {
@@ -20,16 +19,10 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
     }
     bool whole = kind == 0;
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-#if NORMAL_FREE >= 0
-        if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
-            continue;
+        if (!is_normal(u) && (whole || searched(u))) {
+            int at = free_at(u).at;
+            c[at] = theirs[at];
         }
-#endif
-        c[at] = whole || searched(u) ? theirs[at] : own[at];
     }
 #if NORMAL_FREE >= 0
     if (whole) {
@@ -49,9 +42,7 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
 bool texel_kernel(ivec2 texel)
 {
     Material own = estimate_at(texel);
-    vec4 status = texelFetch(u_status, texel, 0);
-    o_status = vec4(status.xy, CALM, status.w);
-    write_material(own);
+    vec4 status = write_calm(texel, own);
     if (state_at(texel) != TEXEL_SOLVED) {
         return true;
     }
@@ -100,8 +91,7 @@ bool texel_kernel(ivec2 texel)
         material_to(tried[p], offered);
         float votes = voted ? votes_for(place, offered) : 0.0;
         float deviance = voted ? deviance_of(freedom, fitness, votes) : fitness;
-        bool wanted = fitness < CANDIDATE_RATIO * status.x || votes > CROWD * (1.0 + own_votes);
-        if (wanted && (chosen < 0 || deviance < least)) {
+        if (is_worth_refining(fitness, status.x, votes, own_votes) && (chosen < 0 || deviance < least)) {
             least = deviance;
             chosen = p;
         }

@@ -69,12 +69,9 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
     float curvature[12];
     prior_slopes(c, by, curvature);
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-        a[u * FREE_COUNT + u] += unit * width * width * curvature[at];
-        slope[u] += unit * width * by[at];
+        FreeParameter free = free_at(u);
+        a[u * FREE_COUNT + u] += unit * free.width * free.width * curvature[free.at];
+        slope[u] += unit * free.width * by[free.at];
     }
 #endif
 }
@@ -86,28 +83,20 @@ void stepped(inout float given[12], inout float by[FREE_COUNT], out float c[12])
         c[i] = given[i];
     }
     for (int u = 0; u < FREE_COUNT; u++) {
-        int at;
-        float low;
-        float width;
-        free_at(u, at, low, width);
-#if NORMAL_FREE >= 0
-        if (u == NORMAL_FREE || u == NORMAL_FREE + 1) {
+        FreeParameter free = free_at(u);
+        if (is_normal(u)) {
             continue;
         }
-#endif
-        c[at] = clamp(c[at] + by[u] * width, low, low + width);
+        c[free.at] = clamp(c[free.at] + by[u] * free.width, free.low, free.low + free.width);
     }
 #if NORMAL_FREE >= 0
-    int at;
-    float low;
-    float width;
-    free_at(NORMAL_FREE, at, low, width);
-    vec3 n = vec3(c[at], c[at + 1], c[at + 2]);
-    n = turned_normal(n, width * vec2(by[NORMAL_FREE], by[NORMAL_FREE + 1]));
+    FreeParameter free = free_at(NORMAL_FREE);
+    vec3 n = vec3(c[free.at], c[free.at + 1], c[free.at + 2]);
+    n = turned_normal(n, free.width * vec2(by[NORMAL_FREE], by[NORMAL_FREE + 1]));
     n = normalize(vec3(n.xy, max(n.z, 0.0)));
-    c[at] = n.x;
-    c[at + 1] = n.y;
-    c[at + 2] = n.z;
+    c[free.at] = n.x;
+    c[free.at + 1] = n.y;
+    c[free.at + 2] = n.z;
 #endif
 }
 

@@ -29,11 +29,8 @@ float votes_for(ivec4 place, inout float c[12])
         material_to(estimate_at(other), theirs);
         float apart = 0.0;
         for (int u = 0; u < FREE_COUNT; u++) {
-            int at;
-            float low;
-            float width;
-            free_at(u, at, low, width);
-            float d = searched(u) ? (theirs[at] - c[at]) / (ALIKE * width) : 0.0;
+            FreeParameter free = free_at(u);
+            float d = searched(u) ? (theirs[free.at] - c[free.at]) / (ALIKE * free.width) : 0.0;
             apart += d * d;
         }
         votes += exp(-0.5 * apart);

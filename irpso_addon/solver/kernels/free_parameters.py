@@ -26,25 +26,29 @@ class FreeParameters:
 def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> FreeParameters:
     """Return the free parameters of a model: all but those named ``fixed``.
 
-    ``bool searched(int u)`` says which are neither a normal nor linear; SEARCHED is how many.
+    ``FreeParameter free_at(int u)`` gives component, low end and width of its range. The normal is two numbers, from
+    NORMAL_FREE on (−1 if it is fixed), of the component NORMAL_COMPONENT. ``bool searched(int u)``: u is neither the
+    normal's (``is_normal``) nor linear; SEARCHED is their count.
     """
     rows: list[tuple[int, float, float]] = []
     searched: list[int] = []
+    normal: list[int] = []
     defines = {"NORMAL_FREE": -1}
     for p in _free(model, fixed):
         at = model.offset(p.name)
         if p.is_normal:
             defines = {"NORMAL_FREE": len(rows), "NORMAL_COMPONENT": at}
+            normal = [len(rows), len(rows) + 1]
             rows += [(at, 0.0, NORMAL_RANGE)] * 2
         else:
             searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
             rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
-    cases = [f"    if (u == {u}) {{ component = {at}; low = {low!r}; width = {width!r}; }}"
-             for u, (at, low, width) in enumerate(rows)]  # fmt: skip
+    cases = [f"    if (u == {u}) {{ free = FreeParameter{row}; }}" for u, row in enumerate(rows)]
     source = "\n".join(
-        ["void free_at(int u, out int component, out float low, out float width)", "{",
-         "    component = 0; low = 0.0; width = 1.0;", *cases, "}", "bool searched(int u)", "{",
-         f"    return {' || '.join(f'u == {u}' for u in searched) or 'false'};", "}", ""]
+        ["struct FreeParameter {", "    int at;", "    float low;", "    float width;", "};",
+         "FreeParameter free_at(int u)", "{",
+         "    FreeParameter free = FreeParameter(0, 0.0, 1.0);", *cases, "    return free;", "}",
+         *_predicate("is_normal", normal), *_predicate("searched", searched), ""]
     )  # fmt: skip
     return FreeParameters(len(rows), source, defines | {"FREE_COUNT": len(rows), "SEARCHED": len(searched)})
 
@@ -150,6 +154,11 @@ def build_starts(model: ReflectanceModel, starts: Sequence[Start]) -> str:
         ["void take_start(int start, inout float c[12])", "{", *lines, "}",
          "bool mirrors(int start)", "{", f"    return {mirroring};", "}", ""]
     )  # fmt: skip
+
+
+def _predicate(name: str, numbers: Sequence[int]) -> list[str]:
+    """Lines of ``bool name(int u)``: whether u is one of the numbers."""
+    return [f"bool {name}(int u)", "{", f"    return {' || '.join(f'u == {u}' for u in numbers) or 'false'};", "}"]
 
 
 def has_basis(p: Parameter, model: ReflectanceModel) -> bool:

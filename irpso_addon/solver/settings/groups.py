@@ -1,4 +1,4 @@
-"""The settings of each phase: name, type, limits, label and help, declared once. Their values are in presets/."""
+"""The settings of each phase: name, type, limits, label, help, default. Those without a default are in every preset."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -109,12 +109,8 @@ def refuse_levels(schedule: Schedule) -> None:
         )
 
 
-_OPTIONAL = {
-    "prefit": Prefit,
-    "refinement": Refinement,
-    "materials": Materials,
-    "prior": Prior,
-}  # may be absent: there is none then
+# Groups with defaults: a preset sets what differs, and without their table there is no such phase.
+_OPTIONAL = {"prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior}
 
 
 def _prefix(part: str) -> str:
@@ -167,11 +163,11 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
 
 def _build(kind: type, table: Any, where: str) -> Any:
     if not isinstance(table, dict):
-        raise InputError(f"{where} is not there, or no table; a preset sets every constant")
+        raise InputError(f"{where} is not there, or no table; copy it from a shipped preset")
     fields = {f.name: f for f in dataclasses.fields(kind)}
     _refuse_unknown(table, fields, where)
-    if missing := [name for name in fields if name not in table]:
-        raise InputError(f"{where}: '{missing[0]}' is not set; a preset sets every constant")
+    if missing := [name for name, field in fields.items() if field.default is MISSING and name not in table]:
+        raise InputError(f"{where}: '{missing[0]}' is not set; copy it from a shipped preset")
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
 
 

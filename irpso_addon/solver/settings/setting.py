@@ -18,7 +18,7 @@ class Setting:
     label, help: as shown in the window and in docs/presets.md. kind: int, float, bool, or str for one of ``choices``;
     read from the field's type. least: the smallest number, itself refused where ``above``. most: the largest, or None.
     odd: even numbers are refused. soft_max: the top of its slider. subtype: Blender's name of its unit. precision:
-    decimals. choices: value → (label, help).
+    decimals. choices: value → (label, help). default: None where every preset sets the value.
     """
 
     label: str
@@ -32,6 +32,7 @@ class Setting:
     subtype: str = "NONE"
     precision: int = 3
     choices: Mapping[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
+    default: Any = None
 
     def check(self, name: str, value: Any, where: str) -> None:
         """Raise InputError where the setting called ``name`` cannot have this value; ``where`` begins the message."""
@@ -57,7 +58,8 @@ class Setting:
 
 def setting(label: str, help: str, default: Any = MISSING, **more: Any) -> Any:
     """Return the field of a dataclass that is a setting; ``more`` are Setting's own fields."""
-    return dataclasses.field(default=default, metadata={Setting: Setting(label, help, **more)})
+    shown = None if default is MISSING else default
+    return dataclasses.field(default=default, metadata={Setting: Setting(label, help, default=shown, **more)})
 
 
 def settings_of(kind: type, prefix: str = "") -> dict[str, Setting]:

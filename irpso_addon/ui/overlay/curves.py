@@ -8,13 +8,13 @@ import numpy as np
 
 from ...gpu.viewport import Drawing
 from ...results.preview import MARK_COLORS
+from ...results.scales import PERCENT, tick_text
 from ..session.session import Probe, Session
 from .flat import flat_place
 from .layout import Rectangle
 from .paint import AXIS, DIM, GRID, HALO, SMALL, TEXT, Painter
 from .place import Placement, circle, pixel_size, to_pixels, transformed
 from .plot import curve_plot
-from .scales import PERCENT, label
 
 _MEAN = (0.80, 0.80, 0.82, 1.0)
 _WIDTH, _HEIGHT = 420.0, 196.0  # pixels at scale 1
@@ -111,7 +111,7 @@ def draw_curves(painter: Painter, area: Rectangle, running: Session) -> None:
         painter.dots(np.array([[x, y + 3.5 * s]]), color, 7)
         painter.text(name, x + 9 * s, y, TEXT, SMALL)
         if curve:
-            painter.text(label(float(f"{PERCENT * curve[-1][1]:.2g}")), area.right - 10 * s, y, DIM, SMALL, "right")
+            painter.text(tick_text(float(f"{PERCENT * curve[-1][1]:.2g}")), area.right - 10 * s, y, DIM, SMALL, "right")
         y -= 17 * s
 
 

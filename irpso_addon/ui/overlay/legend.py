@@ -11,10 +11,10 @@ import numpy as np
 
 from ...reflectance.model import ReflectanceModel
 from ...results.false_color import COLORS
+from ...results.scales import PERCENT, tick_text, ticks_to
 from ...solver.views.display import Shown
 from .layout import Rectangle
 from .paint import DIM, SMALL, Painter
-from .scales import PERCENT, label, ticks_to
 
 _BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # height of the bar, width of its panel, in pixels at scale 1
 _SHARE = 0.3  # the bar's height over that of a small region
@@ -73,7 +73,7 @@ def draw_legend(painter: Painter, area: Rectangle, meaning: Scale) -> None:
     for tick in ticks_to(meaning.top, min(6, int(bar.height / (_TICK * s)))):
         y = bar.y + bar.height * tick / meaning.top
         painter.line((bar.right + 2 * s, y), (bar.right + 6 * s, y), DIM)
-        text = label(tick) + (" +" if math.isclose(tick, meaning.top) else "")
+        text = tick_text(tick) + (" +" if math.isclose(tick, meaning.top) else "")
         painter.text(text, bar.right + 10 * s, y - 3.5 * s, size=SMALL)
 
 

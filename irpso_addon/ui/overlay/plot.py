@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...results.scales import linear_ticks, log_ticks, round_down, round_up, tick_text
 from .layout import Rectangle
-from .scales import label, linear_ticks, log_ticks, round_down, round_up
 
 _FEWEST_ITERATIONS = 10  # least length of the iterations' axis
 _LEAST_SPAN = 10.0  # least ratio of the ends of the error's axis: a level curve should look level
@@ -47,11 +47,11 @@ def curve_plot(area: Rectangle, curves: Sequence[Sequence[tuple[float, float]]])
         place = np.log(np.clip(error, low, high) / low) / np.log(high / low)
         return area.y + area.height * place
 
-    most = max(2, int(area.width / (9 * max(len(label(round(last))), 2))))
+    most = max(2, int(area.width / (9 * max(len(tick_text(round(last))), 2))))
     return Plot(
         area,
-        tuple((float(x_of(tick)), label(tick)) for tick in linear_ticks(0, last, min(6, most)) if tick == int(tick)),
-        tuple((float(y_of(tick)), label(tick)) for tick in major),
+        tuple((float(x_of(t)), tick_text(t)) for t in linear_ticks(0, last, min(6, most)) if t == int(t)),
+        tuple((float(y_of(tick)), tick_text(tick)) for tick in major),
         tuple(float(y_of(tick)) for tick in minor),
         tuple(_thinned(np.stack([x_of(p[:, 0]), y_of(p[:, 1])], axis=-1), int(area.width)) for p in points),
     )

@@ -11,10 +11,10 @@ import numpy as np
 from ...gpu.viewport import Surface
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import UNKNOWN
+from ...results.scales import PERCENT, round_up, steady_limit
 from ...solver.views.display import Shown
 from ..session.session import Session
 from .place import Placement, card_corners, card_frame, placement_of
-from .scales import PERCENT, round_up, steady_limit
 
 _BLINKS = 2.0  # pictures per second
 _MEAN_TO_RED = 4.0  # red error over the mean error: about the spread of errors

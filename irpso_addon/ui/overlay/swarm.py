@@ -12,11 +12,11 @@ import numpy as np
 
 from ...core.encode import encode_normal, srgb_from_linear
 from ...reflectance.model import Parameter, ReflectanceModel
+from ...results.scales import tick_text
 from ...solver.settings.resolve import prefit_model
 from ...solver.views.texel_probe import Particles, component_names
 from .layout import Rectangle
 from .paint import DIM, HALO, SMALL, Painter
-from .scales import label
 
 TRAIL = 12  # stored positions per particle
 _AXES = ((0.98, 0.32, 0.36, 1.0), (0.55, 0.85, 0.22, 1.0), (0.36, 0.62, 1.0, 1.0))  # as Blender colours x, y and z
@@ -273,4 +273,4 @@ def star(at: np.ndarray, radius: float) -> np.ndarray:
 def _words(axis: Axis) -> str:
     parameter, _, part = axis.name.partition(".")
     words = f"{bpy.path.display_name(parameter)} {part.upper()}".strip()
-    return f"{words} {label(axis.low)} to {label(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words
+    return f"{words} {tick_text(axis.low)} to {tick_text(axis.high)}" if (axis.low, axis.high) != (0.0, 1.0) else words

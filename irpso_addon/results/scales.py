@@ -67,7 +67,7 @@ def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list
     return major, [value for value in within if value not in major]
 
 
-def label(value: float) -> str:
+def tick_text(value: float) -> str:
     """Return the short text of a number at a tick."""
     if value == 0:
         return "0"
