@@ -26,6 +26,7 @@ from ...capture.types import Capture
 from ...core.errors import InputError
 from ..common import drawing, failures
 from ..common.file_paths import absolute
+from ..common.polls import usable
 from ..properties import findings
 from ..properties.scene_settings import REACTIONS, model_of
 from ..session.job import subject_object
@@ -234,9 +235,7 @@ class CheckCapture(bpy.types.Operator):
         """Whether there is a capture."""
         settings = context.scene.irpso
         there = settings.source == "SCENE" or bool(settings.capture_path)
-        if not there:
-            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
-        return there
+        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
 
     def execute(self, context):
         """Begin the check of files, or check the scene's own cameras and lights at once."""

@@ -9,6 +9,7 @@ from ...gpu import context as gpu_context
 from ...gpu import probe
 from ...solver.planning.machine import SOFTWARE_VULKAN
 from ..common import failures
+from ..common.polls import usable
 from ..properties import preferences
 from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
@@ -32,12 +33,9 @@ class IRPSO_OT_recover(bpy.types.Operator):
         """Whether there is a capture, a subject and no unfinished recovery."""
         running = session.current()
         if running is not None and running.state != "done":
-            cls.poll_message_set("Another recovery is not finished: stop or cancel it first")
-            return False
-        if text := missing(context):
-            cls.poll_message_set(text)
-            return False
-        return True
+            return usable(cls, False, "Another recovery is not finished: stop or cancel it first")
+        reason = missing(context)
+        return usable(cls, not reason, reason)
 
     def execute(self, context):
         """Recover to the end and keep the result, for background mode and scripts."""
@@ -151,10 +149,7 @@ class IRPSO_OT_pause(bpy.types.Operator):
     def poll(cls, context):
         """Whether a recovery runs."""
         running = session.current()
-        if running is None or not running.active:
-            cls.poll_message_set("No recovery is running: press Recover")
-            return False
-        return True
+        return usable(cls, running is not None and running.active, "No recovery is running: press Recover")
 
     def execute(self, context):
         """Pause."""
@@ -172,10 +167,8 @@ class IRPSO_OT_resume(bpy.types.Operator):
     def poll(cls, context):
         """Whether a recovery is paused, or was stopped early."""
         running = session.current()
-        if running is None or not (running.state == "paused" or running.stopped):
-            cls.poll_message_set("No recovery is paused or stopped early")
-            return False
-        return True
+        there = running is not None and (running.state == "paused" or running.stopped)
+        return usable(cls, there, "No recovery is paused or stopped early")
 
     def execute(self, context):
         """Continue with the current schedule of the scene in which the recovery was started."""
@@ -203,10 +196,7 @@ class IRPSO_OT_stop(bpy.types.Operator):
     def poll(cls, context):
         """Whether there are maps to keep."""
         running = session.current()
-        if running is None or running.recovery is None:
-            cls.poll_message_set("There is no recovery: press Recover")
-            return False
-        return True
+        return usable(cls, running is not None and running.recovery is not None, "There is no recovery: press Recover")
 
     def execute(self, context):
         """Keep the maps and end the recovery."""
@@ -235,10 +225,7 @@ class IRPSO_OT_cancel(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether there is a recovery."""
-        if session.current() is None:
-            cls.poll_message_set("There is no recovery")
-            return False
-        return True
+        return usable(cls, session.current() is not None, "There is no recovery")
 
     def execute(self, context):
         """End the session and delete its stored checkpoint."""

@@ -12,6 +12,7 @@ from bpy.props import StringProperty
 from ...core.errors import InputError, IrpsoError
 from ...solver.state.checkpoint import glance
 from ..common import drawing, failures
+from ..common.polls import usable
 from ..properties.recipe import apply_recipe
 from ..session import session, unkept
 from ..session.card_place import show_card
@@ -63,10 +64,7 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is no other recovery."""
-        if session.current() is not None:
-            cls.poll_message_set("Another recovery is open: keep or discard it first")
-            return False
-        return True
+        return usable(cls, session.current() is None, "Another recovery is open: keep or discard it first")
 
     def execute(self, context):
         """Start the recovery, which pauses when it reaches its former state."""

@@ -30,6 +30,7 @@ from ...core.files import natural
 from ...core.steps import run_steps
 from ..common import failures
 from ..common.file_paths import absolute
+from ..common.polls import usable
 from ..properties.scene_settings import REACTIONS
 from ..session import session
 from ..session.card_place import is_free, show_card
@@ -268,10 +269,8 @@ class CreateScene(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is a capture of files."""
-        chosen = bool(context.scene.irpso.capture_path)
-        if not chosen:
-            cls.poll_message_set("No capture: import a folder of photographs, an .lp list or a capture.toml")
-        return chosen
+        there = context.scene.irpso.capture_path
+        return usable(cls, there, "No capture: import a folder of photographs, an .lp list or a capture.toml")
 
     def execute(self, context):
         """Make cameras and lights, and for a card also the card, which fills the camera's image."""
@@ -315,10 +314,8 @@ class ShowObservation(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether the scene has lights of a capture."""
-        there = bool(capture_lights(context.scene))
-        if not there:
-            cls.poll_message_set("No lights of a capture: press Create Cameras and Lights, or assign images to lights")
-        return there
+        there = capture_lights(context.scene)
+        return usable(cls, there, "No lights of a capture: press Create Cameras and Lights, or assign images to lights")
 
     def execute(self, context):
         """Choose the observation, which updates the scene."""
@@ -342,10 +339,7 @@ class AssignImages(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there are lights that can have photographs."""
-        there = bool(_assignable(context))
-        if not there:
-            cls.poll_message_set("The scene has no lights: add one for each photograph")
-        return there
+        return usable(cls, _assignable(context), "The scene has no lights: add one for each photograph")
 
     def invoke(self, context, event):
         """Open the file browser."""

@@ -5,6 +5,7 @@ import numpy as np
 from bpy.props import IntProperty
 
 from ..common import failures
+from ..common.polls import usable
 from ..session import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
@@ -29,10 +30,8 @@ class IRPSO_OT_probe(bpy.types.Operator):
     def poll(cls, context):
         """Whether there are texels to probe."""
         running = session.current()
-        if running is None or running.fitted is None:
-            cls.poll_message_set("Nothing to probe: press Recover and wait until the images are read")
-            return False
-        return True
+        there = running is not None and running.fitted is not None
+        return usable(cls, there, "Nothing to probe: press Recover and wait until the images are read")
 
     def execute(self, context):
         """Probe the texel at ``row`` and ``column``."""
@@ -148,10 +147,7 @@ class IRPSO_OT_probe_clear(bpy.types.Operator):
 
 def _watched(cls) -> bool:
     running = session.current()
-    if running is None or not running.probes:
-        cls.poll_message_set("No texel is probed")
-        return False
-    return True
+    return usable(cls, running is not None and running.probes, "No texel is probed")
 
 
 def _clicked(context, running, x: int, y: int) -> tuple[int, int] | None:

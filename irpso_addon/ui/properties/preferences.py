@@ -17,6 +17,7 @@ from ...solver.planning.machine import fact_lines, machine_facts
 from ...solver.planning.memory import parse_memory
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
+from ..common.polls import usable
 
 DISPLAY_RATE = 10  # pictures per second
 _SPARING_SECONDS = 10.0  # between pictures under software Vulkan, which limits the number of draws (gpu/context.py)
@@ -155,9 +156,7 @@ class CopyReport(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether there is a report."""
-        if not _report:
-            cls.poll_message_set("There is no report yet: press Examine This Machine first")
-        return bool(_report)
+        return usable(cls, _report, "There is no report yet: press Examine This Machine first")
 
     def execute(self, context):
         """Copy the report to the clipboard."""

@@ -15,6 +15,7 @@ from ...reflectance.model import shipped_models
 from ...results.derived_maps import DerivedMaps
 from ...results.map_tables import map_tables
 from ...results.preview import Curves, convergence, display_image
+from ..common.polls import usable
 from ..properties import preferences
 from . import session, unkept
 from .card_place import put_card
@@ -72,10 +73,7 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
 def has_found(cls) -> bool:
     """Whether there is something to keep; tells the operator's button what to do where not."""
     running = session.current()
-    if running is None or running.recovery is None:
-        cls.poll_message_set(NOTHING)
-        return False
-    return True
+    return usable(cls, running is not None and running.recovery is not None, NOTHING)
 
 
 class IRPSO_OT_keep(bpy.types.Operator):
@@ -152,10 +150,7 @@ class IRPSO_OT_standard_view(bpy.types.Operator):
     @classmethod
     def poll(cls, context) -> bool:
         """Whether another view transform is set."""
-        if is_standard_view(context.scene):
-            cls.poll_message_set("The scene has the Standard view transform already")
-            return False
-        return True
+        return usable(cls, not is_standard_view(context.scene), "The scene has the Standard view transform already")
 
     def execute(self, context):
         """Set view transform and look, and nothing else."""
