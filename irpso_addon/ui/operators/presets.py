@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,12 @@ from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ..common.file_paths import absolute
-from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, schedule_of
+from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, name_today, schedule_of
 
 FOLDER = "irpso"  # in the user's folder of presets
 _HEAD = "import bpy\nschedule = bpy.context.scene.irpso.schedule\n\n"
 _OBJECT = "schedule"  # the object whose attributes a preset file assigns
-_EXAMPLE = f"write lines like {_OBJECT}.particles = 24"
+_ASSIGNMENT = re.compile(rf"{_OBJECT}\.(\w+)\s*=(.*)")
 
 
 def title_of(schedule: Schedule) -> str:
@@ -54,10 +55,20 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
     """Return the name of a preset file's base schedule, and the resulting schedule. Raises InputError."""
     path = Path(path)
     try:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: is no preset ({_reason(error)}); remove it and save it anew") from error
-    values = dict(found for node in tree.body if (found := _assignment(node, path)))
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); remove it and save it anew") from error
+    values: dict[str, Any] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line in _HEAD.splitlines():
+            continue
+        try:
+            name, value = _ASSIGNMENT.fullmatch(line).groups()
+            values[name_today(name)] = ast.literal_eval(value)
+        except (AttributeError, SyntaxError, ValueError) as error:
+            raise InputError(
+                f"{path}: line {number} sets no setting to a value; write lines like {_OBJECT}.particles = 24"
+            ) from error
     name = values.pop("preset", None)
     if not isinstance(name, str):
         raise InputError(f"{path}: names no schedule; add a line {_OBJECT}.preset = 'standard'")
@@ -67,28 +78,6 @@ def read_preset(path: str | Path) -> tuple[str, Schedule]:
         return name, load_schedule(absolute(name, "Preset")).replaced(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def _assignment(node: ast.stmt, path: Path) -> tuple[str, Any] | None:
-    """Return setting and value of one line, None for the two lines at the start of every preset."""
-    if isinstance(node, ast.Import):
-        return None
-    if isinstance(node, ast.Assign) and len(node.targets) == 1:
-        target = node.targets[0]
-        if isinstance(target, ast.Name) and target.id == _OBJECT:
-            return None
-        if isinstance(target, ast.Attribute) and isinstance(target.value, ast.Name) and target.value.id == _OBJECT:
-            try:
-                return target.attr, ast.literal_eval(node.value)
-            except ValueError as error:
-                raise InputError(f"{path}: line {node.lineno} assigns no plain value; {_EXAMPLE}") from error
-    raise InputError(f"{path}: line {node.lineno} is not allowed in a preset; {_EXAMPLE}")
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, OSError):
-        return error.strerror or str(error)
-    return f"line {error.lineno} is not Python" if isinstance(error, SyntaxError) else "it is not text"
 
 
 class IRPSO_MT_presets(bpy.types.Menu):

@@ -15,11 +15,19 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from ...core.errors import InputError
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ...solver.settings.setting import Setting
+from ..common.features import system_properties
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene
 _ABOVE = 1e-6  # an open limit in Blender, whose limits are closed
 _DIGITS = 6  # most decimals that Blender shows
+# Scenes and presets that were saved before format 2 of presets (docs/presets.md): part of a name → what it is now.
+_RENAMED = {
+    "survey_polish_": "prefit_refinement_", "survey_judge_": "prefit_acceptance_",
+    "survey_trust": "prefit_acceptance_ratio", "survey_": "prefit_",
+    "polish_daring": "refinement_candidate_ratio", "polish_gain": "refinement_ftol",
+    "polish_smallest_step": "refinement_xtol", "polish_": "refinement_",
+}  # fmt: skip
 
 
 def _fill(self: ScheduleSettings, context: Any) -> None:
@@ -66,6 +74,21 @@ def fill(settings: ScheduleSettings, schedule: Schedule) -> None:
     """Set all settings to those of a schedule."""
     for name, value in schedule.settings().items():
         setattr(settings, name, value)
+
+
+def name_today(name: str) -> str:
+    """Return the present name of a setting that an earlier version may have stored under another."""
+    old = next((old for old in _RENAMED if name.startswith(old)), "")
+    return name.replace(old, _RENAMED[old], 1) if old else name
+
+
+def rename_stored(settings: ScheduleSettings) -> None:
+    """Bring over the values that an earlier version stored in the scene under other names."""
+    stored = system_properties(settings)
+    for old in {*stored.keys()} - SETTINGS.keys():
+        if name_today(old) in SETTINGS:
+            setattr(settings, name_today(old), stored[old])
+            del stored[old]
 
 
 def differences(settings: ScheduleSettings) -> dict[str, Any]:

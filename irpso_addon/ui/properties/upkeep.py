@@ -1,4 +1,4 @@
-"""Fills the parameter list of scenes without one: in new files, new scenes and files from older versions."""
+"""Brings scenes up to date: fills a parameter list that is missing, and renames settings of older versions."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from bpy.app.handlers import persistent
 
 from ..common import failures
 from .scene_settings import CUSTOM, refresh_parameters
+from .schedule_settings import rename_stored
 
 
 @failures.reported("Listing the maps of the model")
@@ -30,6 +31,8 @@ def ask() -> None:
 
 @persistent
 def _on_load(*_: object) -> None:
+    for scene in bpy.data.scenes:
+        rename_stored(scene.irpso.schedule)
     fill_lists()
 
 
