@@ -6,16 +6,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Concatenate, TypeVar
+from typing import Concatenate, TypeVar
 
 import numpy as np
 
-from ..geometry.domain import Domain, with_lights
-from ..gpu import probe
+from ..geometry.domain import with_lights
+from ..gpu.passes import EntryChoice
 from ..results.maps import Maps
 from ..solver.engine.engine import Capabilities, RecoveryEngine
 from ..solver.engine.progress import Progress
-from ..solver.state import checkpoint
 from ..solver.state.checkpoint import Checkpoint
 from .samples import RankedStack
 from .worker import P, Worker
@@ -70,25 +69,21 @@ def serve(worker: Worker) -> int:
 class RankedRecovery(RecoveryEngine):
     """A ``RecoveryEngine`` over all ranks: the maps are those of one process, bit for bit.
 
-    To be made on rank 0 while the others ``serve``. fitted: the observations, by number, that are fitted. entry: as for
-    a Recovery.
+    Made on rank 0 while the others ``serve``. fitted: the observations, by number, that are fitted.
     """
 
-    def __init__(self, leader: Leader, fitted: Sequence[int], entry: str = "auto"):
+    def __init__(self, leader: Leader, fitted: Sequence[int], entry: EntryChoice = "auto"):
         self._leader, worker = leader, leader.worker
-        self.model, self.schedule, self.seed = worker.model, worker.schedule, worker.seed
-        self.entry = probe.faster_entry() if entry == "auto" else entry
-        self._progress: Progress = leader.ask(Worker.begin, list(fitted), self.entry)
-        self.domain: Domain = replace(worker.domain, stack=leader.domain.stack.subset(np.asarray(fitted, np.intp)))
+        super().__init__(leader.domain, worker.model, worker.schedule, worker.seed, worker.fixed, entry)
+        self._progress = leader.ask(Worker.begin, list(fitted), self.entry)
+        self.domain = replace(worker.domain, stack=leader.domain.stack.subset(np.asarray(fitted, np.intp)))
 
     @property
     def capabilities(self) -> Capabilities:
-        """Nothing but stepping to the maps."""
         return Capabilities("none", reconfigure=False)
 
     @property
     def progress(self) -> Progress:
-        """How far the recovery is."""
         return self._progress
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -103,7 +98,6 @@ class RankedRecovery(RecoveryEngine):
         return self._progress
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as RecoveryEngine.maps."""
         return self._leader.ask(Worker.maps, confidence)
 
     def mean_error(self) -> float:
@@ -115,11 +109,9 @@ class RankedRecovery(RecoveryEngine):
         return self._leader.ask(Worker.state)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Go on from what ``state`` returned, or a recovery of the whole or of tiles."""
         self._progress = self._leader.deal(Worker.restore, saved)
 
     def close(self) -> None:
-        """Free all that lies on the GPUs."""
         self._leader.ask(Worker.close)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -127,8 +119,6 @@ class RankedRecovery(RecoveryEngine):
             self.close()
 
     @cached_property
-    def identity(self) -> dict[str, Any]:
-        """What must be equal for a checkpoint to be resumed; found once: it reads all samples."""
-        worker = self._leader.worker
-        settings = (self.model, self.schedule, self.seed, self.entry, worker.fixed)
-        return checkpoint.identity(worker.domain, *settings, samples=self._leader.ask(Worker.digest))
+    def digest(self) -> int:
+        """A number of all ranks' samples."""
+        return self._leader.ask(Worker.digest)

@@ -16,6 +16,7 @@ from .library import read_source
 from .textures import Texture
 
 Entry = Literal["fragment", "compute"]
+EntryChoice = Entry | Literal["auto"]  # auto: whichever the probe finds faster
 MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
 _GROUP = (8, 8)  # texels of a compute work group
 _GLSL = {1: ("float", "FLOAT"), 4: ("vec4", "VEC4")}

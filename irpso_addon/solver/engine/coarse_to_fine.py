@@ -7,23 +7,21 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.coarsen import coarser, coarser_map, finer_map
 from ...geometry.domain import Domain
-from ...gpu import probe
-from ...gpu.passes import Pass
+from ...gpu.passes import EntryChoice, Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
 from ..planning.cost import work_of
-from ..settings.fixed import full_map
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
-from ..state import checkpoint, prepare
+from ..state import prepare
 from ..state.checkpoint import Checkpoint
 from .engine import Capabilities, RecoveryEngine
 from .progress import Progress
@@ -34,12 +32,10 @@ _AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations 
 
 
 class Pyramid(RecoveryEngine):
-    """A ``RecoveryEngine`` over ``levels`` sizes of a domain, driven as a Recovery is, which it is where levels is 1.
+    """A ``RecoveryEngine`` over ``levels`` sizes of a domain. With one level it is a Recovery.
 
     schedule: of 1 to 5 ``levels``; its ``level_iterations`` is the part of the iterations that all but the coarsest
-    make. The others are as Recovery has them. The same seed, settings and device give the same maps bit for bit,
-    however the steps were sliced or the run interrupted. Errors are those of Recovery; a domain with a halo raises
-    ValueError.
+    make. Arguments and errors are as for Recovery; a domain with a halo raises ValueError.
     """
 
     def __init__(
@@ -49,22 +45,17 @@ class Pyramid(RecoveryEngine):
         schedule: Schedule,
         seed: int = 0,
         fixed: Mapping[str, np.ndarray] | None = None,
-        entry: Literal["auto", "fragment", "compute"] = "auto",
+        entry: EntryChoice = "auto",
     ):
-        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
+        super().__init__(domain, model, schedule, seed, fixed, entry)
         self._schedules = level_schedules(schedule)
-        fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        self._domains, self._fixed = _sizes(domain, model, fixed, schedule.levels)
-        self.entry = probe.faster_entry() if entry == "auto" else entry
+        self._domains, self._fixed = _sizes(domain, model, self.fixed, schedule.levels)
         self._count()
         self._level, self._before = 0, 0  # evaluations of the levels that are done
         self._live = self._begin(None)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations of whichever level, as RecoveryEngine.step.
-
-        A level that is done hands over to the next one in the step that ends it.
-        """
+        """Advance as RecoveryEngine.step, by iterations of whichever level; the step that ends a level begins the next."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
         while True:
@@ -108,38 +99,32 @@ class Pyramid(RecoveryEngine):
         return found
 
     def mean_error(self) -> float:
-        """Return the mean error of the level that is being solved, as RecoveryEngine.mean_error."""
         return self._live.mean_error()
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Find what maps() tells of the level that is being solved, as RecoveryEngine.refresh_confidence."""
         return self._live.refresh_confidence(time_budget_s)
 
     def view(self) -> AbstractContextManager[dict[str, Any]]:
-        """Lend the live textures of the level that is being solved, as RecoveryEngine.view."""
+        """Lend the live textures of the current level, as RecoveryEngine.view."""
         return self._live.view()
 
     @property
     def capabilities(self) -> Capabilities:
-        """Those of a recovery of the whole."""
         return self._live.capabilities
 
     @property
     def phase(self) -> Phase | None:
-        """The phase under way of the level that is being solved."""
         return self._live.phase
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        """Return what Recovery.deviation_pass does."""
         return self._live.deviation_pass()
 
     def state(self) -> Checkpoint:
-        """Return the state of the level that is being solved, which it is, and what those before it have taken."""
+        """Return the state of the current level, its number, and the evaluations of those before it."""
         state = self._live.state()
         return replace(state, arrays=state.arrays | {_AT: np.array([self._level, self._before])})
 
     def restore(self, saved: Checkpoint) -> None:
-        """Go on from what ``state`` returned."""
         self._live.close()
         self._level, self._before = (int(number) for number in saved.arrays[_AT])
         self._live = self._begin(None)
@@ -157,11 +142,10 @@ class Pyramid(RecoveryEngine):
         return result
 
     def close(self) -> None:
-        """Free all that lies on the GPU."""
         self._live.close()
 
     def _count(self) -> None:
-        fixed, observations = set(self._fixed[-1]), self.domain.observations
+        fixed, observations = set(self.fixed), self.domain.observations
         self._iterations, self._costs = [], []
         for schedule, domain in zip(self._schedules, self._domains, strict=True):
             stages = resolve(schedule, self.model, fixed, observations)
@@ -198,12 +182,6 @@ class Pyramid(RecoveryEngine):
             for told in (maps.confidence, maps.alternatives)
         )
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What must be equal for a checkpoint to be resumed."""
-        fixed = self._fixed[-1]
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, fixed)
 
 
 def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:

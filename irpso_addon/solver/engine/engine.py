@@ -1,35 +1,42 @@
-"""The contract of a recovery: what the window, the command line, MPI and Python drive, however a domain is solved."""
+"""The base class of recoveries: what the window, the command line, MPI and Python drive, however a domain is solved."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.domain import Domain
-from ...gpu.passes import Pass
+from ...gpu import probe
+from ...gpu.passes import EntryChoice, Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
+from ..settings.fixed import full_map
 from ..settings.schedule import Schedule
 from ..state import checkpoint
 from ..state.checkpoint import Checkpoint
+from ..state.layout import digest_of_texels
 from .halo import Box
 from .progress import Progress
+
+_DIVIDED = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"
 
 
 @dataclass(frozen=True)
 class Capabilities:
     """What a recovery can do beside stepping to its maps.
 
-    view: which live textures it lends: those of the whole domain, of the tiles on the device, or none. reconfigure:
-    whether it takes other settings in mid-run. turns: whether tiles take turns on the device, so that short steps cost.
+    view: the live textures that it lends: of the whole domain, of the tiles on the device, or none. reconfigure:
+    whether it accepts other settings in mid-run. turns: whether tiles take turns on the device, so short steps cost.
     """
 
     view: Literal["whole", "tiles", "none"]
@@ -37,69 +44,85 @@ class Capabilities:
     turns: bool = False
 
 
-class RecoveryEngine(Protocol):
-    """One run: domain, model and schedule to maps.
+class RecoveryEngine(ABC):
+    """One run: domain, model and schedule to maps. A context manager that closes it.
 
-    The same seed, settings and device give the same maps bit for bit, however the steps were
-    sliced, the domain divided or the run interrupted. It is a context manager, which closes it.
+    The same seed, settings and device give the same maps bit for bit, however the steps were sliced, the domain was
+    divided or the run was interrupted.
     """
 
-    domain: Domain
-    model: ReflectanceModel
-    schedule: Schedule
-    seed: int
-    entry: str
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        fixed: Mapping[str, np.ndarray] | None,
+        entry: EntryChoice,
+    ):
+        """Begin nothing yet.
+
+        fixed: parameter name → (H, W, components) or (components,) in the parameter's own units; these parameters are
+        not searched. entry: of the shaders; "auto" is the one that the probe finds faster.
+        """
+        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
+        self.entry = probe.faster_entry() if entry == "auto" else entry
+        self.fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
 
     @property
+    @abstractmethod
     def capabilities(self) -> Capabilities:
         """What it can do."""
 
     @property
+    @abstractmethod
     def progress(self) -> Progress:
-        """How far it is."""
+        """How far it is, bands of the current iteration included."""
 
+    @abstractmethod
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance by whole iterations, or for about so long, or to the end; return the progress.
+        """Advance by whole iterations, for about a time, or to the end; return the progress.
 
-        Placing a stage's swarms is no iteration: it comes with the step that begins the stage, and step(0) does no
-        more. With a time budget it may stop inside an iteration, and goes on there next time.
+        The step that begins a stage also places its swarms, which is no iteration; step(0) does only that. With a time
+        budget a step may stop inside an iteration; the next one continues there.
         """
 
+    @abstractmethod
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, with the mean absolute error of its render.
+        """Return the maps so far, with the mean absolute error of their render.
 
-        confidence: whether to find standard deviations and alternatives too, which takes as long as ten to fifteen
-        iterations.
+        confidence: find standard deviations and alternatives too, which takes as long as ten to fifteen iterations.
         """
 
+    @abstractmethod
     def mean_error(self) -> float:
-        """Return the mean absolute error of the render of what has been found so far, over a few thousand texels.
+        """Return the mean absolute error of the render so far, over a few thousand texels; NaN where none is solved.
 
-        They are drawn at random, once; NaN where none is solved. It takes milliseconds, where maps() may take a second.
+        The texels are drawn at random, once. It takes milliseconds, where maps() may take a second.
         """
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Find what ``maps`` returns, for about so long; return whether it is found: then maps() itself is quick.
+        """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.
 
-        Of a divided recovery maps() finds it.
+        A divided recovery does that work in maps().
         """
         return True
 
     def view(self) -> AbstractContextManager[dict[str, Any]]:
         """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
 
-        u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed tells where a
-        texel of the domain lies in them. No copy is read back. Raises InputError where no textures hold the whole.
+        u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed has the place of
+        each texel of the domain. Nothing is read back. Raises InputError where no textures hold the whole.
         """
-        raise InputError(_UNSEEN)
+        raise InputError(_DIVIDED)
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         """Return the pass that finds the deviations of what ``view`` lends, and its constants. Raises as ``view``."""
-        raise InputError(_UNSEEN)
+        raise InputError(_DIVIDED)
 
     @property
     def phase(self) -> Phase | None:
-        """The phase under way, whose textures ``view`` reads; None where there is none."""
+        """The current phase, whose textures ``view`` reads, or None."""
         return None
 
     def tiles(self) -> list[tuple[Box, RecoveryEngine]]:
@@ -107,35 +130,43 @@ class RecoveryEngine(Protocol):
         return []
 
     def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Self:
-        """Return a recovery that goes on from here under another schedule; this one can only be closed then.
+        """Return a recovery that continues from here under another schedule; this one can then only be closed.
 
         Raises InputError where the settings do not fit, or ``capabilities`` excludes it.
         """
         raise InputError("a divided recovery takes no other settings in mid-run: stop, and recover again with them")
 
+    @abstractmethod
     def state(self) -> Checkpoint:
-        """Return what a recovery of the same domain and settings needs to go on to the same maps bit for bit.
+        """Return all that a recovery of the same domain and settings needs to reach the same maps bit for bit.
 
-        Its arrays are of the solvable texels of the whole domain, row by row (state/layout.py): whole, in tiles and
-        over ranks they are the same.
+        Its arrays are of the solvable texels of the whole domain, row by row (state/layout.py), however it is divided.
         """
 
+    @abstractmethod
     def restore(self, saved: Checkpoint) -> None:
-        """Go on from what ``state`` returned."""
+        """Continue from what ``state`` returned."""
 
     @property
     def identity(self) -> dict[str, Any]:
         """What must be equal for a checkpoint to be resumed, as plain data."""
+        settings = self.model, self.schedule, self.seed, self.entry, self.fixed
+        return checkpoint.identity(self.domain, *settings, self.digest)
+
+    @cached_property
+    def digest(self) -> int:
+        """A number of all samples; found once, because it reads them all."""
+        return digest_of_texels(self.domain)
 
     def save(self, path: str | Path, notes: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
-        """Write a checkpoint, from which ``load`` goes on to the same maps bit for bit. Written whole or not at all.
+        """Write a checkpoint, from which ``load`` continues to the same maps bit for bit. Written whole or not at all.
 
-        notes: arrays of the caller's own, which ``load`` gives back.
+        notes: arrays of the caller's own, which ``load`` returns.
         """
         checkpoint.write(Path(path), self.identity, replace(self.state(), notes=notes))
 
     def load(self, path: str | Path) -> dict[str, np.ndarray]:
-        """Go on from a checkpoint of the same domain, model, schedule and seed, and return its notes.
+        """Continue from a checkpoint of the same domain, model, schedule and seed, and return its notes.
 
         Raises InputError for another's.
         """
@@ -143,6 +174,7 @@ class RecoveryEngine(Protocol):
         self.restore(saved)
         return dict(saved.notes)
 
+    @abstractmethod
     def close(self) -> None:
         """Free all that lies on the GPU."""
 
@@ -151,6 +183,3 @@ class RecoveryEngine(Protocol):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-_UNSEEN = "the recovery is divided: no textures hold the whole; lower the resolution to look at it as a whole"

@@ -6,26 +6,24 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.domain import Domain
-from ...gpu import context, probe, textures
+from ...gpu import context, textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Pass
+from ...gpu.passes import EntryChoice, Pass
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest, PrefitPhase
 from ..planning.cost import particle_tiles, work_of
-from ..settings.fixed import full_map
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
-from ..state import checkpoint, prepare
+from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
 from ..state.layout import TexelLayout
 from ..state.prepare import Prepared
@@ -58,10 +56,8 @@ class Recovery(RecoveryEngine):
     Needs a GPU context (GpuUnavailableError); a model that does not compile raises ShaderError, settings that do not
     fit InputError.
 
-    domain: what was observed. seed: −2³¹ to 2³¹ − 1. known: parameter name → (H, W, components) or (components,) in
-    the parameter's own units, taken as given and not searched. entry: "fragment", "compute", or "auto" for what the
-    probe finds faster. prepared: of ``prepare``, where it has been found already. memory: where it begins, of
-    ``memory``.
+    seed: −2³¹ to 2³¹ − 1. prepared: from ``prepare``, made here where None. memory: from ``memory``, where it begins.
+    The others are as for RecoveryEngine.
     """
 
     def __init__(
@@ -71,17 +67,15 @@ class Recovery(RecoveryEngine):
         schedule: Schedule,
         seed: int = 0,
         fixed: Mapping[str, np.ndarray] | None = None,
-        entry: Literal["auto", "fragment", "compute"] = "auto",
+        entry: EntryChoice = "auto",
         prepared: Prepared | None = None,
         memory: Checkpoint | None = None,
         begin: _Begin | None = None,
     ):
         _check(schedule, seed)
         context.ensure()
-        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
-        self.entry = probe.faster_entry() if entry == "auto" else entry
-        self._fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
-        self._stages = resolve(schedule, model, set(self._fixed), domain.observations)
+        super().__init__(domain, model, schedule, seed, fixed, entry)
+        self._stages = resolve(schedule, model, set(self.fixed), domain.observations)
         works = [work_of(stage, model, schedule, domain.observations) for stage in self._stages]
         self._course = Course(self._stages, works)
         fresh = begin is None
@@ -90,7 +84,7 @@ class Recovery(RecoveryEngine):
         self._packing = self._textures.packing
         self._solved = int((texel_states(domain) == SOLVED).sum())
         self._diagnostics = Diagnostics(
-            self._believing(schedule), schedule.fitness, self._textures, self._estimates, self._fixed
+            self._believing(schedule), schedule.fitness, self._textures, self._estimates, self.fixed
         )
         self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
         self._trusted: tuple[int, int] | None = None  # and of which the deviations
@@ -110,7 +104,7 @@ class Recovery(RecoveryEngine):
     def _prepared(self, prepared: Prepared | None) -> _Begin:
         """Return what a new recovery begins with."""
         textures, stack, prepared = self._samples(self.schedule, prepared)
-        guess = {**prepared.guess, **self._fixed}
+        guess = {**prepared.guess, **self.fixed}
         values = {name: textures.packing.pack(value) for name, value in guess.items()}
         return _Begin(textures, stack, Estimates(self.model, values))
 
@@ -126,16 +120,13 @@ class Recovery(RecoveryEngine):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Live textures of the whole, and other settings in mid-run."""
         return Capabilities("whole", reconfigure=True)
 
     @property
     def phase(self) -> Phase | None:
-        """The phase under way, None where all are done."""
         return self._phase
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance as RecoveryEngine.step; with a time budget it may stop between bands of rows."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         self._bands.paced = deadline is not None
         left = iterations
@@ -151,12 +142,10 @@ class Recovery(RecoveryEngine):
 
     @property
     def progress(self) -> Progress:
-        """How far it is, bands of the iteration under way counted."""
         iteration = None if self._phase is None else self._phase.iteration
         return self._course.at(self._index, iteration, self._bands.part, self._evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as RecoveryEngine.maps."""
         at = self.at
         if self._work is not None or self._found != at or (confidence and self._trusted != at):
             for _ in self._look(confidence, BACKGROUND_BAND_SECONDS, False):
@@ -164,10 +153,7 @@ class Recovery(RecoveryEngine):
         return replace(self._diagnostics.maps(confidence), model=self.model)
 
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
-        """Find what ``maps`` returns, for about so long; return whether it is found.
-
-        An iteration under way is finished first. A step in between begins it anew.
-        """
+        """Work as RecoveryEngine.refresh_confidence, after the current iteration; a step in between starts it anew."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         if self._finding is None:
             if self._work is None and self._found == self._trusted == self.at:
@@ -180,7 +166,6 @@ class Recovery(RecoveryEngine):
         return True
 
     def mean_error(self) -> float:
-        """Return the mean error of a few thousand texels, as RecoveryEngine.mean_error."""
         self._give_stack()
         return self._diagnostics.mean_error(self._show())
 
@@ -194,8 +179,7 @@ class Recovery(RecoveryEngine):
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
-        """Return the pass that finds the deviations of what ``view`` lends, and its constants."""
-        fixed, fitness, defines = self._fixed, self.schedule.fitness, self._textures.defines
+        fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
         made = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
         return made, loss_constants(self._textures, fitness.delta)
 
@@ -228,7 +212,6 @@ class Recovery(RecoveryEngine):
         return self._phase.reach if self._phase else 0
 
     def state(self) -> Checkpoint:
-        """Return the state of the texels that are solved here, row by row, as RecoveryEngine.state."""
         memory = self.memory()
         rows = TexelLayout(self.domain, self._packing).rows(memory.arrays, self.particle_tiles)
         return replace(memory, arrays=rows)
@@ -278,7 +261,7 @@ class Recovery(RecoveryEngine):
         """
         seed = self.seed if seed is None else seed
         _check(schedule, seed)
-        stages = resolve(schedule, self.model, set(self._fixed), self.domain.observations)
+        stages = resolve(schedule, self.model, set(self.fixed), self.domain.observations)
         self._finish_iteration()
         goes_on = kept(self.schedule, schedule, self._stages, stages, self._index, self._phase, self.model)
         held, stack = self._textures, self._stack
@@ -287,7 +270,7 @@ class Recovery(RecoveryEngine):
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
         prefit_fitness = self._prefit_fitness if goes_on.index > 0 else None
         begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, prefit_fitness)
-        new = Recovery(self.domain, self.model, schedule, seed, self._fixed, self.entry, begin=begin)
+        new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
@@ -322,7 +305,7 @@ class Recovery(RecoveryEngine):
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none where the schedule says so, nor of what is known."""
         everything = {p.name for p in self.model.parameters}
-        return self.model.without_priors(self._fixed if schedule.fitness.priors else everything)
+        return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
 
     def _acceptance(self) -> AcceptanceTest | None:
         if self._prefit_fitness is None:
@@ -407,11 +390,6 @@ class Recovery(RecoveryEngine):
         if self._phase is None:
             raise InputError("the recovery is done: its swarms are gone, read maps() instead")
         return self._phase
-
-    @cached_property
-    def identity(self) -> dict[str, Any]:
-        """What must be equal for a checkpoint to be resumed; found once: it reads all samples."""
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._fixed)
 
 
 def _check(schedule: Schedule, seed: int) -> None:

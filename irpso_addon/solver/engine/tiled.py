@@ -6,17 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from ...geometry.domain import Domain, tile
-from ...gpu import context, probe
+from ...gpu import context
+from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
-from ..settings.fixed import full_map
 from ..settings.schedule import Schedule, refuse_levels
-from ..state import checkpoint, prepare
+from ..state import prepare
 from ..state.checkpoint import Checkpoint
 from ..state.layout import TexelLayout, joined, numbered
 from .engine import Capabilities, RecoveryEngine
@@ -42,7 +41,7 @@ class TiledRecovery(RecoveryEngine):
         schedule: Schedule,
         seed: int = 0,
         fixed: Mapping[str, np.ndarray] | None = None,
-        entry: Literal["auto", "fragment", "compute"] = "auto",
+        entry: EntryChoice = "auto",
         *,
         boxes: Sequence[Box],
         halo: int,
@@ -52,10 +51,8 @@ class TiledRecovery(RecoveryEngine):
     ):
         refuse_levels(schedule)
         context.ensure()
-        self.domain, self.model, self.schedule, self.seed = domain, model, schedule, seed
-        self.entry = probe.faster_entry() if entry == "auto" else entry
+        super().__init__(domain, model, schedule, seed, fixed, entry)
         self._halo = halo
-        self._fixed = {name: full_map(model, name, value, domain.shape) for name, value in (fixed or {}).items()}
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
         tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
@@ -64,11 +61,9 @@ class TiledRecovery(RecoveryEngine):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Live textures of the tiles on the device."""
         return Capabilities("tiles", reconfigure=False, turns=not self._pool.resident)
 
     def tiles(self) -> list[tuple[Box, RecoveryEngine]]:
-        """Return the tiles on the device."""
         return [(part.box, part.recovery) for part in self._pool.tiles if part.recovery is not None]
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
@@ -124,7 +119,6 @@ class TiledRecovery(RecoveryEngine):
         return Checkpoint(*recovery.at, self.progress.evaluations, arrays)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Go on from what ``state`` returned."""
         self._driver.restart()
         numbers, limit = numbered(self.domain.solvable), context.max_texture_size()
         for number, part in enumerate(self._pool.tiles):
@@ -160,14 +154,9 @@ class TiledRecovery(RecoveryEngine):
     def _tile(self, box: Box, prepared: prepare.Prepared) -> Tile:
         domain = tile(self.domain, *box, halo=self._halo)
         around = rectangle(box, domain.halo)
-        fixed = {name: value[around] for name, value in self._fixed.items()}
+        fixed = {name: value[around] for name, value in self.fixed.items()}
         solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
         return Tile(box, domain, prepared.part(*around), fixed, solved)
-
-    @cached_property
-    def identity(self) -> dict[str, Any]:
-        """What must be equal for a checkpoint to be resumed; found once: it reads all samples."""
-        return checkpoint.identity(self.domain, self.model, self.schedule, self.seed, self.entry, self._fixed)
 
 
 def _check_boxes(boxes: Sequence[Box], domain: Domain) -> None:

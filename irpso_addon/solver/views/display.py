@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -61,15 +61,14 @@ class Shown:
 class Display:
     """Pictures of a running recovery. ``close`` it before the recovery; make a new one for another recovery.
 
-    fixed: names of fixed parameters, which have no confidence. Raises InputError for a recovery in tiles.
+    Raises InputError for a recovery in tiles.
     """
 
-    def __init__(self, recovery: RecoveryEngine, fixed: Collection[str] = ()):
+    def __init__(self, recovery: RecoveryEngine):
         if recovery.capabilities.view != "whole":
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
-        self._recovery, self._fixed = recovery, frozenset(fixed)
-        domain = recovery.domain
-        self._defines = kernel_defines(domain)
+        self._recovery = recovery
+        self._defines = kernel_defines(recovery.domain)
         self._size: tuple[int, int] | None = None
         self._begin()
 

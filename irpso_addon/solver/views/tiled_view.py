@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any
 
 from ...geometry.domain import Domain
@@ -22,11 +22,9 @@ _PLACE = {
 }
 
 
-def display_of(recovery: RecoveryEngine, fixed: Collection[str] = ()) -> Display | TiledDisplay:
-    """Return the Display of a recovery. fixed: as for a Display."""
-    if recovery.capabilities.view == "tiles":
-        return TiledDisplay(recovery, fixed)
-    return Display(recovery, fixed)
+def display_of(recovery: RecoveryEngine) -> Display | TiledDisplay:
+    """Return the Display of a recovery."""
+    return TiledDisplay(recovery) if recovery.capabilities.view == "tiles" else Display(recovery)
 
 
 def texel_probe_of(recovery: RecoveryEngine) -> TexelProbe | TiledTexelProbe:
@@ -41,8 +39,8 @@ class TiledDisplay:
     the device; a tile that waits shows its last state there, or nothing before its first turn.
     """
 
-    def __init__(self, recovery: RecoveryEngine, fixed: Collection[str] = ()):
-        self._recovery, self._fixed = recovery, frozenset(fixed)
+    def __init__(self, recovery: RecoveryEngine):
+        self._recovery = recovery
         self._displays: dict[RecoveryEngine, Display] = {}
         self._pictures: OrderedDict[Shown, Any] = OrderedDict()
         self._lay = Pass(
@@ -53,7 +51,7 @@ class TiledDisplay:
         """Return a texture like Display.picture; the budget is for all tiles together."""
         live = self._recovery.tiles()
         share = None if time_budget_s is None else time_budget_s / len(live)
-        _follow(self._displays, live, self._display)
+        _follow(self._displays, live, Display)
         target = self._kept(shown)
         for box, tile in live:
             piece = self._displays[tile].picture(shown, share)
@@ -69,12 +67,9 @@ class TiledDisplay:
 
     def close(self) -> None:
         """Free shaders and textures."""
-        _follow(self._displays, [], self._display)
+        _follow(self._displays, [], Display)
         self._lay.close()
         self._pictures.clear()
-
-    def _display(self, tile: RecoveryEngine) -> Display:
-        return Display(tile, self._fixed)
 
     def _kept(self, shown: Shown) -> Any:
         if shown not in self._pictures:

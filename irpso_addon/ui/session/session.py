@@ -347,7 +347,7 @@ class Session:
     def _watch(self) -> None:
         """Have pictures made of the recovery, in the graphics context of this moment."""
         self._guard = None if bpy.app.background else ContextGuard()
-        self.display = display_of(self.recovery, self.work.fixed)
+        self.display = display_of(self.recovery)
 
     def _take(self, notes: dict[str, np.ndarray]) -> None:
         """Take what was noted with a recovery that is gone on from."""

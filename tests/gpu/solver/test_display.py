@@ -39,8 +39,8 @@ def show():
     """A maker of displays, which are closed at the end."""
     made = []
 
-    def make(recovery, **options):
-        made.append(Display(recovery, **options))
+    def make(recovery):
+        made.append(Display(recovery))
         return made[-1]
 
     yield make
