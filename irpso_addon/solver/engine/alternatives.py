@@ -1,8 +1,8 @@
-"""How well the photographs are met by materials far from the estimates: what a linearised render does not see."""
+"""How well materials far from the estimates fit the photographs: what a linearised render does not see."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,34 +18,33 @@ from ..state.textures import DomainTextures, Estimates, loss_constants
 
 
 class Alternatives:
-    """The pass that tells, at every texel, how much worse the best material far from the estimate fits.
+    """The pass that measures, at every texel, how much worse the best material far from the estimate fits.
 
-    Far in one number: by 0.3 of its range or more. The other searched numbers and the normal are held, the linear
-    weights found anew. The measure is n log((F + ε) / (F₀ + ε)), F the fitness of the alternative, F₀ of the estimate,
-    ε the NOISE_FLOOR of fitness/with_priors.glsl, n the samples that are independent: profile likelihood (Venzon
-    and Moolgavkar 1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values, between
-    −9 and 9. Only searched numbers without a normal prior, which would choose between optima by itself, are looked at,
-    and only with a robust loss: ε is in its units. Of one texel it tells little: a highlight that falls between the
-    lamps makes a mirror of matt paint (modes.py). What is held is not found anew, so that an alternative may
-    look worse than its best.
+    Far means: in one number, by 0.3 of its range or more. The other searched numbers and the normal stay, so an
+    alternative may look worse than its best; the linear weights are solved again. The measure is n log((F + ε) /
+    (F₀ + ε)), from −9 to 9: F is the fitness of the alternative, F₀ of the estimate, ε the NOISE_FLOOR of
+    fitness/with_priors.glsl, n the number of independent samples. It is profile likelihood (Venzon and Moolgavkar
+    1988, A Method for Computing Profile-Likelihood-Based Confidence Intervals) at a few values. It excludes numbers
+    with a normal prior, which chooses between optima by itself, and needs a robust loss: ε is in its units. One texel
+    alone says little: where a highlight falls between the lamps, matt paint looks like a mirror (modes.py).
     """
 
     def __init__(
-        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: Mapping[str, str | int]
     ):
         self._fitness = fitness
-        self._asked = asked(model, fixed, fitness)
+        self._varied = varied(model, fixed, fitness)
         self._pass = None
-        if self._asked:
+        if self._varied:
             solved = linear_weights(model, _solved(model, fixed))
-            defines = {**domain_defines, "ALTERNATIVES": sum(p.components for p in self._asked)}
+            defines = {**domain_defines, "ALTERNATIVES": sum(p.components for p in self._varied)}
             self._pass = alternatives_pass(model, build_free_parameters(model, fixed), solved, fitness, defines)
         self._targets: list[Any] = []
 
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Find what ``read`` returns, in bands of rows of about ``seconds``; yields after each."""
+        """Measure what ``read`` returns, in bands of rows of about ``seconds``; yields after each."""
         if self._pass is None:
             return
         if not self._targets:
@@ -55,12 +54,12 @@ class Alternatives:
         yield from self._pass.in_bands("alternatives", bands, seconds, self._targets, inputs, constants)
 
     def read(self) -> dict[str, np.ndarray]:
-        """Return what was measured last: name → (h, w, components) float32, packed; 0 where none is solved."""
+        """Return the last measurement: name → (h, w, components) float32, packed; 0 where none is solved."""
         if self._pass is None:
             return {}
         packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
-        ends = np.cumsum([p.components for p in self._asked])
-        return {p.name: packed[..., end - p.components : end] for p, end in zip(self._asked, ends, strict=True)}
+        ends = np.cumsum([p.components for p in self._varied])
+        return {p.name: packed[..., end - p.components : end] for p, end in zip(self._varied, ends, strict=True)}
 
     def close(self) -> None:
         """Free the shader and its targets."""
@@ -69,8 +68,8 @@ class Alternatives:
         self._targets = []
 
 
-def asked(model: ReflectanceModel, fixed: Collection[str], fitness: Fitness) -> tuple[Parameter, ...]:
-    """Return the parameters of which alternatives are tried."""
+def varied(model: ReflectanceModel, fixed: Collection[str], fitness: Fitness) -> tuple[Parameter, ...]:
+    """Return the parameters that have alternatives."""
     return tuple(
         p for p in model.parameters
         if fitness.loss == "robust" and p.name not in fixed and not p.is_normal and not has_basis(p, model)
@@ -79,7 +78,7 @@ def asked(model: ReflectanceModel, fixed: Collection[str], fitness: Fitness) -> 
 
 
 def _solved(model: ReflectanceModel, fixed: Collection[str]) -> list[Parameter]:
-    """Return the linear weights to find anew: the first MAX_WEIGHTS, as many as the closed form takes."""
+    """Return the linear weights to solve again: the first MAX_WEIGHTS, the limit of the closed form."""
     solved: list[Parameter] = []
     for p in model.parameters:
         room = MAX_WEIGHTS - sum(q.components for q in solved)

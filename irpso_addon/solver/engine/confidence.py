@@ -1,8 +1,8 @@
-"""How far each recovered number is to be trusted: its standard deviation, from the observations alone."""
+"""The standard deviation of each recovered number, from the observations alone."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..state.textures import DomainTextures, Estimates, loss_constants
 
 
 def deviation_pass(
-    model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+    model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: Mapping[str, str | int]
 ) -> Pass:
     """Return the pass of Confidence."""
     free = build_free_parameters(model, fixed)
@@ -26,34 +26,33 @@ def deviation_pass(
 
 
 class Confidence:
-    """The pass that tells the standard deviation of every parameter at every texel.
+    """The pass that measures the standard deviation of every parameter at every texel.
 
-    It linearises the render around the estimates and takes the noise from what is left of the samples there: σ² =
-    variance · (JᵀJ)⁻¹, over all n numbers that are not ``fixed`` jointly. Its variance is a Σ w e² / (3 Σ w − n (1 + a)
-    / 2), over weighted samples and three channels, with a = Σ w (e_r + e_g + e_b)² / Σ w e² for how much channels err
-    together (1 to 3: shifts, shading and JPEG's luminance are one error and not three), and where the loss is robust no
-    less than 0.3 % of the texel's scale. It does not see a model that is wrong in itself. Another optimum is told by
-    alternatives.py and modes.py. A number that the samples do not determine has its range for σ: one
-    whose column of J is lost in rounding, that is a mixture of others, or that noise moves by more than its range when
-    all others may move with it. Numbers that can be traded for it take their share, up to their own range: two lobes of
-    one width leave r1, r2 and w open (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than numbers all
-    have their range.
+    It linearises the render around the estimates and takes the noise from the residuals there: σ² = variance ·
+    (JᵀJ)⁻¹, over all n numbers that are not ``fixed`` jointly. The variance is a Σ w e² / (3 Σ w − n (1 + a) / 2), over
+    weighted samples and three channels. a = Σ w (e_r + e_g + e_b)² / Σ w e², 1 to 3, is how much the channels err
+    together: shifts, shading and JPEG's luminance are one error and not three. With a robust loss the deviation of a
+    sample is at least 0.3 % of the texel's scale. A wrong model stays unseen; alternatives.py and modes.py find other
+    optima. A number that the samples do not determine has its range for σ: one whose column of J is lost in rounding,
+    that is a mixture of others, or that noise moves by more than its range when all others may move with it. Numbers
+    that can be traded for it take their share, up to their own range: two lobes of one width leave r1, r2 and w open
+    (r1 by (1 − w) / w of r2's), w = 1 leaves r2. With fewer samples than numbers all have their range.
     """
 
     def __init__(
-        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: dict[str, int]
+        self, model: ReflectanceModel, fixed: Collection[str], fitness: Fitness, domain_defines: Mapping[str, str | int]
     ):
         self.model, self._fixed, self._fitness = model, frozenset(fixed), fitness
         self._pass = deviation_pass(model, self._fixed, fitness, domain_defines)
-        self._targets: list[Any] = []  # kept: the pass holds on to the frame buffer of every target it has seen
+        self._targets: list[Any] = []  # reused: the pass keeps the frame buffer of every target
 
     def deviations(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> dict[str, np.ndarray]:
-        """Return parameter name → (h, w, components) float32, packed, in the parameter's units; 0 where it is known.
+        """Return parameter name → (h, w, components) float32, packed, in the parameter's units; 0 where it is fixed.
 
         A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
-        seconds: about how long one draw may take.
+        seconds: the time of one draw.
         """
         for _ in self.measuring(domain, estimates, resolved, bands, seconds):
             self._pass.fence(self._targets)
@@ -62,7 +61,7 @@ class Confidence:
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Find what ``read`` returns, in bands of rows; yields after each."""
+        """Measure what ``read`` returns, in bands of rows; yields after each."""
         if not self._targets:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         inputs = {**domain.textures, **estimates.bindings(resolved)}
@@ -70,7 +69,7 @@ class Confidence:
         yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 
     def read(self) -> dict[str, np.ndarray]:
-        """Return what was measured last, as ``deviations`` does."""
+        """Return the last measurement, as ``deviations`` does."""
         packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
         deviations = {}
         for p in self.model.parameters:

@@ -1,4 +1,4 @@
-"""What is told of a recovery as it is: maps, error, deviations. Found in slices, and without disturbing the search."""
+"""Maps, error and deviations of an unfinished recovery, measured in slices without disturbing the search."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 from .alternatives import Alternatives
 from .confidence import Confidence
 
-_SAMPLED = 4096  # texels of which a mean is told: a sixty-fourth of 512², and its standard error is 1 % or so
+_SAMPLED = 4096  # texels of a mean: a sixty-fourth of 512², with a standard error of about 1 %
 _SAMPLED_WIDTH = 64
 
 
 class Diagnostics:
-    """The resolved estimates, how well they fit, and how far they are to be trusted.
+    """The resolved estimates, their residual, deviations and alternatives: ``finding`` measures, ``maps`` returns them.
 
-    ``finding`` finds all that ``maps`` tells. Raises ShaderError where the model does not compile.
+    Raises ShaderError where the model does not compile.
     """
 
     def __init__(
@@ -40,21 +40,21 @@ class Diagnostics:
         self._model, self._domain, self._estimates, self._fixed = model, domain, estimates, frozenset(fixed)
         self._residual = residual_pass(model, domain.defines).compile()
         self._error: Any = textures.empty(*estimates.size)
-        self._confidence: Confidence | None = None
-        self._alternatives: Alternatives | None = None
+        self._doubts: tuple[Confidence, Alternatives] | None = None  # made when first asked for: two more shaders
         self._bands = Bands()
-        self._resolved = False  # whether the estimates to look at are the resolved ones
-        self._sample: tuple[Any, Any] | None = None  # which texels, and their residuals
+        self._resolved = False  # whether ``maps`` returns the resolved estimates
+        self._sample: tuple[Any, Any] | None = None  # places of texels, and their residuals
         self._sampled = sampled_residual_pass(model, domain.defines)
 
     def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
-        """Resolve what a phase has found so far and measure it, in bands of about ``seconds``; yields after each.
+        """Resolve a phase's estimates and measure them, in bands of about ``seconds``; yields after each.
 
-        phase: None where all are done. confidence: whether to find deviations and alternatives too. paced: as in Bands.
+        phase: None where all are done. confidence: measure deviations and alternatives too. paced: as in Bands.
         """
         self._bands.paced = paced
-        self._resolved = phase is not None and phase.placed
-        if self._resolved:
+        self._resolved = False
+        if phase is not None and phase.placed:
+            self._resolved = True
             yield from phase.conclude(self._bands, seconds)
         targets, inputs = [self._error], {**self._domain.textures, **self._estimates.bindings(self._resolved)}
         constants = {"u_observations": self._domain.domain.observations}
@@ -63,14 +63,14 @@ class Diagnostics:
             lambda rows: self._residual.run(targets, inputs, constants, rows), lambda: self._residual.fence(targets),
         )  # fmt: skip
         if confidence:
-            if self._confidence is None:
-                told = self._model, self._fixed, self._fitness, self._domain.defines
-                self._confidence, self._alternatives = Confidence(*told), Alternatives(*told)
-            for measured in (self._confidence, self._alternatives):
-                yield from measured.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
+            if self._doubts is None:
+                settings = self._model, self._fixed, self._fitness, self._domain.defines
+                self._doubts = Confidence(*settings), Alternatives(*settings)
+            for doubt in self._doubts:
+                yield from doubt.measuring(self._domain, self._estimates, self._resolved, self._bands, seconds)
 
     def maps(self, confidence: bool) -> Maps:
-        """Return what ``finding`` has found last."""
+        """Return the last measurement of ``finding``."""
         packing, solvable = self._domain.packing, self._domain.domain.solvable
         values = {
             name: packing.unpack(value, self._model.parameter(name).default)
@@ -78,36 +78,36 @@ class Diagnostics:
         }
         error = packing.unpack(textures.download(self._error)[..., 0])
         deviations = alternatives = None
-        if confidence:
-            deviations = {name: packing.unpack(value) for name, value in self._confidence.read().items()}
-            alternatives = {name: packing.unpack(value) for name, value in self._alternatives.read().items()}
+        if confidence and self._doubts is not None:
+            deviations, alternatives = (
+                {name: packing.unpack(value) for name, value in doubt.read().items()} for doubt in self._doubts
+            )
         return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
     def mean_error(self, shown: Mapping[str, Any]) -> float:
-        """Return the mean residual of some thousand texels, NaN where none is solved. shown: estimates by sampler name.
+        """Return the mean residual of at most 4096 texels, NaN where none is solved. shown: estimates by sampler name.
 
-        The texels are drawn once, at random and without replacement; in a smaller domain they are all there are.
+        The texels are drawn once, at random and without replacement.
         """
         if self._sample is None:
             self._sample = self._drawn()
         places, target = self._sample
         inputs = {**self._domain.textures, **shown, "u_sampled": places}
         self._sampled.run([target], inputs, {"u_observations": self._domain.domain.observations})
-        found = textures.download(target)
-        counted = found[..., 1] > 0
-        return float(found[counted, 0].mean(dtype=np.float64)) if counted.any() else float("nan")
+        residuals = textures.download(target)
+        counted = residuals[..., 1] > 0
+        return float(residuals[counted, 0].mean(dtype=np.float64)) if counted.any() else float("nan")
 
     def close(self) -> None:
         """Free shaders and textures."""
         self._residual.close()
         self._sampled.close()
-        if self._confidence is not None:
-            self._confidence.close()
-            self._alternatives.close()
-        self._error = self._confidence = self._alternatives = self._sample = None
+        for doubt in self._doubts or ():
+            doubt.close()
+        self._error = self._doubts = self._sample = None
 
     def _drawn(self) -> tuple[Any, Any]:
-        """Which packed texels are looked at, −1 in places left over, and where their residuals go."""
+        """Return the packed texels that are sampled, −1 in spare places, and the texture of their residuals."""
         packing = self._domain.packing
         own = np.flatnonzero(packing.pack(texel_states(self._domain.domain)) == SOLVED)
         chosen = np.sort(np.random.default_rng(0).permutation(own)[:_SAMPLED])

@@ -1,4 +1,4 @@
-"""Which texels of one tile others read: those in their halo, and those that they see across UV seams."""
+"""The texels of one tile that others read: those in their halo, and those that they see across UV seams."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Part = tuple[slice, slice]  # rows, columns
 
 @dataclass(frozen=True)
 class HaloOverlap:
-    """Texels of one tile's own that another reads.
+    """A tile's own texels that another tile reads.
 
-    other: the number of the one that reads them. here, there: where those in its halo lie in either's arrays. seen:
-    (M,) rows and columns, in the arrays of the one that has them, of those in the ghosts of its seams; ghosts: (M,)
-    which of the ghosts they are.
+    other: the reader's number. here, there: the part in its halo, in the owner's and in the reader's arrays. seen: (M,)
+    rows and columns, in the owner's arrays, of the texels that are ghosts of the reader's seams. ghosts: (M,) their
+    indices among its ghosts.
     """
 
     other: int
@@ -31,7 +31,7 @@ class HaloOverlap:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a tile lies in the whole domain: box, halo, its arrays' origin, and (M, 2) the ghosts of its seams."""
+    """A tile's place in the whole domain: box, halo, its arrays' origin, and (M, 2) the ghosts of its seams."""
 
     box: Box
     halo: tuple[int, int, int, int]  # left, right, bottom, top
@@ -40,24 +40,24 @@ class Place:
 
 
 def place_of(box: Box, domain: Domain) -> Place:
-    """Return where a tile lies. box: its own texels; domain: the tile with its halo."""
+    """Return a tile's place. box: its own texels; domain: the tile with its halo."""
     ghosts = np.zeros((0, 2), np.int32) if domain.seams is None else domain.seams.ghosts
     return Place(box, domain.halo, domain.origin, ghosts)
 
 
 def overlaps_of(places: Sequence[Place]) -> list[list[HaloOverlap]]:
-    """Return for each tile which others read its own texels."""
+    """Return for each tile the overlaps of its own texels with what others read."""
     pairs = [
         [overlap_of(place, there, other) for other, there in enumerate(places) if number != other]
         for number, place in enumerate(places)
     ]
-    return [[found for found in of_one if found is not None] for of_one in pairs]
+    return [[overlap for overlap in readers if overlap is not None] for readers in pairs]
 
 
 def overlap_of(place: Place, there: Place, other: int, reach: int | None = None) -> HaloOverlap | None:
-    """Return what of a tile's own texels another reads, None where it reads none.
+    """Return the texels at ``place`` that the tile at ``there`` reads, None where it reads none.
 
-    other: the number that the overlap names. reach: how much of the other's halo is read; all of it where None.
+    other: the reader's number. reach: how much of its halo it reads; all of it where None.
     """
     here, beside = _in_halo(place, there, reach)
     seen, ghosts = _in_ghosts(place, there)
@@ -73,55 +73,59 @@ def part_of(box: Box) -> Part:
 
 
 def rectangle(box: Box, halo: tuple[int, int, int, int]) -> Part:
-    """Return where a tile lies in the whole domain with the halo that it has there."""
+    """Return the rows and columns of a box with its halo, in the whole domain."""
     x0, y0, width, height = box
     left, right, bottom, top = halo
     return slice(y0 - bottom, y0 + height + top), slice(x0 - left, x0 + width + right)
 
 
 def own_of(domain: Domain) -> Part:
-    """Return where a tile's own texels lie in its arrays."""
+    """Return the part of a tile's arrays that holds its own texels."""
     left, right, bottom, top = domain.halo
     height, width = domain.shape
     return slice(bottom, height - top), slice(left, width - right)
 
 
 def cells_of(overlap: HaloOverlap) -> int:
-    """Return how many texels of the halo an overlap has."""
+    """Return the number of an overlap's texels in the halo."""
     rows, columns = overlap.there
     return (rows.stop - rows.start) * (columns.stop - columns.start)
 
 
 def own_rows(numbers: np.ndarray, box: Box) -> np.ndarray:
     """Return the rows of a tile's own texels. numbers: of ``layout.numbered``."""
-    found = numbers[part_of(box)]
-    return found[found >= 0]
+    own = numbers[part_of(box)]
+    return own[own >= 0]
 
 
 def held_rows(numbers: np.ndarray, place: Place) -> np.ndarray:
-    """Return the rows of all texels that a tile holds, as its textures do: own and halo, then the ghosts."""
+    """Return the rows of all texels of a tile's textures: own and halo, then the ghosts."""
     rows, columns = rectangle(place.box, place.halo)
-    found, (x, y) = numbers[rows, columns], (place.ghosts - place.origin + (columns.start, rows.start)).T
-    return np.concatenate([found[found >= 0], numbers[y, x]])
+    held, (x, y) = numbers[rows, columns], (place.ghosts - place.origin + (columns.start, rows.start)).T
+    return np.concatenate([held[held >= 0], numbers[y, x]])
 
 
 def _in_halo(place: Place, other: Place, reach: int | None) -> tuple[Part, Part]:
-    """Return where a tile's own texels that lie in another's halo are in either's arrays: nowhere where none do."""
-    read = other.halo if reach is None else tuple(min(side, reach) for side in other.halo)
-    shared = [
-        slice(max(a.start, b.start), min(a.stop, b.stop))
-        for a, b in zip(part_of(place.box), rectangle(other.box, read), strict=True)
-    ]
-    if any(s.start >= s.stop for s in shared):
-        return ((slice(0, 0), slice(0, 0)),) * 2
-    return tuple(
-        tuple(slice(s.start - r.start, s.stop - r.start) for s, r in zip(shared, around, strict=True))
-        for around in (rectangle(place.box, place.halo), rectangle(other.box, other.halo))
+    """Return the part of a tile's own texels in another's halo, in either's arrays; empty where there is none."""
+    left, right, bottom, top = other.halo if reach is None else np.minimum(other.halo, reach).tolist()
+    read = rectangle(other.box, (left, right, bottom, top))
+    rows, columns = (
+        slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(part_of(place.box), read, strict=True)
     )
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return ((slice(0, 0), slice(0, 0)),) * 2
+    return _within(place, rows, columns), _within(other, rows, columns)
+
+
+def _within(place: Place, rows: slice, columns: slice) -> Part:
+    """Return a part of the whole domain in a tile's arrays."""
+    down, across = (side.start for side in rectangle(place.box, place.halo))
+    return slice(rows.start - down, rows.stop - down), slice(columns.start - across, columns.stop - across)
 
 
 def _in_ghosts(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return rows and columns of a tile's own texels in another's ghosts, and which of that they are."""
+    """Return rows and columns of a tile's own texels among another's ghosts, and their indices there."""
+    x: np.ndarray
     x, y = (other.ghosts - np.array(place.origin, np.int32)).T
     left, _, bottom, _ = place.halo
     _, _, width, height = place.box

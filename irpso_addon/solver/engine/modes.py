@@ -1,4 +1,4 @@
-"""Which materials of a surface leave a number open between two values that lie far apart."""
+"""Materials of a surface that leave a number open between two distant values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...results.maps import Maps
 from ..phases.mixture import belonging, features_of, merged, mixture, sampled
 from ..settings.groups import Materials
 
-_TEXELS = 40  # that decide together: as many as the spatial prior looks at (prior_kernels.taps_of)
+_TEXELS = 40  # that decide together: as many as the spatial prior reads (kernels/spatial_prior.taps_of)
 _CONTRADICTED = 9.0  # −2 log of the likelihoods' ratio: three standard deviations
 _AT_ONCE = 1 << 16  # texels
 
@@ -19,10 +19,10 @@ _AT_ONCE = 1 << 16  # texels
 def with_modes(maps: Maps) -> Maps:
     """Return the maps of a whole domain with ``two_modes`` set; the same maps where there are no alternatives.
 
-    The texels of a material decide together. One texel cannot: matt paint is nearly always met by a mirror, too, whose
-    highlight falls between the lamps. Materials are a mixture (phases/mixture.py) over a sample of the maps. A number
-    has two modes in a material where the mean of its texels' ``alternatives``, times _TEXELS of them (all, where they
-    are fewer), is under _CONTRADICTED.
+    The texels of a material decide together. One texel cannot: a mirror whose highlight falls between the lamps nearly
+    always fits matt paint, too. Materials are a mixture (phases/mixture.py) over a sample of the maps. A number has two
+    modes in a material where the mean of its texels' ``alternatives``, times _TEXELS (or their number, if smaller), is
+    under _CONTRADICTED.
     """
     if not maps.alternatives or not maps.covered.any():
         return maps
@@ -41,9 +41,9 @@ def with_modes(maps: Maps) -> Maps:
     for rows, columns, values in _texels(maps):
         weight = belonging(features_of(maps.model, parameters, np.pad(values, ((0, 0), (3, 0)))), *materials)
         material[rows, columns] = weight.argmax(axis=1)
-        told = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
+        deviances = np.column_stack([maps.alternatives[name][rows, columns].min(axis=-1) for name in names])
         weights += weight.sum(axis=0)
-        worse += weight.T @ told.astype(np.float64)
+        worse += weight.T @ deviances.astype(np.float64)
     mean = worse / np.maximum(weights, 1e-9)[:, None]
     two = mean * np.minimum(weights, _TEXELS)[:, None] < _CONTRADICTED
     return replace(maps, two_modes={name: two[material, i] & maps.covered for i, name in enumerate(names)})

@@ -1,4 +1,4 @@
-"""Other settings in mid-run: what of a recovery goes on as it is, and what begins anew around what has been found."""
+"""Other settings in mid-run: which parts of a recovery continue, and which restart around the current estimates."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedSwarm
 from ..settings.schedule import Schedule
 
-# Of the preset's spread around the seed, and of its first speeds, where the seed is what has been found: with 300
-# iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
+# A factor on the preset's spread around the seed and on its first speeds, where the seed is an earlier result: with
+# 300 iterations of ``swarm`` at 3 levels normals of bunny, cat and cow are 3.9, 2.1 and 1.5° off, not 4.3, 2.5 and 1.6.
 NARROWER = 0.3
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What of a recovery goes on under another schedule.
+    """The parts of a recovery that continue under another schedule.
 
-    stages: of the other schedule. index: of the stage that it begins with. phase: whether the phase under way goes on
-    as it is. swarms: whether the next phase goes on with its swarms. samples: whether the samples on the GPU stay.
+    index: of the stage that it begins with. phase: the current phase continues. swarms: the next phase continues with
+    its swarms. samples: the samples on the GPU stay.
     """
 
-    stages: tuple[Resolved, ...]
     index: int
     phase: bool
     swarms: bool
@@ -44,17 +43,17 @@ def kept(
     phase: Phase | None,
     model: ReflectanceModel,
 ) -> Kept:
-    """Return what goes on: old, stages: of the schedules before and after. running: index of the stage under way."""
+    """Return what continues. old, stages: of the schedules before and after. running: the index of the stage."""
     index = finished_alike(old[:running], stages)
     goes_on = inherits = False
     if index < len(stages) and index == running:
         goes_on = _settings_of(before, old[running]) == _settings_of(after, stages[index])
         inherits = not goes_on and _same_swarms(phase, model, before, after, stages[index])
-    return Kept(stages, index, goes_on, inherits, not _samples_differ(before.fitness, after.fitness))
+    return Kept(index, goes_on, inherits, not _samples_differ(before.fitness, after.fitness))
 
 
 def given(schedule: Schedule) -> Schedule:
-    """Return a schedule whose swarms begin around the estimates that there are, closer than around a first guess."""
+    """Return a schedule whose swarms begin around the current estimates, closer than around a first guess."""
     swarm = schedule.swarm
     return schedule.replaced(
         seed="given", seed_spread=NARROWER * swarm.seed_spread, start_speed=NARROWER * swarm.start_speed
@@ -62,7 +61,7 @@ def given(schedule: Schedule) -> Schedule:
 
 
 def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> int:
-    """Return how many of the stages that are finished another schedule begins with, whatever its constants are."""
+    """Return how many of the finished stages another schedule begins with, whatever its constants are."""
     count = 0
     for done, stage in zip(before, stages, strict=False):
         if not _one_search(done, stage):
@@ -72,23 +71,23 @@ def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> in
 
 
 def _one_search(a: Resolved, b: Resolved) -> bool:
-    """Whether two phases are of one kind and look for the same."""
+    """Whether two phases are of one kind and search the same."""
     cycles = (a.cycle, b.cycle) if isinstance(a, ResolvedSwarm) and isinstance(b, ResolvedSwarm) else (0, 0)
     return type(a) is type(b) and a.title == b.title and cycles[0] == cycles[1]
 
 
-def _settings_of(schedule: Schedule, stage: Resolved) -> tuple:
-    """Return all that a phase under way depends on."""
+def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
+    """Return all settings of the current phase."""
     return stage, schedule.swarm, schedule.fitness, schedule.prefit, schedule.refinement
 
 
 def _same_swarms(
     phase: Phase | None, model: ReflectanceModel, before: Schedule, after: Schedule, stage: Resolved
 ) -> bool:
-    """Whether the swarms under way are what another schedule wants, with the same meaning of places and fitnesses."""
+    """Whether another schedule can use the current swarms: positions and fitnesses mean the same."""
     if not isinstance(phase, SequentialSwarmPhase | SynchronousSwarmPhase) or phase.iteration < 0:
         return False
-    if not _one_search(phase.stage, stage) or before.fitness != after.fitness:
+    if not isinstance(stage, ResolvedSwarm) or not _one_search(phase.stage, stage) or before.fitness != after.fitness:
         return False
     if (before.swarm.update, before.swarm.linear_reach) != (after.swarm.update, after.swarm.linear_reach):
         return False
@@ -98,7 +97,7 @@ def _same_swarms(
 
 
 def _samples_differ(a: Fitness, b: Fitness) -> bool:
-    """Whether scales or the weights of samples are others."""
+    """Whether scales or the weights of samples differ."""
 
     def dropped(fitness: Fitness) -> float:
         return fitness.shadow if fitness.loss == "robust" else 0.0

@@ -149,7 +149,7 @@ def test_known_parameters_have_no_deviation(recover, show):
     domain, truth = subject(model=TWO_LOBES.name)
     recovery = recover(domain, TWO_LOBES, fixed={"normal": truth["normal"]})
     maps = recovery.maps()
-    display = show(recovery, fixed=["normal"])
+    display = show(recovery)
     picture = seen(display, "confidence", "r1", limit=0.5)
     wanted = false_color(maps.confidence["r1"][..., 0], 0.5)
     np.testing.assert_allclose(picture[maps.covered, :3], wanted[maps.covered], atol=2 * HALF)
