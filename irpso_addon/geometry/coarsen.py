@@ -44,7 +44,7 @@ def coarser_map(domain: Domain, coarse: Domain, values: np.ndarray, normal: bool
 
 
 def finer_map(
-    coarse: Domain, domain: Domain, values: np.ndarray, otherwise: np.ndarray, normal: bool = False
+    coarse: Domain, domain: Domain, values: np.ndarray, otherwise: np.ndarray | float, normal: bool = False
 ) -> np.ndarray:
     """Return (H, W, n) float32: a map (h, w, n) of the coarse domain, interpolated between its solvable texels.
 

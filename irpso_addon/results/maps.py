@@ -40,6 +40,13 @@ class Maps:
     alternatives: dict[str, np.ndarray] | None = None
     two_modes: dict[str, np.ndarray] = field(default_factory=dict)
 
+    @property
+    def error(self) -> np.ndarray:
+        """The residual, which maps of a recovery have. Raises ValueError for others."""
+        if self.residual is None:
+            raise ValueError("maps without a residual: they are not of a recovery")
+        return self.residual
+
     def unknown(self) -> dict[str, np.ndarray]:
         """Return, for each searched number, (H, W) bool: covered texels with wide ``confidence`` or two modes."""
         return {
@@ -55,7 +62,7 @@ def split_maps(maps: Maps) -> Iterator[tuple[int, Maps]]:
     count = len(maps.tiles)
     for index, number in enumerate(maps.tiles):
 
-        def part(value, index=index):
+        def part(value: np.ndarray, index: int = index) -> np.ndarray:
             return value if np.ndim(value) < 2 else tile_part(np.asarray(value), index, count)
 
         yield (

@@ -1,4 +1,4 @@
-"""Coarse to fine: a recovery of the domain at half the size, or a quarter, is the first guess of the next finer one."""
+"""Coarse to fine: a recovery of the domain at half the size is the first guess of the next finer one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .progress import Progress
 from .reconfigure import given
 from .recovery import Recovery
 
-_AT = "pyramid"  # the name in a checkpoint of the level and of the evaluations made at those before it
+_AT = "pyramid"  # in a checkpoint: the level, and the evaluations of those before it
 
 
 class Pyramid(RecoveryEngine):
@@ -55,7 +55,7 @@ class Pyramid(RecoveryEngine):
         self._live = self._begin(None)
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance as RecoveryEngine.step, by iterations of whichever level; the step that ends a level begins the next."""
+        """Advance as RecoveryEngine.step, through all levels: the step that ends a level begins the next."""
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
         while True:
@@ -74,7 +74,7 @@ class Pyramid(RecoveryEngine):
 
     @property
     def progress(self) -> Progress:
-        """How far the run is: stages and iterations count through all levels, the fraction goes by texels."""
+        """How far the run is: stages and iterations count through all levels, the fraction through their texels."""
         live, level = self._live.progress, self._level
         size = "" if level == self.schedule.levels - 1 else f" at 1/{2 ** (self.schedule.levels - 1 - level)}"
         done = sum(self._costs[:level]) + live.fraction * self._costs[level]
@@ -92,11 +92,11 @@ class Pyramid(RecoveryEngine):
         )
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as RecoveryEngine.maps; a coarse level's between its texels."""
-        found = self._live.maps(confidence)
+        """Return the maps so far, as RecoveryEngine.maps; those of a coarse level are interpolated."""
+        maps = self._live.maps(confidence)
         for level in range(self._level, self.schedule.levels - 1):
-            found = self._finer(found, level)
-        return found
+            maps = self._finer(maps, level)
+        return maps
 
     def mean_error(self) -> float:
         return self._live.mean_error()
@@ -131,7 +131,7 @@ class Pyramid(RecoveryEngine):
         self._live.restore(replace(saved, arrays={n: a for n, a in saved.arrays.items() if n != _AT}))
 
     def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
-        """Return a run that goes on from here, as Recovery.reconfigure; there must be as many levels."""
+        """Return a run that continues from here, as Recovery.reconfigure; the number of levels must stay."""
         if schedule.levels != self.schedule.levels:
             raise InputError(f"levels = {schedule.levels}: a run under way has {self.schedule.levels}; begin another")
         result = copy(self)
@@ -154,7 +154,7 @@ class Pyramid(RecoveryEngine):
             self._costs.append(work * int(np.count_nonzero(domain.solvable)))
 
     def _begin(self, guess: Maps | None) -> Recovery:
-        """Return the recovery of the level that is next. guess: at its size, None where there is no coarser one."""
+        """Return the recovery of the current level. guess: at its size, None for the coarsest."""
         domain, schedule = self._domains[self._level], self._schedules[self._level]
         prepared = prepare.prepare(domain, self.model, schedule)
         if guess is not None:
@@ -176,16 +176,16 @@ class Pyramid(RecoveryEngine):
             p.name: finer_map(coarse, domain, maps.values[p.name], np.asarray(p.default), p.is_normal)
             for p in self.model.parameters
         }
-        residual = finer_map(coarse, domain, maps.residual[..., None], 0.0)[..., 0]
+        residual = finer_map(coarse, domain, maps.error[..., None], 0.0)[..., 0]
         deviations, alternatives = (
-            told and {name: finer_map(coarse, domain, one, 0.0) for name, one in told.items()}
-            for told in (maps.confidence, maps.alternatives)
+            doubts and {name: finer_map(coarse, domain, value, 0.0) for name, value in doubts.items()}
+            for doubts in (maps.confidence, maps.alternatives)
         )
         return Maps(self.model, values, domain.solvable, residual, deviations, alternatives=alternatives)
 
 
 def level_schedules(schedule: Schedule) -> tuple[Schedule, ...]:
-    """Return the schedules of the levels, coarsest first: the others begin at what that has found, and are shorter."""
+    """Return the schedules of the levels, coarsest first; the others begin at its estimates and are shorter."""
     first = schedule.replaced(levels=1)
     part = schedule.level_iterations
     stages = tuple(replace(stage, iterations=_part(stage.iterations, part)) for stage in first.stages)
@@ -201,7 +201,7 @@ def _part(iterations: int, part: float) -> int:
 def _sizes(
     domain: Domain, model: ReflectanceModel, fixed: dict[str, np.ndarray], levels: int
 ) -> tuple[list[Domain], list[dict[str, np.ndarray]]]:
-    """Return the domains of all levels and what is known of each, coarsest first."""
+    """Return the domains and the fixed maps of all levels, coarsest first."""
     domains, maps = [domain], [fixed]
     for _ in range(levels - 1):
         fine = domains[0]

@@ -125,8 +125,7 @@ def _within(place: Place, rows: slice, columns: slice) -> Part:
 
 def _in_ghosts(place: Place, other: Place) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return rows and columns of a tile's own texels among another's ghosts, and their indices there."""
-    x: np.ndarray
-    x, y = (other.ghosts - np.array(place.origin, np.int32)).T
+    x, y = (other.ghosts[:, axis] - place.origin[axis] for axis in (0, 1))
     left, _, bottom, _ = place.halo
     _, _, width, height = place.box
     ghosts = np.flatnonzero((x >= left) & (x < left + width) & (y >= bottom) & (y < bottom + height))

@@ -1,10 +1,10 @@
-"""The lock-step driver of tiles and of ranks: both make the same rounds and differ in the transport of halos alone."""
+"""The lock-step driver of tiles and of ranks: the same rounds, with different transport of halos."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,11 +13,12 @@ from ..phases.phase import BAND_SECONDS
 from .halo import HaloOverlap, Place, cells_of, overlaps_of
 from .tiles import TilePool, TileRecovery
 
-Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): those of the halo, then the ghosts'
+Value = TypeVar("Value")
+Received = tuple[HaloOverlap, np.ndarray]  # its texels' values (n, channels): of the halo, then of the ghosts
 
 
 class HaloTransport(Protocol):
-    """Brings what tiles' own texels have found to the tiles in whose halos, or behind whose seams, they lie.
+    """Brings results of tiles' own texels to the tiles that have them in their halos or behind their seams.
 
     Tiles are numbered in their process. All processes call ``exchange``, ``all`` and ``publish`` in the same order.
     """
@@ -25,20 +26,20 @@ class HaloTransport(Protocol):
     connected: bool  # whether any tile reads another
 
     def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
-        """Give (H, W, n) what a tile's texels have found. reach: how much of the halos the next iteration reads."""
+        """Give (H, W, n) results of a tile's texels. reach: how much of the halos the next iteration reads."""
 
     def exchange(self) -> None:
-        """Bring over what was published: all tiles of this process have, and are at the same iteration."""
+        """Bring over what was published: all tiles of this process have published, at the same iteration."""
 
     def received(self, tile: int) -> Sequence[Received]:
         """Return what others have published of the texels that a tile reads."""
 
-    def all(self, value: object) -> list:
-        """Return what each process gives."""
+    def all(self, value: Value) -> list[Value]:
+        """Return the value of each process."""
 
 
 class LocalTransport:
-    """Between tiles of one process, whose places these are."""
+    """A ``HaloTransport`` between tiles of one process, at these places."""
 
     def __init__(self, places: Sequence[Place]):
         self._overlaps = overlaps_of(places)
@@ -47,33 +48,29 @@ class LocalTransport:
         self._held: list[dict[int, Received]] = [{} for _ in places]
 
     def publish(self, tile: int, found: np.ndarray, reach: int) -> None:
-        """Copy what each tile that reads this one needs of it."""
         for overlap in self._overlaps[tile]:
             self._coming[overlap.other][tile] = overlap, taken(overlap, found)
 
     def exchange(self) -> None:
-        """Let tiles read what was published since the last exchange."""
         self._held, self._coming = self._coming, [{} for _ in self._held]
 
     def received(self, tile: int) -> Sequence[Received]:
-        """Return what others have published of the texels that a tile reads."""
         return list(self._held[tile].values())
 
-    def all(self, value: object) -> list:
-        """Return the value of the only process."""
+    def all(self, value: Value) -> list[Value]:
         return [value]
 
 
 class LockStep:
     """Drives the tiles of one process so that all tiles of the domain make the same iterations.
 
-    halo: texels around every tile. A round makes as many iterations as need nothing more of neighbours: it receives
-    what was published, iterates tile after tile, and publishes what the next round reads.
+    halo: texels around every tile. A round receives what was published, iterates tile after tile up to the next
+    iteration that reads neighbours, and publishes what that reads.
     """
 
     def __init__(self, pool: TilePool, transport: HaloTransport, halo: int):
         self._pool, self._transport, self._halo = pool, transport, halo
-        self._published = False  # whether what the next iteration reads has been exchanged
+        self._published = False  # whether the next iteration's halos have been exchanged
         self._samples: list[np.ndarray] = []  # of this process's tiles, for the next iteration
         self._sample: np.ndarray | None = None  # of all tiles
         self._made = 0  # iterations of the last round
@@ -82,14 +79,14 @@ class LockStep:
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> None:
         """Advance as RecoveryEngine.step.
 
-        With a time budget it may stop while some tiles are ahead of others, and goes on there next time; where tiles
-        take turns, the iterations that were begun are made first, however few are asked for then.
+        With a time budget it may stop while some tiles are ahead of others; the next step continues there. Where tiles
+        take turns, that first finishes the round, however few iterations the caller wants.
         """
         deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
         left = iterations
         while self._work is not None or not self._done and (left is None or left > 0 or self._placing):
             if self._work is None:
-                # Where nothing is gained by more at a time, the next call shall find little to finish.
+                # Longer rounds save turns only: without turns the next call then has little to finish.
                 most = 1 if left is None and deadline is not None and self._pool.resident else left
                 self._work = self._round(0 if self._placing else most, deadline is not None)
             for _ in self._work:
@@ -106,7 +103,7 @@ class LockStep:
             self._work = None
 
     def restart(self) -> None:
-        """Forget the round under way and what was published: the tiles' recoveries are others."""
+        """Forget the round and what was published: the tiles' recoveries have changed."""
         self._work, self._published, self._sample = None, False, None
 
     @property
@@ -118,10 +115,10 @@ class LockStep:
         return any(tile.progress.iteration < 0 for tile in self._pool.tiles)
 
     def _round(self, most: int | None, paced: bool) -> Iterator[None]:
-        """Let all tiles make the same iterations: ``most``, or as many as need nothing more of neighbours.
+        """Let all tiles make the same iterations: ``most`` at most.
 
-        The first tile finds out how many: it stops before an iteration that reads neighbours, and where it has reached
-        the threshold. Yields after each iteration of a tile; paced: every few milliseconds, each band waited for.
+        The first tile finds out how many: it stops before an iteration that reads neighbours, and at the threshold.
+        Yields after each iteration of a tile; paced: every few milliseconds, after waiting for each band.
         """
         order = self._pool.order()
         if self._pool.recovery(order[0]).reach and not self._published:
@@ -144,9 +141,10 @@ class LockStep:
                     break
             count = made
             self._publish(number)
-        self._made = count
+        self._made = count or 0
         self._exchange()
-        if recovery.looks_at_threshold and all(self._transport.all(all(tile.reached for tile in self._pool.tiles))):
+        reached = all(tile.reached for tile in self._pool.tiles)
+        if self._pool.active.looks_at_threshold and all(self._transport.all(reached)):
             yield from self._finish_stage()
 
     def _stepping(self, number: int, iterations: int, budget: float | None) -> Iterator[None]:
@@ -162,7 +160,7 @@ class LockStep:
         return recovery.looks_at_threshold and any(self._transport.all(recovery.reached))
 
     def _finish_stage(self) -> Iterator[None]:
-        """Let all tiles go on to the next stage: the whole domain has reached the threshold."""
+        """Begin the next stage on all tiles: the whole domain has reached the threshold."""
         for number in self._pool.order():
             tile, recovery = self._pool.tiles[number], self._pool.recovery(number)
             recovery.finish_stage()
@@ -172,7 +170,7 @@ class LockStep:
         self._exchange()
 
     def _publish(self, number: int) -> None:
-        """Publish what a tile's texels have found, if the next iteration reads it."""
+        """Publish the results of a tile's texels, if the next iteration reads them."""
         recovery = self._pool.recovery(number)
         if not recovery.reach:
             return
@@ -184,10 +182,9 @@ class LockStep:
             self._transport.publish(number, recovery.halo(), recovery.reach)
 
     def _exchange(self) -> None:
-        """Exchange what has been published: every tile is at one iteration."""
         self._published = bool(self._pool.active.reach)
         samples, self._samples = self._samples, []
-        self._sample = merged([one for part in self._transport.all(samples) for one in part]) if samples else None
+        self._sample = merged([each for part in self._transport.all(samples) for each in part]) if samples else None
         if self._published and self._transport.connected:
             self._transport.exchange()
 
@@ -202,14 +199,14 @@ class LockStep:
             size = received[0][1].shape[-1]
             values = np.full((*tile.domain.shape, size), np.nan, np.float32)
             ghosts = np.full((len(tile.place.ghosts), size), np.nan, np.float32)
-            for overlap, found in received:
+            for overlap, result in received:
                 cells = cells_of(overlap)
                 part = values[overlap.there]
-                part[:] = found[:cells].reshape(part.shape)
-                ghosts[overlap.ghosts] = found[cells:]
+                part[:] = result[:cells].reshape(part.shape)
+                ghosts[overlap.ghosts] = result[cells:]
             recovery.set_halo(values, ghosts)
 
 
 def taken(overlap: HaloOverlap, found: np.ndarray) -> np.ndarray:
-    """Return (n, channels) of what (H, W, channels) a tile has found: those of another's halo, then its ghosts'."""
+    """Return (n, channels) of a tile's results (H, W, channels): those of another's halo, then of its ghosts."""
     return np.concatenate([found[overlap.here].reshape(cells_of(overlap), found.shape[-1]), found[overlap.seen]])

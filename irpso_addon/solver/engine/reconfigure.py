@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
-from ..phases.sequential_swarm import SequentialSwarmPhase
-from ..phases.swarm import particle_count
-from ..phases.synchronous_swarm import SynchronousSwarmPhase
+from ..phases.swarm import SwarmPhase, particle_count
 from ..settings.groups import Fitness
 from ..settings.resolve import Resolved, ResolvedSwarm
 from ..settings.schedule import Schedule
@@ -24,13 +22,13 @@ NARROWER = 0.3
 class Kept:
     """The parts of a recovery that continue under another schedule.
 
-    index: of the stage that it begins with. phase: the current phase continues. swarms: the next phase continues with
-    its swarms. samples: the samples on the GPU stay.
+    index: of the stage that it begins with. phase: the current phase continues. swarms: the phase whose swarms the next
+    one continues with. samples: the samples on the GPU stay.
     """
 
     index: int
     phase: bool
-    swarms: bool
+    swarms: SwarmPhase | None
     samples: bool
 
 
@@ -45,11 +43,11 @@ def kept(
 ) -> Kept:
     """Return what continues. old, stages: of the schedules before and after. running: the index of the stage."""
     index = finished_alike(old[:running], stages)
-    goes_on = inherits = False
+    goes_on, swarms = False, None
     if index < len(stages) and index == running:
         goes_on = _settings_of(before, old[running]) == _settings_of(after, stages[index])
-        inherits = not goes_on and _same_swarms(phase, model, before, after, stages[index])
-    return Kept(index, goes_on, inherits, not _samples_differ(before.fitness, after.fitness))
+        swarms = None if goes_on else _same_swarms(phase, model, before, after, stages[index])
+    return Kept(index, goes_on, swarms, not _samples_differ(before.fitness, after.fitness))
 
 
 def given(schedule: Schedule) -> Schedule:
@@ -83,17 +81,19 @@ def _settings_of(schedule: Schedule, stage: Resolved) -> tuple[object, ...]:
 
 def _same_swarms(
     phase: Phase | None, model: ReflectanceModel, before: Schedule, after: Schedule, stage: Resolved
-) -> bool:
-    """Whether another schedule can use the current swarms: positions and fitnesses mean the same."""
-    if not isinstance(phase, SequentialSwarmPhase | SynchronousSwarmPhase) or phase.iteration < 0:
-        return False
-    if not isinstance(stage, ResolvedSwarm) or not _one_search(phase.stage, stage) or before.fitness != after.fitness:
-        return False
-    if (before.swarm.update, before.swarm.linear_reach) != (after.swarm.update, after.swarm.linear_reach):
-        return False
+) -> SwarmPhase | None:
+    """Return the current swarms if another schedule can use them: their positions and fitnesses mean the same."""
+    if not isinstance(phase, SwarmPhase) or not isinstance(stage, ResolvedSwarm) or phase.iteration < 0:
+        return None
     encoding = build_encoding(model, stage, after.swarm.normal)
-    same = encoding == phase.encoding and stage.solved == phase.stage.solved
-    return same and particle_count(after, encoding.dimensions) == phase.particles
+    same = (
+        _one_search(phase.stage, stage)
+        and stage.solved == phase.stage.solved
+        and before.fitness == after.fitness
+        and (before.swarm.update, before.swarm.linear_reach) == (after.swarm.update, after.swarm.linear_reach)
+        and (encoding, particle_count(after, encoding.dimensions)) == (phase.encoding, phase.particles)
+    )
+    return phase if same else None
 
 
 def _samples_differ(a: Fitness, b: Fitness) -> bool:

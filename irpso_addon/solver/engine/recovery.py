@@ -20,12 +20,14 @@ from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest, PrefitPhase
+from ..phases.swarm import SwarmPhase
 from ..planning.cost import particle_tiles, work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
 from ..state.layout import TexelLayout
+from ..state.packing import Packing
 from ..state.prepare import Prepared
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
@@ -35,12 +37,12 @@ from .progress import Course, Progress
 from .reconfigure import given, kept
 
 _PHASE = "phase_"  # before the names of a state's arrays that are the running phase's
-_THRESHOLD_EVERY = 50  # iterations between looks whether all swarms have reached the threshold
+_THRESHOLD_EVERY = 50  # iterations between comparisons of all swarms with the threshold
 
 
 @dataclass
 class _Begin:
-    """What a recovery begins with, or takes over from another. stack: of the textures, until it is uploaded."""
+    """The begin of a recovery, or the end of the one before it. stack: of the textures, until it is uploaded."""
 
     textures: DomainTextures
     stack: np.ndarray | None
@@ -83,18 +85,17 @@ class Recovery(RecoveryEngine):
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
         self._solved = int((texel_states(domain) == SOLVED).sum())
-        self._diagnostics = Diagnostics(
-            self._believing(schedule), schedule.fitness, self._textures, self._estimates, self.fixed
-        )
-        self._found: tuple[int, int] | None = None  # stage and iteration of which the findings are
-        self._trusted: tuple[int, int] | None = None  # and of which the deviations
-        self._shown: tuple[int, int] | None = None  # and of which a display's copy is
+        model = self._believing(schedule)
+        self._diagnostics = Diagnostics(model, schedule.fitness, self._textures, self._estimates, self.fixed)
+        self._found: tuple[int, int] | None = None  # stage and iteration of the last diagnostics
+        self._trusted: tuple[int, int] | None = None  # … of the last deviations
+        self._shown: tuple[int, int] | None = None  # … of a display's copy
         self._finding: Iterator[None] | None = None
         self._bands = Bands()
         self._work: Iterator[None] | None = None
-        self._counts = False  # whether the iteration that was made last is one of the stage's, not of its placing
+        self._counts = False  # whether the last iteration was one of the stage's, not of its placing
         self._index, self._evaluations = begin.index, begin.evaluations
-        self._prefit_fitness = begin.prefit_fitness  # the prefit's fitness, packed, once there is one
+        self._prefit_fitness = begin.prefit_fitness  # packed; None before the prefit has ended
         self._phase: Phase | None = None
         if memory is not None:
             self.remember(memory)
@@ -102,21 +103,21 @@ class Recovery(RecoveryEngine):
             self._phase = self._begin(0, schedule)
 
     def _prepared(self, prepared: Prepared | None) -> _Begin:
-        """Return what a new recovery begins with."""
-        textures, stack, prepared = self._samples(self.schedule, prepared)
-        guess = {**prepared.guess, **self.fixed}
-        values = {name: textures.packing.pack(value) for name, value in guess.items()}
-        return _Begin(textures, stack, Estimates(self.model, values))
+        """Return the begin of a new recovery."""
+        held, stack, guess = self._samples(self.schedule, prepared)
+        values = {name: held.packing.pack(value) for name, value in {**guess, **self.fixed}.items()}
+        return _Begin(held, stack, Estimates(self.model, values))
 
     def _samples(
         self, schedule: Schedule, prepared: Prepared | None
-    ) -> tuple[DomainTextures, np.ndarray | None, Prepared]:
-        """Return the domain on the GPU, its sample stack that is to follow, and what they were made of."""
+    ) -> tuple[DomainTextures, np.ndarray | None, dict[str, np.ndarray]]:
+        """Return the domain on the GPU, the sample stack to upload later, and the first guess."""
         domain = self.domain
         prepared = (prepared or prepare.prepare(domain, self.model, schedule)).packed(domain, schedule)
-        scale = prepared.packing.pack(prepared.scale)
-        held = DomainTextures(domain, prepared.packing, None, scale, prepared.brightness, prepared.arrays)
-        return held, prepared.stack, prepared
+        packing = prepared.packing or Packing(domain.solvable, domain.seams)
+        scale = packing.pack(prepared.scale)
+        held = DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays)
+        return held, prepared.stack, prepared.guess
 
     @property
     def capabilities(self) -> Capabilities:
@@ -132,7 +133,7 @@ class Recovery(RecoveryEngine):
         left = iterations
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
-                self._work, self._finding = self._iteration(band_seconds(time_budget_s)), None
+                self._work, self._finding = self._iteration(self._phase, band_seconds(time_budget_s)), None
             for _ in self._work:
                 if deadline is not None and time.perf_counter() >= deadline:
                     return self.progress
@@ -171,35 +172,29 @@ class Recovery(RecoveryEngine):
 
     @contextmanager
     def view(self) -> Iterator[dict[str, Any]]:
-        """Lend the live textures, as RecoveryEngine.view.
-
-        They follow the stage under way; what the acceptance test and the prior decide shows once they are done.
-        """
+        """Lend the live textures, as RecoveryEngine.view: of the current stage, before acceptance test and prior."""
         self._give_stack()
         yield {**self._textures.textures, **self._show()}
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         fixed, fitness, defines = self.fixed, self.schedule.fitness, self._textures.defines
-        made = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
-        return made, loss_constants(self._textures, fitness.delta)
+        work = deviation_pass(self._believing(self.schedule), fixed, fitness, defines)
+        return work, loss_constants(self._textures, fitness.delta)
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n): what this tile's texels have found, which neighbouring tiles need; NaN elsewhere."""
+        """Return (H, W, n): the results of this tile's texels that neighbouring tiles read; NaN elsewhere."""
         self._finish_iteration()
         return self._running().halo()
 
     def set_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n) of what neighbouring tiles have found at their texels; others are left alone.
-
-        ghosts: (M, n) of the texels that the domain's seams name in their ghosts.
-        """
+        """Take (H, W, n) results of neighbouring tiles at their texels; NaN elsewhere. ghosts: (M, n) of the ghosts."""
         self._finish_iteration()
         self._running().take_halo(values, ghosts)
 
     def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the sample that the next iteration needs of the whole domain; None for none."""
+        """Return this tile's part of the whole domain's sample for the next iteration; None where it needs none."""
         self._finish_iteration()
-        return self._phase.sample() if self.reach else None
+        return self._phase.sample() if self._phase is not None and self._phase.reach else None
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Take the sample of the whole domain, from ``phases.mixture.merged``."""
@@ -208,8 +203,8 @@ class Recovery(RecoveryEngine):
 
     @property
     def reach(self) -> int:
-        """How many texels away the next iteration reads what others have found; 0 where no halo is needed before it."""
-        return self._phase.reach if self._phase else 0
+        """How many texels away the next iteration reads other texels' results; 0 where it needs no halo."""
+        return self._phase.reach if self._phase is not None else 0
 
     def state(self) -> Checkpoint:
         memory = self.memory()
@@ -217,17 +212,17 @@ class Recovery(RecoveryEngine):
         return replace(memory, arrays=rows)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Go on from the state of all texels that lie here: own and halo, row by row, then the ghosts."""
+        """Continue from the state of all texels here: own and halo, row by row, then the ghosts."""
         layout = TexelLayout(self.domain, self._packing)
         self.remember(replace(saved, arrays=layout.arrays(saved.arrays, context.max_texture_size())))
 
     @property
     def particle_tiles(self) -> int:
-        """Of how many W×H tiles the atlas of the running stage's particles is; 1 where it has none."""
+        """The number of W×H tiles in the atlas of the stage's particles; 1 where it has none."""
         return particle_tiles(self._stages[self._index], self.schedule) if self._phase is not None else 1
 
     def memory(self) -> Checkpoint:
-        """Return the contents of all textures that outlive an iteration, for ``remember`` of the same domain."""
+        """Return the contents of all textures that outlive an iteration, for ``remember``."""
         self._finish_iteration()
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None:
@@ -237,7 +232,7 @@ class Recovery(RecoveryEngine):
         return Checkpoint(*self.at, self._evaluations, arrays)
 
     def remember(self, saved: Checkpoint) -> None:
-        """Go on from what ``memory`` returned."""
+        """Continue from what ``memory`` returned."""
         self._estimates.current = [textures.upload(saved.arrays[f"estimate_{i}"]) for i in range(self._estimates.count)]
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
@@ -250,14 +245,14 @@ class Recovery(RecoveryEngine):
             self._phase.restore(named(saved.arrays, _PHASE), saved.iteration)
 
     def reconfigure(self, schedule: Schedule, seed: int | None = None, prepared: Prepared | None = None) -> Recovery:
-        """Return a recovery that goes on from here under another schedule. This one can only be closed then.
+        """Return a recovery that continues from here under another schedule; this one can then only be closed.
 
-        What the domain has on the GPU serves both. Stages that are finished, and that the other schedule has too, are
-        not repeated, whatever their settings are now. The stage under way continues where its swarms have as many
-        particles and the fitness is the same; else it begins anew around what has been found, as does every stage from
-        the first different one on. The error can rise for a while where the fitness is another. prepared: of
-        ``prepare`` with the other schedule, where its percentile or shadow differ; found here otherwise, which may take
-        a second. Raises InputError, with this one left as it was but for an iteration that was under way.
+        Both share the domain's textures. Finished stages that the other schedule has too are not repeated, whatever
+        their settings. The current stage continues where its swarms have as many particles and the fitness is the same;
+        else it restarts around the current estimates, as does every stage from the first different one on. With another
+        fitness the error can rise for a while. prepared: from ``prepare`` with the other schedule, where its percentile
+        or shadow differ; made here where None, which may take a second. Raises InputError; then this one has at most
+        finished its iteration.
         """
         seed = self.seed if seed is None else seed
         _check(schedule, seed)
@@ -274,28 +269,29 @@ class Recovery(RecoveryEngine):
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
         elif goes_on.index < len(stages):
-            found = goes_on.index < self._index or self._phase.placed
+            found = goes_on.index < self._index or (self._phase is not None and self._phase.placed)
             new._phase = new._begin(goes_on.index, given(schedule) if found else schedule)
-            if goes_on.swarms:
-                new._phase.inherit(self._phase)
+            if goes_on.swarms is not None and isinstance(new._phase, SwarmPhase):
+                new._phase.inherit(goes_on.swarms)
         return new
 
     def _copied(self) -> Estimates:
-        """Return what has been found so far, as estimates of their own: this recovery stays as it is."""
-        resolved = self._phase is not None and self._phase.placed
-        if resolved:
+        """Return a copy of the current estimates: this recovery stays as it is."""
+        resolved = False
+        if self._phase is not None and self._phase.placed:
             self._give_stack()
             self._phase.resolve()
+            resolved = True
         return Estimates(self.model, self._estimates.values(resolved))
 
     def close(self) -> None:
-        """Free all that lies on the GPU."""
-        self._work = self._finding = self._stack = None  # generators first: they hold what they work with
+        self._work = self._finding = self._stack = None  # generators first: they hold textures
         if self._phase is not None:
             self._phase.close()
-        if self._diagnostics is not None:
+            self._phase = None
+        if hasattr(self, "_diagnostics"):  # closed once
             self._diagnostics.close()
-        self._phase = self._textures = self._estimates = self._diagnostics = None
+            del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         model, held = self._believing(schedule), (self._textures, self._estimates)
@@ -303,7 +299,7 @@ class Recovery(RecoveryEngine):
         return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance)
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
-        """Return the model with the priors that count: none where the schedule says so, nor of what is known."""
+        """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
         everything = {p.name for p in self.model.parameters}
         return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
 
@@ -322,29 +318,27 @@ class Recovery(RecoveryEngine):
             stack, self._stack = self._stack, None
             self._textures.give_stack(stack)
 
-    def _iteration(self, seconds: float) -> Iterator[None]:
-        """Make the next iteration, and where it is the last one of its stage begin the next stage; yields often."""
+    def _iteration(self, phase: Phase, seconds: float) -> Iterator[None]:
+        """Make the next iteration; after the last one of a stage begin the next stage. Yields often."""
         if self._stack is not None:
             self._give_stack()
             yield
-        phase = self._phase
         cost = self._solved * phase.evaluations
         yield from phase.advance(self._bands, seconds)
         self._bands.part = 0.0
         self._evaluations += cost
         self._counts = phase.iteration > 0
         if phase.done or self._reached_threshold():
-            yield from self._end_stage(seconds)
+            yield from self._end_stage(phase, seconds)
 
-    def _end_stage(self, seconds: float) -> Iterator[None]:
-        phase = self._phase
+    def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
         if isinstance(phase, PrefitPhase):
             self._prefit_fitness = yield from phase.measuring(self._bands, seconds)
-        yield  # nowhere below: view() must not come upon a phase that is closed
+        yield  # the last one: view() must not see a closed phase
         phase.close()
-        self._bands = Bands(self._bands.paced)  # another stage's passes cost something else
+        self._bands = Bands(self._bands.paced)  # another stage's passes have other costs
         self._index += 1
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
 
@@ -355,7 +349,7 @@ class Recovery(RecoveryEngine):
             self._work = None
 
     def _look(self, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
-        """Find what maps() tells, an iteration under way first."""
+        """Finish the iteration, then measure what maps() returns."""
         self._give_stack()
         if self._work is not None:
             self._bands.paced = paced
@@ -368,7 +362,7 @@ class Recovery(RecoveryEngine):
         self._found, self._trusted = at, at if confidence else None
 
     def _show(self) -> dict[str, Any]:
-        """Return the estimates to look at, by sampler name, brought up to date."""
+        """Return the current estimates by sampler name."""
         phase = self._phase
         if phase is None or not phase.placed:
             return self._estimates.bindings()
@@ -379,12 +373,12 @@ class Recovery(RecoveryEngine):
 
     @property
     def looks_at_threshold(self) -> bool:
-        """Whether the iteration that was made last is one after which swarms are compared with the threshold."""
-        made = self._phase.iteration if self._phase is not None else 0
-        return self.schedule.threshold > 0 and made > 0 and made % _THRESHOLD_EVERY == 0
+        """Whether swarms are compared with the threshold after the last iteration."""
+        iteration = self.at[1]
+        return self.schedule.threshold > 0 and iteration > 0 and iteration % _THRESHOLD_EVERY == 0
 
     def _reached_threshold(self) -> bool:
-        return self.looks_at_threshold and self._phase.reached(self.schedule.threshold)
+        return self.looks_at_threshold and self._running().reached(self.schedule.threshold)
 
     def _running(self) -> Phase:
         if self._phase is None:

@@ -1,4 +1,4 @@
-"""A recovery of a domain that does not fit at once: tiles in lock step, to the maps of the whole bit for bit."""
+"""A recovery of a domain that does not fit into memory: tiles in lock step, with the maps of the whole bit for bit."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class TiledRecovery(RecoveryEngine):
     """A ``RecoveryEngine`` over tiles: the maps are those of the whole domain at once, bit for bit.
 
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
-    least the reach of every phase. on_device: how many tiles lie on the device at once, None for all; fewer take turns,
-    each making as many iterations as need no neighbours, and what the others remember waits in memory, or in files in
-    the folder ``scratch``. Needs, and raises, what Recovery does; solver/views/tiled_view.py shows it.
+    least the reach of every phase. on_device: how many tiles are on the device at once, None for all. Fewer take turns,
+    up to the next iteration that reads neighbours; the others' state waits in memory, or in files in the folder
+    ``scratch``. Errors are those of Recovery. solver/views/tiled_view.py shows it.
     """
 
     def __init__(
@@ -67,13 +67,12 @@ class TiledRecovery(RecoveryEngine):
         return [(part.box, part.recovery) for part in self._pool.tiles if part.recovery is not None]
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        """Advance as RecoveryEngine.step; with a time budget some tiles may be ahead of others."""
         self._driver.step(iterations, time_budget_s)
         return self.progress
 
     @property
     def progress(self) -> Progress:
-        """How far the recovery is: as far as its slowest tile; the fraction counts what the others are ahead."""
+        """The progress of the slowest tile; its fraction includes what the others are ahead."""
         parts = self._pool.tiles
         slowest = min((part.progress for part in parts), key=lambda p: (p.done, p.stage, p.iteration))
         ahead = sum(part.solved * (part.progress.fraction - slowest.fraction) for part in parts)
@@ -83,40 +82,45 @@ class TiledRecovery(RecoveryEngine):
         return replace(slowest, fraction=fraction, stage_end=end, evaluations=evaluations)
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, as RecoveryEngine.maps; tiles that take turns each have one for it."""
+        """Return the maps so far, as RecoveryEngine.maps; tiles that take turns take one each."""
         self._driver.finish_round()
         shape = self.domain.shape
         values = {p.name: np.empty((*shape, p.components), np.float32) for p in self.model.parameters}
         for p in self.model.parameters:
             values[p.name][:] = p.default
         residual = np.zeros(shape, np.float32)
-        told: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
+        doubts: tuple[dict[str, np.ndarray], ...] = {}, {}  # deviations, alternatives
         for number in self._pool.order():
-            part, found = self._pool.tiles[number], self._pool.recovery(number).maps(confidence)
+            part, maps = self._pool.tiles[number], self._pool.recovery(number).maps(confidence)
             texels, own = part_of(part.box), own_of(part.domain)
-            residual[texels] = found.residual[own]
-            for name, value in found.values.items():
+            residual[texels] = maps.error[own]
+            for name, value in maps.values.items():
                 values[name][texels] = value[own]
-            for wholes, parts in zip(told, (found.confidence, found.alternatives), strict=True):
+            for wholes, parts in zip(doubts, (maps.confidence, maps.alternatives), strict=True):
                 for name, value in (parts or {}).items():
                     whole = wholes.setdefault(name, np.zeros((*shape, value.shape[-1]), np.float32))
                     whole[texels] = value[own]
-        deviations, alternatives = told if confidence else (None, None)
+        deviations, alternatives = doubts if confidence else (None, None)
         return Maps(self.model, values, self.domain.solvable, residual, deviations, alternatives=alternatives)
 
     def state(self) -> Checkpoint:
-        """Return the state of all tiles; it lies where what tiles remember does."""
+        """Return the state of all tiles, in memory or in files as theirs."""
         self._driver.finish_round()
-        recovery, numbers = self._pool.active, numbered(self.domain.solvable)
+        numbers, at, particle_tiles = (
+            numbered(self.domain.solvable),
+            self._pool.active.at,
+            self._pool.active.particle_tiles,
+        )
 
-        def rows(part: Tile) -> dict[str, np.ndarray]:
-            if part.recovery is not None:
-                return part.recovery.state().arrays
-            return TexelLayout(part.domain).rows(part.memory.arrays, recovery.particle_tiles)
+        def rows(number: int) -> dict[str, np.ndarray]:
+            part = self._pool.tiles[number]
+            if part.memory is None:
+                return self._pool.recovery(number).state().arrays
+            return TexelLayout(part.domain).rows(part.memory.arrays, particle_tiles)
 
-        parts = ((own_rows(numbers, part.box), rows(part)) for part in self._pool.tiles)
+        parts = ((own_rows(numbers, part.box), rows(number)) for number, part in enumerate(self._pool.tiles))
         arrays = joined(self._solved, parts, self._pool.empty)
-        return Checkpoint(*recovery.at, self.progress.evaluations, arrays)
+        return Checkpoint(*at, self.progress.evaluations, arrays)
 
     def restore(self, saved: Checkpoint) -> None:
         self._driver.restart()
@@ -132,18 +136,14 @@ class TiledRecovery(RecoveryEngine):
                 part.progress = replace(part.progress, evaluations=part.memory.evaluations)
 
     def mean_error(self) -> float:
-        """Return the mean error over a few thousand texels of each tile.
-
-        Of a tile that waits for its turn it is the one that was found last; one that never was looked at has no part.
-        """
+        """Return the mean error over a few thousand texels of each tile; of a waiting tile the last one, if any."""
         for part in self._pool.tiles:
             if part.recovery is not None:
                 part.error = part.recovery.mean_error()
-        fixed = [part for part in self._pool.tiles if part.error is not None]
-        return float(np.average([part.error for part in fixed], weights=[part.solved for part in fixed]))
+        errors = [(part.error, part.solved) for part in self._pool.tiles if part.error is not None]
+        return float(np.average([error for error, _ in errors], weights=[solved for _, solved in errors]))
 
     def close(self) -> None:
-        """Free all that lies on the GPU, and the files."""
         self._driver.restart()
         self._pool.close()
 

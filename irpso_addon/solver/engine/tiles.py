@@ -1,4 +1,4 @@
-"""Tiles of a domain under recovery: those on the device, and the memory of those that wait for their turn."""
+"""Tiles of a domain: recoveries on the device, and the memory of those that wait for their turn."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from ...geometry.domain import Domain
 from ...geometry.samples import mapped_array
+from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
 from ..phases.phase import BACKGROUND_BAND_SECONDS
 from ..settings.schedule import Schedule
@@ -23,16 +24,16 @@ from .recovery import Recovery
 class TileRecovery(Recovery):
     """A recovery that does not stop at the threshold by itself: only the whole domain may."""
 
-    reached = False  # whether the last iteration ended with every swarm of the tile at the threshold
+    reached = False  # whether every swarm of the tile was at the threshold after the last iteration
 
     def finish_stage(self) -> None:
-        """Go on to the next stage, as at the threshold, and place its swarms."""
-        for _ in self._end_stage(BACKGROUND_BAND_SECONDS):
+        """Begin the next stage, as at the threshold, and place its swarms."""
+        for _ in self._end_stage(self._running(), BACKGROUND_BAND_SECONDS):
             pass
         self.step(iterations=0)
 
     def stepping(self, iterations: int, time_budget_s: float | None) -> Iterator[None]:
-        """Make iterations as ``step`` does; yields in between whenever about ``time_budget_s`` has gone by."""
+        """Make iterations as ``step`` does; yields about every ``time_budget_s``."""
         self.step(iterations, time_budget_s)
         while self._work is not None:
             yield
@@ -47,8 +48,8 @@ class TileRecovery(Recovery):
 class Tile:
     """A tile and its recovery.
 
-    domain: with its halo. solved: texels of its own. error: their mean when it was measured last. memory: of the
-    recovery while that is not on the device; files: its arrays, if they do not lie in memory.
+    domain: with its halo. solved: the number of its own texels. error: their last mean error. memory: of the recovery
+    while that is not on the device. files: the memory's arrays, if they are in files.
     """
 
     box: Box
@@ -57,7 +58,7 @@ class Tile:
     fixed: dict[str, np.ndarray]
     solved: int
     recovery: TileRecovery | None = None
-    progress: Progress | None = None
+    progress: Progress = field(init=False)  # set by the pool
     reached: bool = False
     error: float | None = None
     memory: Checkpoint | None = None
@@ -65,15 +66,15 @@ class Tile:
 
     @property
     def place(self) -> Place:
-        """Where it lies in the whole domain."""
+        """Its place in the whole domain."""
         return place_of(self.box, self.domain)
 
 
 class TilePool:
     """The tiles of one process.
 
-    most: how many lie on the device at once, None for all; fewer take turns, and what the others remember waits in
-    memory, or in files in the folder ``scratch``.
+    most: how many are on the device at once, None for all. Fewer take turns; the others' state waits in memory, or in
+    files in the folder ``scratch``.
     """
 
     def __init__(
@@ -82,14 +83,14 @@ class TilePool:
         model: ReflectanceModel,
         schedule: Schedule,
         seed: int,
-        entry: str,
+        entry: Entry,
         most: int | None = None,
         scratch: Path | None = None,
     ):
         self.tiles = list(tiles)
         self._settings, self._entry, self._scratch = (model, schedule, seed), entry, scratch
         self._most = len(self.tiles) if most is None else min(most, len(self.tiles))
-        self._last = 0  # the tile that was used last
+        self._last = 0  # the last tile used
         self.fill()
 
     @property
@@ -98,23 +99,23 @@ class TilePool:
         return self._most == len(self.tiles)
 
     def fill(self) -> None:
-        """Put on the device as many as there is room for; the others are where the first one is."""
+        """Put on the device as many as there is room for; the others have the first one's progress."""
         for number in range(self._most):
             self.recovery(number)
-        for tile in self.tiles:
-            tile.progress = tile.progress or self.tiles[0].progress
+        for tile in self.tiles[self._most :]:
+            tile.progress = self.tiles[0].progress
 
     def order(self) -> list[int]:
-        """The tiles, those on the device first: every turn spared is an upload of a part of the sample stack."""
+        """The tiles, those on the device first: each turn uploads a part of the sample stack."""
         return sorted(range(len(self.tiles)), key=lambda number: self.tiles[number].recovery is None)
 
     def recovery(self, number: int) -> TileRecovery:
         """Return a tile's recovery, put on the device if it is not there."""
         tile = self.tiles[number]
         if tile.recovery is None:
-            if sum(other.recovery is not None for other in self.tiles) == self._most:
-                # The one used last: those before it stay for the next round, which begins with them.
-                last = self.tiles[self._last]
+            # The last one used leaves: the next round begins with those before it.
+            last = self.tiles[self._last]
+            if last.recovery is not None and sum(other.recovery is not None for other in self.tiles) == self._most:
                 last.memory = self._stored(last, last.recovery.memory())
                 last.recovery.close()
                 last.recovery = None
@@ -128,15 +129,15 @@ class TilePool:
 
     @property
     def active(self) -> TileRecovery:
-        """The recovery of the tile that was used last, which is on the device."""
+        """The recovery of the last tile used."""
         return self.recovery(self._last)
 
     def wait(self, number: int, memory: Checkpoint) -> None:
-        """Take a tile off the device; it goes on from ``memory`` when its turn comes."""
+        """Take a tile off the device; it continues from ``memory`` when its turn comes."""
         tile = self.tiles[number]
         if tile.recovery is not None:
             tile.recovery.close()
-        tile.recovery, tile.progress = None, None
+        tile.recovery = None
         tile.memory = self._stored(tile, memory)
 
     def close(self) -> None:
@@ -148,19 +149,19 @@ class TilePool:
             tile.files = {}
 
     def empty(self, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-        """Return zeros where memories are kept: in memory, or in a file."""
+        """Return zeros in memory, or in a file."""
         return np.zeros(shape, dtype) if self._scratch is None else mapped_array(self._scratch, shape, dtype)
 
     def _stored(self, tile: Tile, memory: Checkpoint) -> Checkpoint:
-        """Return a tile's memory as it lies where memories are kept."""
+        """Return a tile's memory, moved to files if there is a folder for them."""
         if self._scratch is None:
             return memory
         files = {}
         for name, array in memory.arrays.items():
-            kept = tile.files.get(name)
-            if kept is None or kept.shape != array.shape or kept.dtype != array.dtype:
-                kept = self.empty(array.shape, array.dtype)
-            kept[:] = array
-            files[name] = kept
+            file = tile.files.get(name)
+            if file is None or file.shape != array.shape or file.dtype != array.dtype:
+                file = self.empty(array.shape, array.dtype.type)
+            file[:] = array
+            files[name] = file
         tile.files = files
         return replace(memory, arrays=files)

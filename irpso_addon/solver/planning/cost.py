@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
-from ..engine.alternatives import asked
+from ..engine.alternatives import varied
 from ..kernels.refinement import SPREAD_REACH, renders
 from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_of
 from ..phases.swarm import particle_count, reach_at
@@ -111,7 +111,7 @@ def recovery_cost(
     stages = resolve(schedule, model, set(fixed), observations - held_out)
     phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
     free = model.without_priors({p.name for p in model.parameters})
-    numbers = sum(p.components for p in asked(free, fixed, schedule.fitness))
+    numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     return Cost(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4))
 
 
