@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters, has_basis
 from ..kernels.kernels import alternatives_pass
@@ -39,7 +39,7 @@ class Alternatives:
             solved = linear_weights(model, _solved(model, fixed))
             defines = {**domain_defines, "ALTERNATIVES": sum(p.components for p in self._varied)}
             self._pass = alternatives_pass(model, build_free_parameters(model, fixed), solved, fitness, defines)
-        self._targets: list[Any] = []
+        self._targets: list[Texture] = []
 
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from ...core.errors import InputError
 from ...geometry.coarsen import coarser, coarser_map, finer_map
 from ...geometry.domain import Domain
 from ...gpu.passes import EntryChoice, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
@@ -104,7 +104,7 @@ class Pyramid(RecoveryEngine):
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         return self._live.refresh_confidence(time_budget_s)
 
-    def view(self) -> AbstractContextManager[dict[str, Any]]:
+    def view(self) -> AbstractContextManager[dict[str, Texture]]:
         """Lend the live textures of the current level, as RecoveryEngine.view."""
         return self._live.view()
 

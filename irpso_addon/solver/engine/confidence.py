@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.kernels import confidence_pass
@@ -44,7 +44,7 @@ class Confidence:
     ):
         self.model, self._fixed, self._fitness = model, frozenset(fixed), fitness
         self._pass = deviation_pass(model, self._fixed, fitness, domain_defines)
-        self._targets: list[Any] = []  # reused: the pass keeps the frame buffer of every target
+        self._targets: list[Texture] = []  # reused: the pass keeps the frame buffer of every target
 
     def deviations(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..kernels.kernels import residual_pass, sampled_residual_pass
@@ -39,11 +39,11 @@ class Diagnostics:
         self._fitness = fitness
         self._model, self._domain, self._estimates, self._fixed = model, domain, estimates, frozenset(fixed)
         self._residual = residual_pass(model, domain.defines).compile()
-        self._error: Any = textures.empty(*estimates.size)
+        self._error = textures.empty(*estimates.size)
         self._doubts: tuple[Confidence, Alternatives] | None = None  # made when first asked for: two more shaders
         self._bands = Bands()
         self._resolved = False  # whether ``maps`` returns the resolved estimates
-        self._sample: tuple[Any, Any] | None = None  # places of texels, and their residuals
+        self._sample: tuple[Texture, Texture] | None = None  # places of texels, and their residuals
         self._sampled = sampled_residual_pass(model, domain.defines)
 
     def finding(self, phase: Phase | None, confidence: bool, seconds: float, paced: bool) -> Iterator[None]:
@@ -84,7 +84,7 @@ class Diagnostics:
             )
         return Maps(self._model, values, solvable, error, deviations, alternatives=alternatives)
 
-    def mean_error(self, shown: Mapping[str, Any]) -> float:
+    def mean_error(self, shown: Mapping[str, Texture]) -> float:
         """Return the mean residual of at most 4096 texels, NaN where none is solved. shown: estimates by sampler name.
 
         The texels are drawn once, at random and without replacement.
@@ -104,9 +104,10 @@ class Diagnostics:
         self._sampled.close()
         for doubt in self._doubts or ():
             doubt.close()
-        self._error = self._doubts = self._sample = None
+        self._doubts = self._sample = None
+        del self._error
 
-    def _drawn(self) -> tuple[Any, Any]:
+    def _drawn(self) -> tuple[Texture, Texture]:
         """Return the packed texels that are sampled, −1 in spare places, and the texture of their residuals."""
         packing = self._domain.packing
         own = np.flatnonzero(packing.pack(texel_states(self._domain.domain)) == SOLVED)

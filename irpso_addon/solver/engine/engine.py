@@ -17,6 +17,7 @@ from ...core.errors import InputError
 from ...geometry.domain import Domain
 from ...gpu import probe
 from ...gpu.passes import EntryChoice, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.phase import Phase
@@ -108,7 +109,7 @@ class RecoveryEngine(ABC):
         """
         return True
 
-    def view(self) -> AbstractContextManager[dict[str, Any]]:
+    def view(self) -> AbstractContextManager[dict[str, Texture]]:
         """Lend the live textures, by sampler name, to a draw callback for the length of one draw.
 
         u_estimate_0 … hold the parameters' components in the model's order, densely packed: u_packed has the place of

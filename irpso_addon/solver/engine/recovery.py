@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from ...geometry.domain import Domain
 from ...gpu import context, textures
 from ...gpu.bands import Bands
 from ...gpu.passes import EntryChoice, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
@@ -171,7 +171,7 @@ class Recovery(RecoveryEngine):
         return self._diagnostics.mean_error(self._show())
 
     @contextmanager
-    def view(self) -> Iterator[dict[str, Any]]:
+    def view(self) -> Iterator[dict[str, Texture]]:
         """Lend the live textures, as RecoveryEngine.view: of the current stage, before acceptance test and prior."""
         self._give_stack()
         yield {**self._textures.textures, **self._show()}
@@ -361,7 +361,7 @@ class Recovery(RecoveryEngine):
         yield from self._diagnostics.finding(self._phase, confidence, seconds, paced)
         self._found, self._trusted = at, at if confidence else None
 
-    def _show(self) -> dict[str, Any]:
+    def _show(self) -> dict[str, Texture]:
         """Return the current estimates by sampler name."""
         phase = self._phase
         if phase is None or not phase.placed:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...geometry.domain import Domain, GeometryBake
+from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
-from ..state.prepare import drop_shadow, light_vectors
+from ..state.prepare import Texels, drop_shadow, light_vectors
 from ..views.forward import Renderer
 
 GAINS, MOVES = 3, 3  # free parameters of a light: log intensities, and angles (a near light's third: its distance)
@@ -28,15 +28,16 @@ _SAMPLED_AS = 100.0  # independent texels: errors of neighbours are correlated, 
 class LightStep:
     """gains: (K, 3) log intensities to add. moves: (K, 3) radians, or fractions of the distance, along ``axes_of``.
 
-    deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982). told: the
-    second smallest eigenvalue of the gains' normalised matrix: 1 where the shading of a light is known, near 0 where
-    all texels face one way. explained: the fraction of the weighted squared error that the step removes.
+    deviations: (K, 3) standard deviations of the gains (delete-a-group jackknife of the texels; Efron 1982).
+    determined: how well the texels determine the gains, the second smallest eigenvalue of their normalised matrix: 1
+    where the shading of every light is known, near 0 where all texels face one way. explained: the fraction of the
+    weighted squared error that the step removes.
     """
 
     gains: np.ndarray
     moves: np.ndarray
     deviations: np.ndarray
-    told: float
+    determined: float
     explained: float
 
 
@@ -97,9 +98,9 @@ def light_step(
     ``fixed``: light errors that the texels have absorbed still count. Samples are weighted as in the robust fitness.
     scale: (h, w) from ``prepare.texel_scale``. moving: None for fixed light positions.
     """
-    texels = np.nonzero(domain.bake.coverage)
-    equations = _Equations(domain.observations, len(texels[0]), gains, moving is not None)
+    rows, columns = texels = _covered(domain)
     steps = _texel_steps(model, values, fixed)
+    equations = _Equations(domain.observations, len(rows), len(steps), gains, moving)
     renders = _Renders(domain, model, values, steps, moving)
     stack = np.stack([*domain.stack.layers()])
     drop_shadow(stack, domain.lights, domain.intensities, domain.bake.position, scale, fitness)
@@ -109,7 +110,7 @@ def light_step(
     try:
         for k in range(domain.observations):
             render, texel_part, move_part = renders.of(k)
-            seen = stack[k][texels].astype(np.float64)
+            seen = stack[k, rows, columns].astype(np.float64)
             difference = _difference(seen, render)
             outlying = difference
             if gains:
@@ -126,7 +127,7 @@ def light_step(
             yield
     finally:
         renders.close()
-    step = equations.solved(steps, moving)
+    step = equations.solved(steps)
     for k, logarithms in far.items():
         step.gains[k] = logarithms
     return step
@@ -177,32 +178,32 @@ class _Renders:
         steps: list[_Step],
         moving: Moving | None,
     ):
-        self._texels = np.nonzero(domain.bake.coverage)
+        self._texels = _covered(domain)
         self._shape, self._count = domain.shape, domain.observations
         self._widths = np.stack([step.width[self._texels] for step in steps], axis=-1) if steps else None
         changed = [{}, *({step.name: side} for step in steps for side in (step.up, step.down))]
         stacked = {
             p.name: np.concatenate([{**values, **change}[p.name] for change in changed]) for p in model.parameters
         }
-        tables = (domain.lights, domain.intensities, domain.views)
-        self._all = Renderer(_repeated(domain.bake, len(changed)), model, stacked, *tables, domain.card)
+        bake = domain.bake.each(lambda array: np.tile(array, (len(changed), *(1,) * (array.ndim - 1))))
+        self._all = Renderer(bake, model, stacked, domain.lights, domain.intensities, domain.views, domain.card)
         self._aside = None
         if moving is not None:
             sides = [side * _TURN * np.eye(MOVES)[axis] for axis in range(MOVES) for side in (1, -1)]
             lights = np.concatenate([moving.lights(side) for side in sides])
-            repeated = (np.tile(table, (2 * MOVES, 1)) for table in tables[1:])
-            self._aside = Renderer(domain.bake, model, dict(values), lights, *repeated, domain.card)
+            intensities, views = (np.tile(table, (2 * MOVES, 1)) for table in (domain.intensities, domain.views))
+            self._aside = Renderer(domain.bake, model, values, lights, intensities, views, domain.card)
 
     def of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return observation k's radiance (T, 3), and its derivatives by parameters (T, 3, P) and light (T, 3, 3)."""
-        images = self._all.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)
-        images = images[:, *self._texels]
+        rows, columns = self._texels
+        images = self._all.render(k)[..., :3].astype(np.float64).reshape(-1, *self._shape, 3)[:, rows, columns]
         differences = (images[1::2] - images[2::2]).transpose(1, 2, 0)
         texel_part = differences / self._widths[:, None] if self._widths is not None else differences
         if self._aside is None:
             return images[0], texel_part, None
-        sides = [self._aside.render(s * self._count + k)[..., :3].astype(np.float64) for s in range(2 * MOVES)]
-        sides = np.stack([side[self._texels] for side in sides], axis=-1)
+        renders = [self._aside.render(s * self._count + k)[..., :3].astype(np.float64) for s in range(2 * MOVES)]
+        sides = np.stack([render[self._texels] for render in renders], axis=-1)
         return images[0], texel_part, (sides[..., ::2] - sides[..., 1::2]) / (2 * _TURN)
 
     def close(self) -> None:
@@ -212,45 +213,50 @@ class _Renders:
 
 
 class _Equations:
-    """Normal equations of texel and light parameters, accumulated observation by observation."""
+    """Normal equations of texel and light parameters, accumulated observation by observation.
 
-    def __init__(self, observations: int, texels: int, gains: bool, moves: bool):
+    free: P, the free parameters of a texel.
+    """
+
+    def __init__(self, observations: int, texels: int, free: int, gains: bool, moving: Moving | None):
         self._groups = np.arange(texels) % _GROUPS
-        self._gains, self._moves = gains, moves
-        self._size = GAINS * gains + MOVES * moves
+        self._gains, self._moving = gains, moving
+        self._size = GAINS * gains + MOVES * (moving is not None)
         self._own: list[np.ndarray] = []  # (T, Q, Q) of each light, Q parameters
         self._right: list[np.ndarray] = []  # (T, Q)
         self._cross: list[np.ndarray] = []  # (T, P, Q)
-        self._texel: np.ndarray | None = None  # (T, P, P)
-        self._texel_right: np.ndarray | None = None  # (T, P)
+        self._texel = np.zeros((texels, free, free))
+        self._texel_right = np.zeros((texels, free))
         self._squares = self._weights = 0.0
         self._observations = observations
 
-    def add(self, error, weight, render, texel_part, move_part) -> None:
+    def add(
+        self,
+        error: np.ndarray,
+        weight: np.ndarray,
+        render: np.ndarray,
+        texel_part: np.ndarray,
+        move_part: np.ndarray | None,
+    ) -> None:
         """Add one observation: (T, 3) error, weight and render, (T, 3, P) and (T, 3, 3) derivatives."""
-        parts = []
-        if self._gains:
-            parts.append(render[..., None] * np.eye(GAINS))
-        if self._moves:
-            parts.append(move_part)
-        lights = np.concatenate(parts, axis=-1)
+        gains = render[..., None] * np.eye(GAINS) if self._gains else None
+        lights = np.concatenate([part for part in (gains, move_part) if part is not None], axis=-1)
         weighted = texel_part * weight[..., None]
         self._own.append(np.einsum("tcq,tcr,tc->tqr", lights, lights, weight, optimize=True))
         self._right.append(np.einsum("tcq,tc->tq", lights, weight * error))
         self._cross.append(np.einsum("tcp,tcq->tpq", weighted, lights))
-        gram, right = np.einsum("tcp,tcr->tpr", weighted, texel_part), np.einsum("tcp,tc->tp", weighted, error)
-        self._texel = gram if self._texel is None else self._texel + gram
-        self._texel_right = right if self._texel_right is None else self._texel_right + right
+        self._texel += np.einsum("tcp,tcr->tpr", weighted, texel_part)
+        self._texel_right += np.einsum("tcp,tc->tp", weighted, error)
         self._squares += float((weight * error**2).sum())
         self._weights += float(weight.sum())
 
-    def solved(self, steps: list[_Step], moving: Moving | None) -> LightStep:
+    def solved(self, steps: list[_Step]) -> LightStep:
         """Eliminate the texels and solve for the lights: with all texels, and without each group."""
         noise = max(self._squares / max(self._weights, 1.0), 1e-8)
         matrices, rights = self._reduced(steps, noise)
         count = self._observations
         whole = matrices.sum(axis=0)
-        prior, toward = self._prior(len(self._groups), noise, moving)
+        prior, toward = self._prior(len(self._groups), noise)
         answers = []
         for left_out in (None, *range(_GROUPS)):
             matrix, right = whole, rights.sum(axis=0)
@@ -261,10 +267,10 @@ class _Equations:
         spread = np.sqrt((_GROUPS - 1) / _GROUPS * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
         nothing = np.zeros((count, GAINS))
         gains, deviations = (a[:, :GAINS] if self._gains else nothing for a in (answer, spread))
-        moves = answer[:, self._size - MOVES :] if self._moves else nothing
+        moves = answer[:, self._size - MOVES :] if self._moving is not None else nothing
         return LightStep(
             np.clip(gains, -_LARGEST_STEP, _LARGEST_STEP), moves, deviations,
-            self._told(whole) if self._gains else 1.0,
+            self._determined(whole) if self._gains else 1.0,
             float(answer.ravel() @ rights.sum(axis=0)) / max(self._squares, 1e-30),
         )  # fmt: skip
 
@@ -292,7 +298,7 @@ class _Equations:
                 rights[group] -= part.T @ texel_right[chosen].ravel()
         return matrices, rights
 
-    def _prior(self, texels: int, noise: float, moving: Moving | None) -> tuple[np.ndarray, np.ndarray]:
+    def _prior(self, texels: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
         """(KQ, KQ) and (KQ,): the prior; gains keep the scale of each channel."""
         count, size = self._observations, self._size
         matrix, right = np.zeros((count * size,) * 2), np.zeros(count * size)
@@ -302,14 +308,15 @@ class _Equations:
                 of = np.arange(count) * size + channel
                 matrix[of, of] += strength / _GAIN_PRIOR**2
                 matrix[np.ix_(of, of)] += self._weights / count**2
-        if self._moves:
+        if self._moving is not None:
+            trust = strength / self._moving.sigma**2
             for axis in range(MOVES):
                 of = np.arange(count) * size + size - MOVES + axis
-                matrix[of, of] += strength / moving.sigma**2
-                right[of] -= strength / moving.sigma**2 * moving.moves[:, axis]
+                matrix[of, of] += trust
+                right[of] -= trust * self._moving.moves[:, axis]
         return matrix, right
 
-    def _told(self, whole: np.ndarray) -> float:
+    def _determined(self, whole: np.ndarray) -> float:
         """The second smallest eigenvalue of the grey gains' matrix, normalised by its diagonal."""
         count, size = self._observations, self._size
         blocks = whole.reshape(count, size, count, size)[:, :GAINS, :, :GAINS].sum(axis=(1, 3))
@@ -329,7 +336,7 @@ def _off_as_a_whole(seen: np.ndarray, render: np.ndarray) -> np.ndarray:
 
 def brightened(domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return (K, 3) factors on the intensities that match most samples of the texels."""
-    texels = np.nonzero(domain.bake.coverage)
+    texels = _covered(domain)
     factors = np.ones((domain.observations, GAINS))
     lit = domain.lights, domain.intensities, domain.views
     with closing(Renderer(domain.bake, model, values, *lit, domain.card)) as renderer:
@@ -360,10 +367,6 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def _repeated(bake: GeometryBake, times: int) -> GeometryBake:
-    return GeometryBake(
-        **{
-            name: np.tile(getattr(bake, name), (times, *(1,) * (getattr(bake, name).ndim - 1)))
-            for name in GeometryBake.__dataclass_fields__
-        }
-    )
+def _covered(domain: Domain) -> Texels:
+    rows, columns = np.nonzero(domain.bake.coverage)
+    return rows, columns

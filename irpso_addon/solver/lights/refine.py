@@ -13,6 +13,7 @@ from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
+from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
 from ..settings.schedule import Schedule, load_schedule
@@ -31,7 +32,7 @@ _WIDTHS = (0.2, 0.1, 0.05)
 _SLICE_SECONDS = 0.02
 _BRIGHT = 95.0  # percentile of the albedos that a common factor lowers to _WHITE where it exceeds 1
 _WHITE = 0.9
-_TOLD = 0.01  # least LightStep.told; below, a linear trend of the intensities is not determined
+_DETERMINED = 0.01  # least LightStep.determined; below, a linear trend of the intensities is free
 _SMALL = 256  # texels for the check of given intensities
 _CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
 # Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
@@ -48,8 +49,8 @@ class Lights:
 
     factors: (K, 3) on the given intensities. deviations: (K, 3) relative standard deviations of the intensities from
     the scatter between texels, without model error. turned: (K,) degrees between the given and the estimated light, as
-    seen from the centre of the texels. told: see LightStep. rounds: recoveries of the texels. change: RMS change of the
-    last round.
+    seen from the centre of the texels. determined: see LightStep. rounds: recoveries of the texels. change: RMS change
+    of the last round.
     """
 
     lights: np.ndarray
@@ -57,7 +58,7 @@ class Lights:
     factors: np.ndarray
     deviations: np.ndarray
     turned: np.ndarray
-    told: float
+    determined: float
     rounds: int
     change: float
 
@@ -95,7 +96,7 @@ class Lights:
                 "the images contradict the lights' intensities, all given as 1, so they were estimated:"
                 f" {self.summary()}; --intensities given (Light Strengths) keeps them"
             )
-        if self.told < _TOLD:
+        if self.determined < _DETERMINED:
             lines.append(
                 "the surface is nearly flat: the lights' intensities may have a linear trend from side to side;"
                 " photograph a grey card or a matte ball beside it"
@@ -117,7 +118,7 @@ def estimate_lights(
     intensities: bool = True,
     refine_degrees: float = 0.0,
     fitted: Sequence[int] | None = None,
-    entry: Literal["auto", "fragment", "compute"] = "auto",
+    entry: EntryChoice = "auto",
 ) -> Lights:
     """Return the lights that best explain about a thousand texels of a domain.
 
@@ -145,7 +146,7 @@ def light_steps(
     intensities: bool = True,
     refine_degrees: float = 0.0,
     fitted: Sequence[int] | None = None,
-    entry: Literal["auto", "fragment", "compute"] = "auto",
+    entry: EntryChoice = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights]:
     """Yield the fraction done, 0…1; return the result of ``estimate_lights``.
@@ -153,18 +154,18 @@ def light_steps(
     sample: from ``sample.draw`` with the same seed and observations, drawn here where None.
     """
     check(intensities, refine_degrees)
-    fitted = np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
-    sample = sample or light_sample.draw(domain, seed, fitted)
+    chosen = _indices(domain, fitted)
+    sample = sample or light_sample.draw(domain, seed, chosen)
     if not len(sample.rows):
         raise InputError(
             "no texel is lit by three observations, so the lights are not determined; give the intensities"
         )
     search = _Search(
-        sample, model, sample_schedule(schedule), seed, light_sample.fixed_at(fixed, sample), fitted, intensities,
+        sample, model, sample_schedule(schedule), seed, light_sample.fixed_at(fixed, sample), chosen, intensities,
         np.radians(refine_degrees), entry,
     )  # fmt: skip
-    yield from search.rounds()
-    return search.found(domain)
+    step = yield from search.rounds()
+    return search.found(domain, step)
 
 
 def chosen_steps(
@@ -176,7 +177,7 @@ def chosen_steps(
     intensities: Intensities = "auto",
     refine_degrees: float = 0.0,
     fitted: Sequence[int] | None = None,
-    entry: Literal["auto", "fragment", "compute"] = "auto",
+    entry: EntryChoice = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights | None]:
     """Yield the fraction done, 0…1; return the estimated lights, or None where the given ones stay.
@@ -184,7 +185,7 @@ def chosen_steps(
     intensities: "given", "estimate", or "auto": estimated where all are given as 1, the images contradict that, and the
     lights suffice. The others: as for ``light_steps``.
     """
-    fitted = np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
+    chosen = _indices(domain, fitted)
 
     def search(wanted: bool) -> Generator[float, None, Lights]:
         return light_steps(
@@ -192,11 +193,11 @@ def chosen_steps(
             entry=entry, sample=sample,
         )  # fmt: skip
 
-    if intensities == "auto" and can_tell(domain, fitted):
-        sample = sample or light_sample.draw(domain, seed, fitted)
-        if (yield from _contradicted(domain, model, seed, fixed, fitted, entry, sample)):
+    if intensities == "auto" and can_tell(domain, chosen):
+        sample = sample or light_sample.draw(domain, seed, chosen)
+        if (yield from _contradicted(domain, model, seed, fixed, chosen, entry, sample)):
             lights = yield from search(True)
-            if lights.told >= _TOLD:
+            if lights.determined >= _DETERMINED:
                 return lights
     if intensities != "estimate" and refine_degrees == 0:
         return None
@@ -223,7 +224,7 @@ def _contradicted(
     seed: int,
     fixed: Mapping[str, np.ndarray],
     fitted: np.ndarray,
-    entry: Any,
+    entry: EntryChoice,
     sample: LightSample,
 ) -> Generator[float, None, bool]:
     """Recover some texels under the given lights, with yields; return whether the images contradict the lights.
@@ -234,13 +235,10 @@ def _contradicted(
         return False
     few = light_sample.draw(domain, seed, fitted, _SMALL)
     part, held = subset(few.domain, fitted), light_sample.fixed_at(fixed, few)
-    recovery = Recovery(part, model, sample_schedule(), seed, held, entry)
-    try:
+    with Recovery(part, model, sample_schedule(), seed, held, entry) as recovery:
         while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
             yield 0.0
         values = recovery.maps(confidence=False).values
-    finally:
-        recovery.close()
     return _disagreement(part, model, values, frozenset(fixed)) is not None
 
 
@@ -310,7 +308,7 @@ class _Search:
         fitted: np.ndarray,
         intensities: bool,
         sigma: float,
-        entry: Any,
+        entry: EntryChoice,
     ):
         self._sample, self._model, self._schedule, self._seed, self._fixed = sample, model, schedule, seed, fixed
         self._fitted, self._intensities, self._entry = fitted, intensities, entry
@@ -322,12 +320,11 @@ class _Search:
         if intensities:
             self._factors = self._factors * _not_above_white(_divided(self._base, self._factors))
         self._change, self._round = np.inf, 0
-        self._step: LightStep | None = None
         self._values: dict[str, np.ndarray] = {}
 
-    def rounds(self) -> Generator[float, None, None]:
-        """Run all rounds; yields the fraction done."""
-        while self._round < _ROUNDS and (self._change > _SETTLED or self._round < len(_WIDTHS)):
+    def rounds(self) -> Generator[float, None, LightStep]:
+        """Run all rounds; yield the fraction done, and return the last step."""
+        while True:
             width = _WIDTHS[self._round] if self._round < len(_WIDTHS) else 0.0
             schedule = self._schedule.replaced(delta=max(self._schedule.fitness.delta, width))
             self._round += 1
@@ -338,53 +335,50 @@ class _Search:
             self._values = yield from self._solved(domain, schedule)
             scale = texel_scale(domain, schedule.fitness.percentile)
             stepping = light_step(
-                domain,
-                self._model,
-                self._values,
-                frozenset(self._fixed),
-                scale,
-                schedule.fitness,
-                self._intensities,
+                domain, self._model, self._values, frozenset(self._fixed), scale, schedule.fitness, self._intensities,
                 self._moving,
-            )
-            self._step = yield from map_steps(stepping, lambda _: self._fraction(0.9))
+            )  # fmt: skip
+            step = yield from map_steps(stepping, lambda _: self._fraction(0.9))
             common = float(np.exp(np.log(self._factors).mean()))
             if self._intensities:
-                self._factors = normalised(self._factors * np.exp(self._step.gains)) * common
+                self._factors = normalised(self._factors * np.exp(step.gains)) * common
             if self._moving is not None:
-                self._moving = self._moving.moved(self._step.moves)
-            self._change = max(_size(self._step.gains), _size(self._step.moves))
+                self._moving = self._moving.moved(step.moves)
+            self._change = max(_size(step.gains), _size(step.moves))
+            if self._round == _ROUNDS or (self._round >= len(_WIDTHS) and self._change <= _SETTLED):
+                return step
 
-    def found(self, domain: Domain) -> Lights:
-        """Return the lights of a domain, including those outside the fit."""
+    def found(self, domain: Domain, step: LightStep) -> Lights:
+        """Return the lights of a domain after the last step, including those outside the fit."""
         count = domain.observations
         lights, factors = domain.lights.copy(), np.ones((count, GAINS))
         deviations, turned = np.zeros((count, GAINS)), np.zeros(count)
         if self._moving is not None:
             lights[self._fitted] = self._moving.lights()
             turned[self._fitted] = np.degrees(np.linalg.norm(self._moving.moves[:, :2], axis=-1))
-        factors[self._fitted], deviations[self._fitted] = self._factors, self._step.deviations
+        factors[self._fitted], deviations[self._fitted] = self._factors, step.deviations
         if self._intensities and len(self._fitted) < count:
             others = np.setdiff1d(np.arange(count), self._fitted)
             factors[others] = brightened(subset(self._sample.domain, others), self._model, self._values)
         return Lights(
-            lights, (domain.intensities * factors).astype(np.float32), factors, deviations, turned, self._step.told,
+            lights, (domain.intensities * factors).astype(np.float32), factors, deviations, turned, step.determined,
             self._round, self._change,
         )  # fmt: skip
 
     def _solved(self, domain: Domain, schedule: Schedule) -> Generator[float, None, dict[str, np.ndarray]]:
-        recovery = Recovery(domain, self._model, schedule, self._seed, self._fixed, self._entry)
-        try:
+        with Recovery(domain, self._model, schedule, self._seed, self._fixed, self._entry) as recovery:
             while not (progress := recovery.step(time_budget_s=_SLICE_SECONDS)).done:
                 yield self._fraction(0.7 * progress.fraction)
             return recovery.maps(confidence=False).values
-        finally:
-            recovery.close()
 
     def _fraction(self, part: float) -> float:
         """Return the fraction done: after three rounds each usually takes half of the rest."""
         rounds = self._round - 1 + part
         return rounds / 6 if rounds < 3 else 1 - 0.5 ** (rounds - 2)
+
+
+def _indices(domain: Domain, fitted: Sequence[int] | None) -> np.ndarray:
+    return np.arange(domain.observations) if fitted is None else np.asarray(fitted, np.intp)
 
 
 def _divided(domain: Domain, factors: np.ndarray) -> Domain:

@@ -14,7 +14,7 @@ _COLOUR_ROUNDS = 10
 # On a nearly flat surface two trends of the intensities are undetermined: the second smallest eigenvalue is small (1
 # where images determine well, 0.1 for a bunny) and a highlight would decide. On a relief of 6° under 20 lights the
 # estimate errs by up to a factor of 8 without this weight of the given intensities, and by 1.4 with it.
-_TOLD, _FAITH = 0.05, 0.02
+_DETERMINED, _FAITH = 0.05, 0.02
 
 
 def relative_intensities(
@@ -85,23 +85,23 @@ def _smallest(grey: np.ndarray, kept: np.ndarray, toward: np.ndarray, inverse: n
     root = np.linalg.inv(np.linalg.cholesky(gram))
     cross = np.einsum("tab,ktb->tak", root, (kept * samples)[..., None] * toward, optimize=True)
     matrix = np.diag((kept * samples**2).sum(axis=1)) - np.tensordot(cross, cross, ((0, 1), (0, 1)))
-    told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max()), 1e-30)
-    found = np.ones(len(grey))
-    if told.sum() > 1:
-        part = matrix[np.ix_(told, told)]
+    seen = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max()), 1e-30)
+    change = np.ones(len(grey))
+    if seen.sum() > 1:
+        part = matrix[np.ix_(seen, seen)]
         spread = np.sqrt(np.diag(part))
         scaled = part / np.outer(spread, spread)
         values, vectors = np.linalg.eigh(scaled)
-        if values[1] < _TOLD:
-            given = spread[:, None] / inverse[told][:, None]
+        if values[1] < _DETERMINED:
+            given = spread[:, None] / inverse[seen][:, None]
             given = given / np.linalg.norm(given)
             vectors = np.linalg.eigh(scaled + _FAITH * (np.eye(len(part)) - given * given.T))[1]
         vector = vectors[:, 0] / spread
         vector *= np.sign(vector.sum()) or 1.0
         middle = float(np.median(vector))
         if middle > 0:
-            found[told] = np.clip(vector / middle, 0.05, 20)
-    new = found * inverse
+            change[seen] = np.clip(vector / middle, 0.05, 20)
+    new = change * inverse
     return new / np.exp(np.log(new).mean())
 
 
@@ -123,12 +123,11 @@ def _channel_factors(shade: np.ndarray, facing: np.ndarray, kept: np.ndarray, gr
     ratio = np.where(kept > 0, shade, 0) / facing
     for _ in range(_COLOUR_ROUNDS):
         # Alternating least squares: shading is fixed, so only the common scale is free.
-        told = kept * facing**2
-        albedo = (told * ratio * factors[:, None]).sum(axis=0) / np.maximum(
-            (told * factors[:, None] ** 2).sum(0), 1e-30
-        )
-        told = told * albedo**2
-        total = told.sum(axis=1)
-        found = (told * ratio / np.maximum(albedo, 1e-30)).sum(axis=1) / np.maximum(total, 1e-30)
-        factors = np.where((total > 0) & (found > 0), found, grey)
+        weight = kept * facing**2
+        norm = np.maximum((weight * factors[:, None] ** 2).sum(0), 1e-30)
+        albedo = (weight * ratio * factors[:, None]).sum(axis=0) / norm
+        weight = weight * albedo**2
+        total = weight.sum(axis=1)
+        estimate = (weight * ratio / np.maximum(albedo, 1e-30)).sum(axis=1) / np.maximum(total, 1e-30)
+        factors = np.where((total > 0) & (estimate > 0), estimate, grey)
     return factors

@@ -6,7 +6,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.library import defined
 from ...gpu.passes import Kernel, Output, Packed, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ...results.false_color import COLORS, UNCOVERED
 from ..engine.engine import RecoveryEngine
@@ -72,7 +73,7 @@ class Display:
         self._size: tuple[int, int] | None = None
         self._begin()
 
-    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
+    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Texture:
         """Return an RGBA16F texture of the domain's size (or the coarse level's); later pictures may overwrite it.
 
         Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
@@ -87,13 +88,11 @@ class Display:
         with self._recovery.view() as lent:
             self._follow(lent)
             progress = self._recovery.progress
-            version: Any = progress
-            if shown.measured:
-                version = progress, self._measure(shown.measured).update(lent, progress, time_budget_s)
-            picture, drawn = self._kept(shown)
-            if drawn != version:
+            measured = self._measure(shown.measured).update(lent, progress, time_budget_s) if shown.measured else 0
+            picture, drawn = self._kept(shown, lent)
+            if drawn != (progress, measured):
                 self._draw(shown, picture, lent)
-                self._pictures[shown] = (picture, version)
+                self._pictures[shown] = picture, (progress, measured)
             return picture
 
     def pending(self, shown: Shown) -> bool:
@@ -101,19 +100,22 @@ class Display:
         if shown.measured:
             return self._measure(shown.measured).measured != self._recovery.progress
         kept = self._pictures.get(shown)
-        return kept is None or kept[1] != self._recovery.progress
+        return kept is None or kept[1] != (self._recovery.progress, 0)
 
     def close(self) -> None:
         """Free shaders and textures."""
-        for made in (*self._passes.values(), *self._measures.values()):
-            made.close()
+        for work in self._passes.values():
+            work.close()
+        for measure in self._measures.values():
+            measure.close()
         self._begin()
 
     def _begin(self) -> None:
         self._passes: dict[str, Pass] = {}
         self._measures: dict[str, _Measure] = {}
-        self._pictures: OrderedDict[Shown, tuple[Any, Any]] = OrderedDict()
-        self._ramp: Any = None
+        # With the progress and the version of the measurement that each was drawn from.
+        self._pictures: OrderedDict[Shown, tuple[Texture, tuple[Progress, int] | None]] = OrderedDict()
+        self._ramp: Texture | None = None
 
     def _check(self, shown: Shown) -> None:
         if shown.kind in ("parameter", "confidence"):
@@ -122,26 +124,27 @@ class Display:
             count = self._recovery.domain.observations
             raise InputError(f"observation {shown.observation}: there are {count}, from 0; choose one of them")
 
-    def _follow(self, lent: Mapping[str, Any]) -> None:
+    def _follow(self, lent: Mapping[str, Texture]) -> None:
         """Restart where the recovery has reached another level, whose textures have other sizes."""
         size = level_size(lent, self._defines)
         if size != self._size:
             self.close()
             self._size = size
 
-    def _kept(self, shown: Shown) -> tuple[Any, Any]:
+    def _kept(self, shown: Shown, lent: Mapping[str, Texture]) -> tuple[Texture, tuple[Progress, int] | None]:
         """Return the picture's texture and the state that it was drawn from, or None."""
         if shown not in self._pictures:
             if len(self._pictures) < KEPT:
-                self._pictures[shown] = textures.empty(*self._size, "RGBA16F"), None
+                self._pictures[shown] = textures.empty(*level_size(lent, self._defines), "RGBA16F"), None
             else:  # passes keep the frame buffers of their targets, so textures are reused
                 _, (oldest, _) = self._pictures.popitem(last=False)
                 self._pictures[shown] = oldest, None
         self._pictures.move_to_end(shown)
         return self._pictures[shown]
 
-    def _draw(self, shown: Shown, picture: Any, lent: Mapping[str, Any]) -> None:
-        model, constants, inputs = self._recovery.model, {}, dict(lent)
+    def _draw(self, shown: Shown, picture: Texture, lent: Mapping[str, Texture]) -> None:
+        model, inputs = self._recovery.model, dict(lent)
+        constants: dict[str, int | float]
         if shown.kind == "parameter":
             constants = _parameter_constants(model, model.parameter(shown.parameter))
             constants["u_unknown"] = shown.unknown
@@ -165,15 +168,15 @@ class Display:
         if kind not in self._measures:
             model = self._recovery.model
             if kind == "error":
-                constants = {"u_observations": self._recovery.domain.observations}
-                self._measures[kind] = _Measure(kernels.residual_pass(model, self._defines), 1, "R32F", constants)
+                work = kernels.residual_pass(model, self._defines)
+                observations = {"u_observations": self._recovery.domain.observations}
+                self._measures[kind] = _Measure(work, 1, "R32F", observations)
             else:
-                made, constants = self._recovery.deviation_pass()
-                count = kernels.packed(model).textures
-                self._measures[kind] = _Measure(made, count, "RGBA32F", constants)
+                work, constants = self._recovery.deviation_pass()
+                self._measures[kind] = _Measure(work, kernels.packed(model).textures, "RGBA32F", constants)
         return self._measures[kind]
 
-    def _colors(self) -> Any:
+    def _colors(self) -> Texture:
         if self._ramp is None:
             ramp = np.concatenate([COLORS, [UNCOVERED]])
             self._ramp = textures.upload(np.pad(ramp, ((0, 0), (0, 1)), constant_values=1.0)[None])
@@ -183,20 +186,20 @@ class Display:
 class _Measure:
     """A slow measurement of all texels, a few rows at a time; the last complete one stays available."""
 
-    def __init__(self, made: Pass, count: int, texture_format: str, constants: dict[str, int | float]):
-        self._pass, self._count, self._format = made, count, texture_format
+    def __init__(self, work: Pass, count: int, texture_format: str, constants: Mapping[str, int | float]):
+        self._pass, self._count, self._format = work, count, texture_format
         self._constants = constants
         self._bands = Bands()
-        self._whole: list[Any] = []
-        self._coming: list[Any] = []
+        self._whole: list[Texture] = []
+        self._coming: list[Texture] = []
         self._work: Iterator[None] | None = None
-        self._inputs: Mapping[str, Any] = {}
+        self._inputs: Mapping[str, Texture] = {}
         self._progress: Progress | None = None  # of the recovery at the start of the current measurement
         self.measured: Progress | None = None  # and of the complete one
         self._version = 0
         self._seconds = self._ended = 0.0
 
-    def update(self, lent: Mapping[str, Any], progress: Progress, time_budget_s: float | None) -> int:
+    def update(self, lent: Mapping[str, Texture], progress: Progress, time_budget_s: float | None) -> int:
         """Continue for about ``time_budget_s``, to the end where None; return a version number of the result."""
         now = time.perf_counter()
         deadline = None if time_budget_s is None else now + time_budget_s
@@ -217,7 +220,7 @@ class _Measure:
         self._seconds += time.perf_counter() - now
         return self._version
 
-    def bindings(self) -> dict[str, Any]:
+    def bindings(self) -> dict[str, Texture]:
         """Return sampler name → measured texture."""
         return {f"u_measure_{i}": texture for i, texture in enumerate(self._whole or self._coming)}
 
@@ -229,14 +232,14 @@ class _Measure:
     def _due(self, now: float, progress: Progress) -> bool:
         return progress.done or self.measured is None or now - self._ended >= self._seconds * (1 / _SHARE - 1)
 
-    def _start(self, lent: Mapping[str, Any], progress: Progress, budget: float | None) -> None:
+    def _start(self, lent: Mapping[str, Texture], progress: Progress, budget: float | None) -> None:
         if not self._coming:
             size = lent["u_estimate_0"].width, lent["u_estimate_0"].height
             self._coming = [textures.empty(*size, self._format, _UNMEASURED) for _ in range(self._count)]
         self._progress, self._seconds = progress, 0.0
         self._work = self._measuring(self._coming, budget)
 
-    def _measuring(self, targets: list[Any], budget: float | None) -> Iterator[None]:
+    def _measuring(self, targets: list[Texture], budget: float | None) -> Iterator[None]:
         """Measure into ``targets``. The recovery may run between bands: each band reads its current state."""
         self._pass.compile()
         yield  # the first band waits for the compiler
@@ -267,10 +270,11 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
     }
 
 
-def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: dict[str, int]) -> Pass:
+def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[str, str | int]) -> Pass:
     """Return the pass that draws a kind of picture."""
     packed = kernels.packed(model)
     measured = Packed({"error": 1, "confidence": packed.textures, "unknown": packed.textures}.get(kind, 0))
+    samplers: dict[str, str | Packed]
     samplers = {"u_estimate": packed, "u_measure": measured, "u_ramp": kernels.FLOAT_2D}
     name, constants = f"show_{kind}", _OBSERVATION
     if kind in ("parameter", "unknown"):

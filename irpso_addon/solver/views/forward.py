@@ -10,6 +10,7 @@ from ...capture.camera import Camera
 from ...capture.types import Capture, Light, Observation
 from ...geometry.domain import Domain, GeometryBake, tile
 from ...gpu import context, textures
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import render_pass
 from ..state.textures import Estimates, geometry_layers, observation_defines, upload_observations
@@ -34,7 +35,7 @@ class Renderer:
     ):
         context.ensure()
         state = bake.coverage.astype(np.float32)
-        self._inputs = {
+        self._inputs: dict[str, Texture] = {
             "u_geometry": textures.upload_layers(
                 geometry_layers(bake.position, bake.normal, bake.tangent, state, np.ones_like(state))
             ),
@@ -54,7 +55,8 @@ class Renderer:
     def close(self) -> None:
         """Free shader and textures."""
         self._pass.close()
-        self._inputs, self._target = {}, None
+        self._inputs.clear()
+        del self._target
 
 
 def camera_renderer(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,10 +71,10 @@ def relit_steps(
     bright, rows = [], []
     yield
     for k, diffuse in zip(held_out, rendered(domain, *_diffuse(domain, maps), held_out), strict=True):
-        bright.append((yield from threaded(lambda k=k, matt=diffuse: _highlights(domain, maps, k, matt))))
+        bright.append((yield from threaded(partial(_highlights, domain, maps, k, diffuse))))
     yield
     for k, name, render in zip(held_out, names, rendered(domain, maps.model, maps.values, held_out), strict=True):
-        rows.append((yield from threaded(lambda k=k, name=name, seen=render: image_row(domain, maps, k, name, seen))))
+        rows.append((yield from threaded(partial(image_row, domain, maps, k, name, render))))
     figures = yield from threaded(lambda: _figures(names, rows, bright))
     picture = yield from threaded(lambda: preview(rows, ("Photograph", "Relit", "Error")))
     return {"relit": picture}, figures

@@ -33,9 +33,7 @@ class History:
         chosen = spread_marks(np.stack([columns, rows], axis=-1))
         self._rows, self._columns = rows[chosen], columns[chosen]
         self._iterations: list[int] = []
-        self._seen = (
-            0  # iteration of the last measurement: tiles may stop at one of their own, before the next common one
-        )
+        self._seen = 0  # iteration of the last measurement, which may be one of the first tile only
         self._errors: dict[str, list[np.ndarray]] = {}
 
     @property
@@ -82,11 +80,10 @@ class History:
         return convergence(image, marks, panels)
 
     def _errors_of(self, maps: Maps) -> dict[str, np.ndarray]:
-        errors = {"residual": 100 * maps.residual}
-        for p in maps.model.parameters if self._truth else ():
-            if p.name in self._truth:
-                errors[p.name] = parameter_error(p, maps.values[p.name], self._truth[p.name])
-        return errors
+        truth = self._truth or {}
+        known = [p for p in maps.model.parameters if p.name in truth]
+        errors = {p.name: parameter_error(p, maps.values[p.name], truth[p.name]) for p in known}
+        return {"residual": 100 * maps.error, **errors}
 
     def _unit(self, maps: Maps, name: str) -> str:
         return "%" if name == "residual" else error_unit(maps.model.parameter(name))

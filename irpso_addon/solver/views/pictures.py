@@ -46,7 +46,7 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
     images, labels = [], []
     for name, unknown in maps.unknown().items():
         p = maps.model.parameter(name)
-        deviation = maps.confidence[name][..., 0]
+        deviation = (maps.confidence or {})[name][..., 0]
         red = UNKNOWN * (p.range[1] - p.range[0])
         images += [
             _striped(display_image([p], [maps.values[name]]), unknown),
@@ -73,7 +73,7 @@ def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
     for table in map_tables(maps.model):
         images.append(display_image(table.parameters, [maps.values[p.name] for p in table.parameters]))
         labels.append(_title(table.name))
-    residual = 100 * maps.residual
+    residual = 100 * maps.error
     maximum = default_maximum([residual], maps.covered)
     images.append(false_color(residual, maximum, maps.covered))
     labels.append(f"Residual (red: {maximum:g} %)")
@@ -113,10 +113,10 @@ def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray
     # Texels without a usable sample, such as a black background, have no material to render.
     rendered = np.where(maps.covered[..., None], render[..., :3], 0)
     white = float(np.percentile(seen[weight], SHOWN_WHITE)) if weight.any() else 1.0
-    images = [srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered)]
-    error = 100 * np.abs(images[0] - images[1]).mean(axis=-1)
+    photograph, render = (srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (seen, rendered))
+    error = 100 * np.abs(photograph - render).mean(axis=-1)
     photographed = maps.covered if domain.card else maps.covered & (weight | (seen > 0).any(axis=-1))
-    return PreviewRow(label, *images, error, "%", photographed, maps.covered & weight)
+    return PreviewRow(label, photograph, render, error, "%", photographed, maps.covered & weight)
 
 
 def _title(name: str) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...gpu import textures
-from ...gpu.passes import Kernel, Output, Pass
+from ...gpu.passes import Kernel, Output, Packed, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..engine.engine import RecoveryEngine
 from ..kernels import kernels
@@ -66,7 +66,7 @@ class TexelProbe:
         domain = recovery.domain
         self._defines = kernel_defines(domain)
         self._texel: Pass | None = None
-        self._row: Any = None
+        self._row: Texture | None = None
         self._swarm: _SwarmProbe | None = None
 
     def read(self, row: int, column: int) -> TexelState | None:
@@ -88,23 +88,25 @@ class TexelProbe:
 
     def close(self) -> None:
         """Free shaders and textures."""
-        for made in (self._texel, self._swarm):
-            if made is not None:
-                made.close()
+        if self._texel is not None:
+            self._texel.close()
+        if self._swarm is not None:
+            self._swarm.close()
         self._texel = self._swarm = self._row = None
 
-    def _constants(self, lent: Mapping[str, Any], row: int, column: int) -> dict[str, int]:
+    def _constants(self, lent: Mapping[str, Texture], row: int, column: int) -> dict[str, int]:
         height, width = self._recovery.domain.shape
         if not (0 <= row < height and 0 <= column < width):
             raise InputError(f"texel ({row}, {column}): the domain has {height} rows and {width} columns, from 0")
         level = level_size(lent, self._defines)
         return {"u_column": column * level[0] // width, "u_row": row * level[1] // height}
 
-    def _read_texel(self, lent: Mapping[str, Any], at: dict[str, int]) -> np.ndarray | None:
+    def _read_texel(self, lent: Mapping[str, Texture], at: dict[str, int]) -> np.ndarray | None:
         """Return the components of the estimate, padded to RGBA texels, then the error and three more numbers."""
-        if self._texel is None:
+        if self._texel is None or self._row is None:
             model = self._recovery.model
             packed = kernels.packed(model)
+            samplers: dict[str, str | Packed]
             samplers = {"u_estimate": packed, **kernels.OBSERVATIONS, **kernels.PACKING}
             defines = {**self._defines, "ESTIMATES": packed.textures}
             constants = {**_AT, "u_observations": "INT"}
@@ -117,39 +119,33 @@ class TexelProbe:
         numbers = textures.download(self._row).ravel()
         return numbers if numbers[-1] > 0 else None
 
-    def _read_swarm(self, lent: Mapping[str, Any], at: dict[str, int]) -> Particles | None:
-        found = running_swarm(self._recovery)
-        if self._swarm is not None and (found is None or self._swarm.phase is not found[0]):
+    def _read_swarm(self, lent: Mapping[str, Texture], at: dict[str, int]) -> Particles | None:
+        running = running_swarm(self._recovery)
+        if self._swarm is not None and (running is None or self._swarm.phase is not running[0]):
             self._swarm.close()
             self._swarm = None
-        if found is None or found[0].iteration < 0:
+        if running is None or running[0].iteration < 0:
             return None
         if self._swarm is None:
-            self._swarm = _SwarmProbe(*found, self._defines)
+            self._swarm = _SwarmProbe(*running, self._defines)
         return self._swarm.read(lent, at)
 
 
-def running_swarm(
-    recovery: RecoveryEngine,
-) -> tuple[SwarmPhase, ReflectanceModel] | None:
-    """Return the phase whose swarms are searching and their model, or None."""
+def running_swarm(recovery: RecoveryEngine) -> tuple[SwarmPhase, ReflectanceModel] | None:
+    """Return the phase with searching swarms and their model, or None."""
     phase, model = recovery.phase, recovery.model
     if isinstance(phase, PrefitPhase):
         phase, model = phase._inner, prefit_model()
-    searches = isinstance(phase, SwarmPhase) and phase.encoding.dimensions > 0
     # Between two phases the textures of the first one are already freed.
-    return (phase, model) if searches and phase.textures is not None else None
+    if not isinstance(phase, SwarmPhase) or phase.encoding.dimensions == 0 or phase.textures is None:
+        return None
+    return phase, model
 
 
 class _SwarmProbe:
     """The pass that gathers the swarm of a texel of one phase."""
 
-    def __init__(
-        self,
-        phase: SwarmPhase,
-        model: ReflectanceModel,
-        domain_defines: dict[str, int],
-    ):
+    def __init__(self, phase: SwarmPhase, model: ReflectanceModel, domain_defines: Mapping[str, str | int]):
         self.phase, self._model = phase, model
         self._held = phase.textures
         encoding = phase.encoding
@@ -160,7 +156,7 @@ class _SwarmProbe:
             "PARTICLES": phase.particles,
             "TILES_X": self._held.atlas.across,
         }
-        samplers = {
+        samplers: dict[str, str | Packed] = {
             **{f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "best", "fitness")},
             "u_best": encoding.packed, "u_estimate": kernels.packed(model), **kernels.PACKING,
         }  # fmt: skip
@@ -169,7 +165,7 @@ class _SwarmProbe:
         self._pass = Pass(Kernel("view/probe_swarm.glsl", (Output("o_numbers"),), samplers, constants, defines, given))
         self._target = textures.empty(max(phase.particles, 3), _ROWS)
 
-    def read(self, lent: Mapping[str, Any], at: dict[str, int]) -> Particles:
+    def read(self, lent: Mapping[str, Texture], at: dict[str, int]) -> Particles:
         """Return the swarm of a solved texel."""
         phase = self.phase
         inputs = {**lent, **self._held.read_bindings(), **phase._estimates.bindings()}
@@ -182,18 +178,13 @@ class _SwarmProbe:
             return numbers[rows, :count].transpose(1, 0, 2).reshape(count, -1)[:, chosen]
 
         fitness = numbers[_FITNESS, :count, 0]
-        return Particles(
-            names,
-            of(_POSITIONS),
-            of(_BESTS),
-            np.where(fitness < UNFIT, fitness, np.inf),
-            numbers[_GLOBAL, :3].ravel()[chosen],
-        )
+        fitness = np.where(fitness < UNFIT, fitness, np.inf)
+        return Particles(names, of(_POSITIONS), of(_BESTS), fitness, numbers[_GLOBAL, :3].ravel()[chosen])
 
     def close(self) -> None:
         """Free shader and texture."""
         self._pass.close()
-        self._target = self._held = None
+        del self._target, self._held
 
 
 def component_names(parameter: Parameter) -> list[str]:

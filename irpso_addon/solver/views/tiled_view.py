@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 from ...geometry.domain import Domain
 from ...gpu import textures
 from ...gpu.passes import Kernel, Output, Pass
+from ...gpu.textures import Texture
 from ..engine.engine import RecoveryEngine
 from ..engine.halo import Box
 from ..kernels.kernels import FLOAT_2D
 from .display import KEPT, Display, Shown
 from .texel_probe import TexelProbe, TexelState
 
+View = TypeVar("View", Display, TexelProbe)
 _SIDE = 2048  # of a picture made of tiles: more than a window shows, with little memory
 _PLACE = {
     **{f"u_{name}": "INT" for name in ("x", "y", "left", "bottom", "right", "top")},
@@ -42,12 +44,12 @@ class TiledDisplay:
     def __init__(self, recovery: RecoveryEngine):
         self._recovery = recovery
         self._displays: dict[RecoveryEngine, Display] = {}
-        self._pictures: OrderedDict[Shown, Any] = OrderedDict()
+        self._pictures: OrderedDict[Shown, Texture] = OrderedDict()
         self._lay = Pass(
             Kernel("view/lay_tile.glsl", (Output("o_picture", "RGBA16F"),), {"u_tile": FLOAT_2D}, _PLACE, {})
         )
 
-    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Any:
+    def picture(self, shown: Shown, time_budget_s: float | None = None) -> Texture:
         """Return a texture like Display.picture; the budget is for all tiles together."""
         live = self._recovery.tiles()
         share = None if time_budget_s is None else time_budget_s / len(live)
@@ -71,7 +73,7 @@ class TiledDisplay:
         self._lay.close()
         self._pictures.clear()
 
-    def _kept(self, shown: Shown) -> Any:
+    def _kept(self, shown: Shown) -> Texture:
         if shown not in self._pictures:
             height, width = (min(side, _SIDE) for side in self._recovery.domain.shape)
             # A pass keeps the frame buffers of its targets, so textures are reused.
@@ -82,7 +84,7 @@ class TiledDisplay:
         self._pictures.move_to_end(shown)
         return self._pictures[shown]
 
-    def _place(self, box: Box, tile: RecoveryEngine, target: Any) -> dict[str, int | float]:
+    def _place(self, box: Box, tile: RecoveryEngine, target: Texture) -> dict[str, int | float]:
         whole = self._recovery.domain
         (x, y), (left, bottom, width, height) = _corner(whole, tile), box
         return {
@@ -120,7 +122,7 @@ def _corner(whole: Domain, tile: RecoveryEngine) -> tuple[int, int]:
 
 
 def _follow(
-    made: dict[RecoveryEngine, Any], live: list[tuple[Box, RecoveryEngine]], make: Callable[[RecoveryEngine], Any]
+    made: dict[RecoveryEngine, View], live: list[tuple[Box, RecoveryEngine]], make: Callable[[RecoveryEngine], View]
 ) -> None:
     """Update ``made`` in place: make one for each tile on the device, close those of tiles that have left."""
     tiles = [tile for _, tile in live]
