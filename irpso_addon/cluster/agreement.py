@@ -1,4 +1,4 @@
-"""What an MPI job needs before it begins: a device for each rank, and that all ranks are of one mind."""
+"""Before an MPI job begins: a device for each rank, and a check that all ranks have the same inputs."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import os
 import sys
 import traceback
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,18 +30,17 @@ _REMEDIES = {
 
 
 def choose_device(ranks: Ranks) -> int:
-    """Set the environment so that ranks on one machine take a GPU each, and share its cores where there is none.
+    """Set the environment so that ranks on one machine take a GPU each, or share its cores where there is none.
 
-    Return how many ranks have this one's device, as far as can be told: a launcher that shows each rank one of several
-    devices does not say so.
+    Return how many ranks seem to have this one's device: a launcher may show each rank another one.
 
-    To be called before a context is made. What is set already stays. Mesa's drivers take the device from DRI_PRIME
-    (docs.mesa3d.org, envvars); NVIDIA's takes the first that the process may see, so that a launcher has to show each
-    rank its own. llvmpipe would start as many threads in each rank as the machine has cores.
+    Call it before a context is made. It keeps variables that are set. Mesa's drivers take the device from DRI_PRIME
+    (docs.mesa3d.org, envvars). NVIDIA's takes the first that the process sees: the launcher must show each rank its
+    own. llvmpipe would start as many threads in each rank as the machine has cores.
     """
     cores = _cores()
-    told = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
-    shared = sum(not cores.isdisjoint(used) for used in told)
+    beside = [used for host, used in ranks.all((ranks.host, sorted(cores))) if host == ranks.host]
+    shared = sum(not cores.isdisjoint(used) for used in beside)
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, len(cores) // shared)))
     nodes = sorted(_NODES.glob("pci-*-render")) if _NODES.is_dir() else []
     if ranks.locals > 1 and len(nodes) > 1:
@@ -54,13 +52,13 @@ def choose_device(ranks: Ranks) -> int:
 
 def check_alike(ranks: Ranks, options: Namespace, capture: Capture) -> None:
     """Raise Agreed on all ranks, naming one, where it has another program, other options or another capture."""
-    told = ranks.all((ranks.name, _about(options, capture)))
-    ranks.agreed(lambda: _compare(told))
+    all_about = ranks.all((ranks.name, _about(options, capture)))
+    ranks.agreed(lambda: _compare(all_about))
 
 
-def _compare(told: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
-    name, first = told[0]
-    for other, theirs in told[1:]:
+def _compare(all_about: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
+    name, first = all_about[0]
+    for other, theirs in all_about[1:]:
         for what, (words, digest) in first.items():
             if theirs[what][1] != digest:
                 raise InputError(
@@ -69,10 +67,10 @@ def _compare(told: list[tuple[str, dict[str, tuple[str, str]]]]) -> None:
 
 
 @contextmanager
-def going_down_together(ranks: Ranks, busy: Any) -> Iterator[None]:
-    """End the whole job, with one line that names this rank, where it fails while others wait for it.
+def going_down_together(ranks: Ranks, busy: Callable[[], bool]) -> Iterator[None]:
+    """If this rank fails while others wait for it, end the whole job with one line that names it.
 
-    busy: a function that says whether they do. What is raised while none waits goes on to the caller.
+    busy: whether others wait; if not, the error goes to the caller.
     """
     try:
         yield
@@ -84,7 +82,7 @@ def going_down_together(ranks: Ranks, busy: Any) -> Iterator[None]:
         else:
             traceback.print_exc()
             text = f"{type(error).__name__}: {error}"
-        if ranks.leads or not isinstance(error, KeyboardInterrupt):  # that has come to all
+        if ranks.leads or not isinstance(error, KeyboardInterrupt):  # all ranks get an interrupt
             sys.stderr.write(f"irpso: {ranks.name}: {text}\n")
             sys.stderr.flush()
         ranks.abort(130 if isinstance(error, KeyboardInterrupt) else getattr(error, "exit_code", 1))
@@ -92,7 +90,7 @@ def going_down_together(ranks: Ranks, busy: Any) -> Iterator[None]:
 
 
 def _about(options: Namespace, capture: Capture) -> dict[str, tuple[str, str]]:
-    """Return what must be the same on all ranks: what it is, in words and as a digest."""
+    """Return what must be the same on all ranks: subject → (words, digest)."""
     found = versions()
     packages = f"Blender {found['blender']}, numpy {found['numpy']}, Python {found['python']}"
     given = {name: str(value) for name, value in sorted(vars(options).items())}
@@ -114,13 +112,13 @@ def _digest_of_files() -> str:
 
 
 def _digest_of_capture(capture: Capture) -> str:
-    """Return a digest of all that is known of a capture before its images are read."""
+    """Return a digest of a capture without its images."""
     digest = hashlib.sha256(repr(capture.card_distance).encode())
     for observation in capture.observations:
         digest.update(repr((observation.name, observation.light, observation.camera)).encode())
     for camera, mask in zip(capture.cameras, capture.masks, strict=True):
         digest.update(repr(camera.key).encode())
-        digest.update(np.packbits(np.asarray(mask, bool)))
+        digest.update(np.packbits(np.asarray(mask, bool)).tobytes())
     return digest.hexdigest()
 
 

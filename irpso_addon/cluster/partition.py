@@ -1,8 +1,9 @@
-"""Which texels go to which rank, and whether they fit there."""
+"""Texels of a domain over ranks, and whether they fit there."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +32,11 @@ class Split:
 
     @property
     def boxes(self) -> tuple[Box | None, ...]:
-        """The box of every rank, None for those that are left without."""
+        """The box of every rank, None for those without texels."""
         boxes = [(tile.x0, tile.y0, tile.width, tile.height) for tile in self.tiles]
         return (*boxes, *[None] * (self.ranks - len(boxes)))
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {
             "shape": list(self.shape), "ranks": self.ranks, "halo": self.halo, "observations": self.observations,
@@ -60,10 +61,10 @@ class Split:
 
 @dataclass(frozen=True)
 class Partition:
-    """What a rank holds of a domain.
+    """A rank's part of a domain.
 
-    whole: the domain, without its samples. boxes: of every rank, None for one that is left without texels. halo: texels
-    around them. window: the domain of this rank's box and its halo, None where it has none.
+    whole: the domain, without its samples. boxes: of every rank, None for one without texels. halo: texels around them.
+    window: the domain of this rank's box and its halo, None where it has none.
     """
 
     whole: Domain
@@ -73,21 +74,21 @@ class Partition:
 
 
 def around(shape: tuple[int, int], box: Box, halo: int) -> Box:
-    """Return a box with its halo, as far as a domain of (H, W) goes."""
+    """Return a box with its halo, cut at the border of a domain of (H, W)."""
     (height, width), (x0, y0, wide, high) = shape, box
     left, bottom = max(0, x0 - halo), max(0, y0 - halo)
     return left, bottom, min(width, x0 + wide + halo) - left, min(height, y0 + high + halo) - bottom
 
 
 def split(coverage: np.ndarray, cost: Cost, ranks: int, borders: Borders | None = None) -> Split:
-    """Return boxes for so many ranks, about even in covered texels, (H, W) bool, of whole domains all alike."""
+    """Return boxes for some ranks, about even in covered texels, (H, W) bool; the same on all ranks."""
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
     height, width = coverage.shape
     boxes = divided(coverage, (0, 0, width, height), ranks)
     tiles = tuple(tile_of(coverage, box, cost, borders) for box in boxes)
     state = cost.kept * sum(tile.texels for tile in tiles)
-    return Split(coverage.shape, tiles, cost.reach, ranks, cost.observations, state)
+    return Split((height, width), tiles, cost.reach, ranks, cost.observations, state)
 
 
 def check_gathered(found: Split, memory: Memory) -> None:
@@ -102,7 +103,7 @@ def check_gathered(found: Split, memory: Memory) -> None:
 def check_fits(found: Split, ranks: Ranks, memory: Memory, sharing: int) -> None:
     """Raise InputError where this rank's texels do not fit its device.
 
-    memory: of this machine's devices each. sharing: how many ranks have this one's device.
+    memory: of each of this machine's devices. sharing: how many ranks have this one's device.
     """
     if ranks.rank >= len(found.tiles):
         return

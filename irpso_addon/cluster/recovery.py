@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import methodcaller
 from typing import Concatenate, TypeVar
 
 import numpy as np
@@ -19,11 +20,12 @@ from ..solver.state.checkpoint import Checkpoint
 from .samples import RankedStack
 from .worker import P, Worker
 
-T, Result = TypeVar("T"), TypeVar("Result")
+T = TypeVar("T")
+Result = TypeVar("Result")
 
 
 class Leader:
-    """All ranks as rank 0 sees them: what it asks for, every one does. ``busy`` while they do."""
+    """All ranks as rank 0 sees them: each carries out its orders. ``busy`` meanwhile."""
 
     def __init__(self, worker: Worker):
         self.worker, self.ranks = worker, worker.ranks
@@ -32,38 +34,44 @@ class Leader:
         window = slice(0, whole.shape[0]), slice(0, whole.shape[1])
         self.domain = replace(whole, stack=RankedStack(self.ask, range(whole.observations), window))
 
-    def ask(self, order: Callable[Concatenate[Worker, P], Result], *arguments: P.args, **named: P.kwargs) -> Result:
-        """Have all ranks call a method of their Worker; return what rank 0 is given."""
-        return self._do(order, arguments, arguments)
+    def ask(
+        self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
+    ) -> Result:
+        """Have all ranks call a method of their Worker; return rank 0's result."""
+        call = methodcaller(order.__name__, *arguments, **named)
+        return self._do(call, call)
+
+    def tell(self, order: Callable[Concatenate[Worker, P], None], *arguments: P.args, **named: P.kwargs) -> None:
+        """Have all ranks call a method of their Worker that returns nothing."""
+        call = methodcaller(order.__name__, *arguments, **named)
+        self._do(call, call)
 
     def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
-        """As ``ask``, with what is large and stays here: the other ranks call the method with None."""
-        return self._do(order, (value,), (None,))
+        """Have rank 0 call a method with a large value, and the other ranks with None; return rank 0's result."""
+        return self._do(methodcaller(order.__name__, value), methodcaller(order.__name__, None))
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
-        """Have all ranks take other lights than the capture's."""
-        self.ask(Worker.take_lights, lights, intensities)
+        """Have all ranks replace the capture's lights."""
+        self.tell(Worker.take_lights, lights, intensities)
         self.domain = with_lights(self.domain, lights, intensities)
 
     def end(self, code: int = 0) -> None:
         """Let the other ranks go, with an exit code."""
-        self.ranks.order((None, (code,)))
+        self.ranks.order(code)
 
-    def _do(self, order: Callable[..., Result], own: tuple, others: tuple) -> Result:
+    def _do(self, own: Callable[[Worker], Result], others: Callable[[Worker], Result]) -> Result:
         self.busy = True
-        self.ranks.order((order, others))
-        result = order(self.worker, *own)
+        self.ranks.order(others)
+        result = own(self.worker)
         self.busy = False
         return result
 
 
 def serve(worker: Worker) -> int:
-    """Do what rank 0 asks for until it lets this rank go; return the exit code."""
-    while True:
-        order, arguments = worker.ranks.next_order()
-        if order is None:
-            return arguments[0]
-        order(worker, *arguments)
+    """Carry out rank 0's orders until it lets this rank go; return the exit code."""
+    while not isinstance(order := worker.ranks.next_order(), int):
+        order(worker)
+    return order
 
 
 class RankedRecovery(RecoveryEngine):
@@ -112,9 +120,9 @@ class RankedRecovery(RecoveryEngine):
         self._progress = self._leader.deal(Worker.restore, saved)
 
     def close(self) -> None:
-        self._leader.ask(Worker.close)
+        self._leader.tell(Worker.close)
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         if not self._leader.busy:  # else some ranks wait for one that has failed
             self.close()
 

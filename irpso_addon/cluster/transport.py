@@ -1,4 +1,4 @@
-"""The processes of an MPI job: who they are, and what they say to one another. Nothing else knows of MPI."""
+"""The processes of an MPI job and the messages between them. The only module that imports mpi4py."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _STARTED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "SLURM_STEP_N
 _REMEDY = 'install it with pip ("mpi4py", beside an MPI library), or start one process'
 _COMMAND, _VALUES, _STRIP = 1, 2, 3  # tags of messages
 _LARGEST = 1 << 30  # bytes of one message: MPI counts them in 32 bits
-_NAP_SECONDS = 5e-4  # between looks for an order: a rank that waits for one leaves its core to those that work
+_NAP_SECONDS = 5e-4  # between looks for an order: a waiting rank leaves its core to those that work
 
 Result = TypeVar("Result")
 
 
 class Agreed(Exception):
-    """An error that every rank has been told of and raises. ``error``: what rank 0 is to tell the person."""
+    """An error that every rank raises. ``error``: for rank 0 to report."""
 
     def __init__(self, error: IrpsoError):
         super().__init__(str(error))
@@ -32,19 +32,21 @@ class Agreed(Exception):
 
 
 class Ranks:
-    """The processes of one job, of which this is number ``rank`` of ``size``; without MPI there is one alone.
+    """The processes of one job: this is number ``rank`` of ``size``. Without MPI there is only this one.
 
-    host: this machine's name. local, locals: this rank's number among those on its machine, and how many they are.
-    sent: messages and bytes that ``exchanged`` has sent so far.
+    host: this machine's name. local, locals: this rank's number among those on its machine, and their count. sent:
+    messages and bytes that ``exchanged`` has sent so far.
     """
 
     def __init__(self, mpi: Any = None, world: Any = None):
         self._mpi = mpi
-        self._world = world or (mpi.COMM_WORLD if mpi else None)
-        self.rank, self.size = (self._world.Get_rank(), self._world.Get_size()) if mpi else (0, 1)
+        self._world = mpi.COMM_WORLD if mpi and world is None else world
         self.host = socket.gethostname()
-        here = self._world.Split_type(mpi.COMM_TYPE_SHARED) if mpi else None
-        self.local, self.locals = (here.Get_rank(), here.Get_size()) if mpi else (0, 1)
+        self.rank, self.size, self.local, self.locals = 0, 1, 0, 1
+        if mpi:
+            here = self._world.Split_type(mpi.COMM_TYPE_SHARED)
+            self.rank, self.size = self._world.Get_rank(), self._world.Get_size()
+            self.local, self.locals = here.Get_rank(), here.Get_size()
         self.sent = (0, 0)
 
     @property
@@ -58,32 +60,32 @@ class Ranks:
         return f"rank {self.rank} on {self.host}"
 
     def among(self, included: bool) -> Ranks | None:
-        """Return the ranks that are included; None on those that are not. To be called on all."""
+        """Return the included ranks; None on the others. All ranks call it."""
         if self._world is None:
             return self
         some = self._world.Split(0 if included else self._mpi.UNDEFINED, self.rank)
         return Ranks(self._mpi, some) if included else None
 
-    def all(self, value: Any) -> list[Any]:
-        """Return what all ranks have given, in their order, to every one of them."""
+    def all(self, value: Result) -> list[Result]:
+        """Return the values of all ranks, in their order, to each of them."""
         return self._world.allgather(value) if self._world else [value]
 
     def given(self, value: Any = None, by: int = 0) -> Any:
-        """Return to every rank what one of them gives."""
+        """Return the value of one rank to all."""
         return self._world.bcast(value, root=by) if self._world else value
 
     def agreed(self, work: Callable[[], Result]) -> Result:
-        """Return what ``work`` does; where it raises an IrpsoError on a rank, raise Agreed on all, naming the rank."""
-        result, error = None, None
+        """Return the result of ``work``; if it raises an IrpsoError on a rank, raise Agreed on all, with its name."""
+        error: IrpsoError | None = None
         try:
             result = work()
         except IrpsoError as raised:
             error = raised
-        told = self.all(None if error is None else (type(error), str(error), self.name))
-        failed = [one for one in told if one is not None]
+        errors = self.all(None if error is None else (type(error), str(error), self.name))
+        failed = [each for each in errors if each is not None]
         if not failed:
             return result
-        if len({text for _, text, _ in failed}) > 1 or len(failed) < self.size:
+        if error is None or len(failed) < self.size or len({text for _, text, _ in failed}) > 1:
             kind, text, name = failed[0]
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             error = (GpuUnavailableError if kind is GpuUnavailableError else InputError)(f"{name}{more}: {text}")
@@ -101,9 +103,9 @@ class Ranks:
         return self._world.recv(source=0, tag=_COMMAND)
 
     def collected(self, arrays: Mapping[str, np.ndarray] | None) -> Iterator[dict[str, np.ndarray] | None]:
-        """Yield to rank 0 the arrays of every rank, None where one has none, as they come; to the others nothing.
+        """Yield to rank 0 the arrays of each rank, or None, as they arrive; to the others nothing.
 
-        Rank 0 has to take all of them.
+        Rank 0 must take all of them.
         """
         if not self.leads:
             self._send_arrays(arrays, 0)
@@ -112,7 +114,7 @@ class Ranks:
         return itertools.chain([own], (self._receive_arrays(rank) for rank in range(1, self.size)))
 
     def dealt(self, arrays: list[Mapping[str, np.ndarray] | None]) -> dict[str, np.ndarray] | None:
-        """Return to every rank its own of what rank 0 has for each; the others give nothing."""
+        """Return to each rank its own of rank 0's arrays; the other ranks' argument is ignored."""
         if not self.leads:
             return self._receive_arrays(0)
         for rank in range(1, self.size):
@@ -137,28 +139,28 @@ class Ranks:
         return received
 
     def abort(self, code: int) -> None:
-        """End all ranks at once, without a word to them."""
+        """End all ranks at once."""
         if self._world:
             self._world.Abort(code)
 
     def close(self) -> None:
-        """Take leave of the others, when all is done: who goes without has failed, to the launcher."""
+        """Leave the job when all is done: to the launcher a process that ends without this has failed."""
         if self._mpi and not self._mpi.Is_finalized():
             self._mpi.Finalize()
 
     def _send_arrays(self, arrays: Mapping[str, np.ndarray] | None, rank: int) -> None:
         arrays = None if arrays is None else {name: np.ascontiguousarray(a) for name, a in arrays.items()}
-        told = None if arrays is None else {name: (a.shape, a.dtype.str) for name, a in arrays.items()}
-        self._world.send(told, dest=rank, tag=_VALUES)
+        shapes = None if arrays is None else {name: (a.shape, a.dtype.str) for name, a in arrays.items()}
+        self._world.send(shapes, dest=rank, tag=_VALUES)
         for array in (arrays or {}).values():
             for part in _parts(array):
                 self._world.Send(part, dest=rank, tag=_VALUES)
 
     def _receive_arrays(self, rank: int) -> dict[str, np.ndarray] | None:
-        told = self._world.recv(source=rank, tag=_VALUES)
-        if told is None:
+        shapes = self._world.recv(source=rank, tag=_VALUES)
+        if shapes is None:
             return None
-        arrays = {name: np.empty(shape, dtype) for name, (shape, dtype) in told.items()}
+        arrays = {name: np.empty(shape, dtype) for name, (shape, dtype) in shapes.items()}
         for array in arrays.values():
             for part in _parts(array):
                 self._world.Recv(part, source=rank, tag=_VALUES)
@@ -166,7 +168,7 @@ class Ranks:
 
 
 def joined() -> Ranks | None:
-    """Return the ranks of the MPI job that this process belongs to, None where it was started alone.
+    """Return the ranks of this process's MPI job, None where it was started alone.
 
     Raises InputError where a launcher has started several processes that cannot find one another: each would do the
     whole work, and the last one's result would replace the others'.
@@ -194,6 +196,6 @@ def joined() -> Ranks | None:
 
 
 def _parts(array: np.ndarray) -> list[np.ndarray]:
-    """Return a contiguous array's bytes in pieces that are no larger than a message may be."""
+    """Return a contiguous array's bytes in pieces of at most one message."""
     flat = array.reshape(-1).view(np.uint8)
     return [flat[start : start + _LARGEST] for start in range(0, len(flat), _LARGEST)]

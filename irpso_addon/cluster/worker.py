@@ -1,4 +1,4 @@
-"""One rank's part of a recovery, and what every rank does at rank 0's orders."""
+"""One rank's part of a recovery, and the orders that rank 0 gives to all ranks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import numpy as np
 from ..geometry.domain import Domain, subset, tile, with_lights
 from ..geometry.samples import SampleStack
 from ..gpu import context
+from ..gpu.passes import Entry
 from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
-from ..solver.engine.halo import held_rows, own_of, own_rows, part_of, rectangle
+from ..solver.engine.halo import Box, Part, Place, held_rows, own_of, own_rows, part_of, rectangle
 from ..solver.engine.lockstep import LockStep
 from ..solver.engine.progress import Progress
 from ..solver.engine.tiles import Tile, TilePool
@@ -26,21 +27,23 @@ from .exchange import RankTransport
 from .partition import Partition
 from .transport import Ranks
 
-P, Result = ParamSpec("P"), TypeVar("Result")
+P = ParamSpec("P")
+Result = TypeVar("Result")
 
 
 class Ask(Protocol):
-    """Has all ranks call one of their ``Worker``'s methods with the same arguments; returns what rank 0 is given."""
+    """Has all ranks call one of their ``Worker``'s methods with the same arguments; returns rank 0's result."""
 
     def __call__(
-        self, order: Callable[Concatenate[Worker, P], Result], *arguments: P.args, **named: P.kwargs
-    ) -> Result: ...  # noqa: D102
+        self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
+    ) -> Result: ...
 
 
 class Worker:
-    """What every rank does at the same time; rank 0 is given the result.
+    """The work of all ranks at the same time. Rank 0 has the result; others may return None.
 
-    Each method is called on all ranks, in one order and with the same arguments, unless it says otherwise.
+    All ranks call each method in one order and with the same arguments, unless it says otherwise. domain: the whole;
+    once begun, of the fitted observations alone.
     """
 
     def __init__(
@@ -56,94 +59,94 @@ class Worker:
         self.model, self.schedule, self.seed = model, schedule, seed
         self.fixed = {name: full_map(model, name, value, partition.whole.shape) for name, value in fixed.items()}
         self._box = partition.boxes[ranks.rank]
-        self.domain: Domain | None = None  # the whole, of the observations that are fitted
         self._pool: TilePool | None = None  # of this rank's one tile
         self._driver: LockStep | None = None
-        self._progress: Progress | None = None
+        self._progress: Progress
         self.partition = partition
         lit = self.lit(range(partition.whole.observations))
-        self.partition = replace(partition, whole=replace(partition.whole, solvable=lit))
+        self.domain = replace(partition.whole, solvable=lit)
+        self.partition = replace(partition, whole=self.domain)
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
-        """Take other lights than the capture's."""
+        """Replace the capture's lights."""
         held, window = self.partition, self.partition.window
         window = window and with_lights(window, lights, intensities)
         self.partition = replace(held, whole=with_lights(held.whole, lights, intensities), window=window)
 
     def layer(self, observation: int) -> np.ndarray | None:
         """Return (H, W, 4) the samples of one observation."""
-        return self._pasted(None if self._box is None else {"layer": self._samples().layer(observation)}).get("layer")
+        samples = self._samples
+        return self._pasted(None if samples is None else {"layer": samples.layer(observation)}).get("layer")
 
-    def texels(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+    def texels(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4) the samples of observations at N texels."""
-        found = np.zeros((len(observations), 0, 4), np.float32)
-        here = np.zeros(len(rows), bool)
-        if self._box is not None:
+        part = None
+        if self._box is not None and self._samples is not None:
             x0, y0, width, height = self._box
-            here = (columns >= x0) & (columns < x0 + width) & (rows >= y0) & (rows < y0 + height)
-            found = self._samples().texels(rows[here] - y0, columns[here] - x0)[list(observations)]
-        told = self.ranks.collected({"here": np.flatnonzero(here), "found": found})
+            own = (columns >= x0) & (columns < x0 + width) & (rows >= y0) & (rows < y0 + height)
+            values = self._samples.texels(rows[own] - y0, columns[own] - x0)[list(observations)]
+            part = {"own": np.flatnonzero(own), "values": values}
         whole = np.zeros((len(observations), len(rows), 4), np.float32)
-        for one in told:
-            whole[:, one["here"]] = one["found"]
+        for each in self.ranks.collected(part):
+            if each is not None:
+                whole[:, each["own"]] = each["values"]
         return whole
 
     def lit(self, observations: Sequence[int]) -> np.ndarray:
-        """Return (H, W) bool: covered texels that one of the observations sees lit. Every rank is told."""
+        """Return (H, W) bool to every rank: covered texels that one of the observations sees lit."""
         mask = np.zeros(self.partition.whole.shape, bool)
         own = None
-        if self._box is not None:
-            own = subset(self.partition.window, observations).solvable[self._within()]
-        told = self.ranks.all(None if own is None else np.packbits(own))
-        for box, bits in zip(self.partition.boxes, told, strict=True):
-            if box is not None:
+        if self._box is not None and self.partition.window is not None:
+            lit = subset(self.partition.window, observations).solvable
+            own = np.packbits(lit[_within(self._box, self.partition.window)])
+        for box, bits in zip(self.partition.boxes, self.ranks.all(own), strict=True):
+            if box is not None and bits is not None:
                 width, height = box[2:]
                 mask[part_of(box)] = np.unpackbits(bits, count=width * height).reshape(height, width).astype(bool)
         return mask
 
-    def begin(self, fitted: Sequence[int], entry: str) -> Progress:
-        """Set up the recovery by some observations."""
+    def begin(self, fitted: Sequence[int], entry: Entry) -> Progress:
+        """Set up the recovery from some observations."""
         solvable = self.lit(fitted)
         self.domain = subset(self.partition.whole, fitted, solvable)
         boxes = self.partition.boxes
         works = [box is not None and bool(solvable[part_of(box)].any()) for box in boxes]
         works[0] |= not any(works)
         self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
-        works_here = works[self.ranks.rank]
-        part = self._part(fitted) if works_here else None
+        box = self._box if works[self.ranks.rank] else None
+        part = None if box is None else self._part(box, fitted)
         brightness = self._brightness(part)
-        team = self.ranks.among(works_here)
-        if part is not None:
-            self._pool = self._pool_of(part, brightness, entry)
-        places = self.ranks.all(None if self._tile is None else self._tile.place)
-        self.places = {rank: place for rank, place in enumerate(places) if place is not None}
-        if self._pool is not None:
+        team = self.ranks.among(part is not None)
+        if box is not None and part is not None:
+            self._pool = self._pool_of(box, part, brightness, entry)
+        places = self.ranks.all(None if self._pool is None else self._pool.tiles[0].place)
+        self.places: dict[int, Place] = {rank: place for rank, place in enumerate(places) if place is not None}
+        if self._pool is not None and team is not None:
             self._driver = LockStep(self._pool, RankTransport(self.ranks, team, self.places), self.partition.halo)
-        return self._told_progress()
+        return self._shared_progress()
 
     def advance(self, iterations: int | None) -> Progress:
-        """Make so many iterations, or all, in step with the others."""
+        """Make some iterations, or all, in step with the others."""
         if self._driver is not None:
             self._driver.step(iterations)
-        return self._told_progress()
+        return self._shared_progress()
 
     def maps(self, confidence: bool) -> Maps | None:
-        """Return what has been found so far."""
+        """Return the maps so far."""
         parts = None
-        if self._tile is not None:
-            found = self._tile.recovery.maps(confidence)
-            own = own_of(self._tile.domain)
-            parts = {"residual": found.residual[own]}
-            parts |= {f"value {name}": value[own] for name, value in found.values.items()}
-            parts |= {f"deviation {name}": value[own] for name, value in (found.confidence or {}).items()}
-            parts |= {f"alternative {name}": value[own] for name, value in (found.alternatives or {}).items()}
+        if self._pool is not None:
+            maps, own = self._pool.active.maps(confidence), own_of(self._pool.tiles[0].domain)
+            parts = {"residual": maps.error[own]}
+            parts |= {f"value {name}": value[own] for name, value in maps.values.items()}
+            parts |= {f"deviation {name}": value[own] for name, value in (maps.confidence or {}).items()}
+            parts |= {f"alternative {name}": value[own] for name, value in (maps.alternatives or {}).items()}
         whole = self._pasted(parts)
         if not self.ranks.leads:
             return None
         values = {p.name: whole[f"value {p.name}"] for p in self.model.parameters}
         covered = np.zeros(self.domain.shape, bool)
-        for rank in self.places:
-            covered[part_of(self.partition.boxes[rank])] = True
+        for place in self.places.values():
+            covered[part_of(place.box)] = True
         for p in self.model.parameters:
             values[p.name][~covered] = p.default
         deviations = alternatives = None
@@ -153,111 +156,111 @@ class Worker:
 
     def mean_error(self) -> float:
         """Return the mean error over a few thousand texels of each rank."""
-        told = self.ranks.all(None if self._tile is None else (self._tile.recovery.mean_error(), self._tile.solved))
-        told = [one for one in told if one is not None]
-        return float(np.average([error for error, _ in told], weights=[max(1, count) for _, count in told]))
+        own = None if self._pool is None else (self._pool.active.mean_error(), self._pool.tiles[0].solved)
+        errors = [each for each in self.ranks.all(own) if each is not None]
+        return float(np.average([error for error, _ in errors], weights=[max(1, solved) for _, solved in errors]))
 
     def state(self) -> Checkpoint | None:
         """Return the state of the whole domain."""
-        found = None if self._tile is None else self._tile.recovery.state()
-        at = self.ranks.given(found and (found.stage, found.iteration), self._lead)
-        parts = self.ranks.collected(found and found.arrays)
+        own = None if self._pool is None else self._pool.active.state()
+        stage, iteration = self.ranks.given(own and (own.stage, own.iteration), self._lead)
+        parts = self.ranks.collected(None if own is None else own.arrays)
         if not self.ranks.leads:
             return None
         numbers = numbered(self.domain.solvable)
         rows = ((own_rows(numbers, self.places[r].box), arrays) for r, arrays in enumerate(parts) if arrays is not None)
-        return Checkpoint(*at, self._progress.evaluations, joined(self._total, rows))
+        return Checkpoint(stage, iteration, self._progress.evaluations, joined(self._total, rows))
 
     def restore(self, saved: Checkpoint | None) -> Progress:
-        """Go on from what ``state`` returned to rank 0; the others give None."""
+        """Continue from what ``state`` returned to rank 0; the others have None."""
         at = self.ranks.given(saved and (saved.stage, saved.iteration, saved.evaluations))
-        parts: list[dict[str, np.ndarray] | None] = []
+        parts: list[Mapping[str, np.ndarray] | None] = []
         if saved is not None:
             numbers = numbered(self.domain.solvable)
             for place in map(self.places.get, range(self.ranks.size)):
                 held = None if place is None else held_rows(numbers, place)
                 parts.append(None if held is None else {name: rows[held] for name, rows in saved.arrays.items()})
         arrays = self.ranks.dealt(parts)
-        if self._driver is not None:
+        if self._pool is not None and self._driver is not None and arrays is not None:
             stage, iteration, evaluations = at
-            here = evaluations // max(1, self._total) * self._tile.solved
-            self._tile.recovery.restore(Checkpoint(stage, iteration, here, arrays))
-            self._tile.progress = self._tile.recovery.progress
+            own, recovery = self._pool.tiles[0], self._pool.active
+            recovery.restore(Checkpoint(stage, iteration, evaluations // max(1, self._total) * own.solved, arrays))
+            own.progress = recovery.progress
             self._driver.restart()
-        return self._told_progress()
+        return self._shared_progress()
 
     def renderers(self) -> list[str]:
         """Return the names of all ranks' devices."""
         return self.ranks.all(str(context.describe()["renderer"]))
 
     def sent(self) -> list[tuple[int, int]]:
-        """Return the messages and bytes that each rank has sent to others before iterations."""
+        """Return the messages and bytes that each rank has sent as halos."""
         return self.ranks.all(self.ranks.sent)
 
     def digest(self) -> int:
-        """Return a number that tells the samples of all solved texels, however the domain is cut."""
-        found = 0
-        if self._tile is not None:
-            found = digest_of_texels(self._tile.domain)
-        return sum(self.ranks.all(found)) % 2**64
+        """Return a number of the samples of all solved texels, however the domain is cut."""
+        return sum(self.ranks.all(0 if self._pool is None else digest_of_texels(self._pool.tiles[0].domain))) % 2**64
 
     def close(self) -> None:
-        """Free what lies on the GPU."""
+        """Free all that lies on the GPU."""
         if self._pool is not None:
             self._pool.close()
         self._pool = self._driver = None
 
-    @property
-    def _tile(self) -> Tile | None:
-        """This rank's tile, None where it is left without texels."""
-        return None if self._pool is None else self._pool.tiles[0]
-
-    def _pool_of(self, part: Domain, brightness: float, entry: str) -> TilePool:
+    def _pool_of(self, box: Box, part: Domain, brightness: float, entry: Entry) -> TilePool:
         prepared = replace(prepare.prepare(part, self.model, self.schedule, pack=False), brightness=brightness)
-        fixed = {name: value[rectangle(self._box, part.halo)] for name, value in self.fixed.items()}
-        solved = int(np.count_nonzero(self.domain.solvable[part_of(self._box)]))
-        tile = Tile(self._box, part, prepared, fixed, solved)
-        return TilePool([tile], self.model, self.schedule, self.seed, entry)
+        fixed = {name: value[rectangle(box, part.halo)] for name, value in self.fixed.items()}
+        solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
+        own = Tile(box, part, prepared, fixed, solved)
+        return TilePool([own], self.model, self.schedule, self.seed, entry)
 
-    def _part(self, fitted: Sequence[int]) -> Domain:
-        """This rank's own texels with their halo, as a tile of the whole would be."""
-        cut = tile(self.domain, *self._box, halo=self.partition.halo)
-        return replace(cut, stack=self.partition.window.stack.subset(np.asarray(fitted, np.intp)))
+    def _part(self, box: Box, fitted: Sequence[int]) -> Domain | None:
+        """Return this rank's own texels with their halo, as a tile of the whole."""
+        if self.partition.window is None:
+            return None
+        stack = self.partition.window.stack.subset(np.asarray(fitted, np.intp))
+        return replace(tile(self.domain, *box, self.partition.halo), stack=stack)
 
     def _brightness(self, part: Domain | None) -> float:
-        """The lights' mean irradiance/π over the texels of all ranks: sums of whole numbers, exact in any order."""
-        told = None
+        """Return the lights' mean irradiance/π over all ranks' texels: sums of whole numbers, exact in any order."""
+        own = None
         if part is not None:
             counted = np.zeros(part.shape, bool)
             counted[own_of(part)] = True
-            told = prepare.brightness_sums(part, counted & part.solvable)
-        found = [one for one in self.ranks.all(told) if one is not None]
-        return prepare.brightness_of(self.domain, sum(s for s, _ in found), sum(count for _, count in found))
+            own = prepare.brightness_sums(part, counted & part.solvable)
+        sums, counts = zip(*(each for each in self.ranks.all(own) if each is not None), strict=True)
+        return prepare.brightness_of(self.domain, np.sum(sums, axis=0), sum(counts))
 
-    def _told_progress(self) -> Progress:
+    def _shared_progress(self) -> Progress:
         """Return the progress of the whole on every rank: in lock step only the evaluations differ."""
         progress = None
-        if self.ranks.rank == self._lead:
-            progress = self._tile.recovery.progress
-            each = progress.evaluations // max(1, self._tile.solved)
+        if self.ranks.rank == self._lead and self._pool is not None:
+            progress = self._pool.active.progress
+            each = progress.evaluations // max(1, self._pool.tiles[0].solved)
             progress = replace(progress, evaluations=each * self._total)
         self._progress = self.ranks.given(progress, self._lead)
         return self._progress
 
-    def _within(self) -> tuple[slice, slice]:
-        """Where the rank's own texels lie in its window."""
-        x0, y0, width, height = self._box
-        left, bottom = x0 - self.partition.window.origin[0], y0 - self.partition.window.origin[1]
-        return slice(bottom, bottom + height), slice(left, left + width)
-
-    def _samples(self) -> SampleStack:
-        return self.partition.window.stack.window(*self._within())
+    @property
+    def _samples(self) -> SampleStack | None:
+        """The samples of this rank's own texels, None where it has none."""
+        if self._box is None or self.partition.window is None:
+            return None
+        return self.partition.window.stack.window(*_within(self._box, self.partition.window))
 
     def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Return to rank 0, by name, (H, W, …) of the ranks' own (h, w, …), 0 where there is none."""
         whole: dict[str, np.ndarray] = {}
-        for rank, arrays in enumerate(self.ranks.collected(parts)):
-            for name, value in (arrays or {}).items():
+        for box, arrays in zip(self.partition.boxes, self.ranks.collected(parts), strict=False):
+            if box is None or arrays is None:
+                continue
+            for name, value in arrays.items():
                 held = whole.setdefault(name, np.zeros((*self.partition.whole.shape, *value.shape[2:]), value.dtype))
-                held[part_of(self.partition.boxes[rank])] = value
+                held[part_of(box)] = value
         return whole
+
+
+def _within(box: Box, window: Domain) -> Part:
+    """Return the part of a window that holds a box."""
+    x, y = window.origin
+    return part_of((box[0] - x, box[1] - y, box[2], box[3]))
