@@ -51,29 +51,16 @@ def meet(
     axis = (directions * weights[:, None]).sum(axis=0)
     axis /= np.linalg.norm(axis)
     frames = [tangents(direction) for direction in directions]
-    count = 3 if near else 2
+    count, arms = 3 if near else 2, points - centre
+    small = 1e-6 * np.array([1, 1, 1 / max(np.ptp(points, axis=0).max(), 1e-9)])
     for _ in range(_ITERATIONS):
-        across, upward = tangents(axis)
-
-        def residual(
-            step: np.ndarray,
-            axis: np.ndarray = axis,
-            inverse: float = inverse,
-            across: np.ndarray = across,
-            upward: np.ndarray = upward,
-        ) -> np.ndarray:
-            light = axis + step[0] * across + step[1] * upward
-            toward = light / np.linalg.norm(light) - (inverse + step[2]) * (points - centre)
-            toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
-            return np.array([[t @ a, t @ b] for t, (a, b) in zip(toward, frames, strict=True)]).ravel()
-
-        residuals = residual(np.zeros(3))
-        small = 1e-6 * np.array([1, 1, 1 / max(np.ptp(points, axis=0).max(), 1e-9)])
-        jacobian = np.stack([(residual(d) - residuals) / d.sum() for d in np.diag(small)[:count]], axis=-1)
+        residuals = _residuals(np.zeros(3), axis, inverse, arms, frames)
+        moved = [_residuals(step, axis, inverse, arms, frames) for step in np.diag(small)[:count]]
+        jacobian = np.stack([(m - residuals) / size for m, size in zip(moved, small, strict=False)], axis=-1)
         square = (jacobian * np.repeat(weights, 2)[:, None]).T @ jacobian
         step = np.zeros(3)
         step[:count] = -np.linalg.solve(square, (jacobian * np.repeat(weights, 2)[:, None]).T @ residuals)
-        axis = axis + step[0] * across + step[1] * upward
+        axis = _turned(axis, step)
         axis /= np.linalg.norm(axis)
         inverse += step[2]
         if np.abs(step).max() < 1e-12:
@@ -85,6 +72,21 @@ def meet(
     inverse_error = np.sqrt(covariance[2, 2]) if near else abs(inverse)
     misfit = np.sqrt((residuals**2).sum() / len(points))
     return Intersection(axis, float(error), float(inverse), float(inverse_error), float(misfit))
+
+
+def _turned(axis: np.ndarray, step: np.ndarray) -> np.ndarray:
+    across, upward = tangents(axis)
+    return axis + step[0] * across + step[1] * upward
+
+
+def _residuals(
+    step: np.ndarray, axis: np.ndarray, inverse: float, arms: np.ndarray, frames: list[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return (2B,) angles from the rays to the light a step away, along both tangents of each ray. arms: (B, 3)."""
+    light = _turned(axis, step)
+    toward = light / np.linalg.norm(light) - (inverse + step[2]) * arms
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    return np.array([[t @ a, t @ b] for t, (a, b) in zip(toward, frames, strict=True)]).ravel()
 
 
 def converge(intersections: Sequence[Intersection]) -> bool:

@@ -18,7 +18,8 @@ from ...blender.images import decode
 from ...blender.scenes.scene import middle_of
 from ...blender.scenes.scene_capture import wide_lights
 from ...capture.inspect import sufficiency
-from ...capture.inspect.report import Finding, Report, inspect_steps
+from ...capture.inspect.frames import Finding
+from ...capture.inspect.report import Report, inspect_steps
 from ...capture.places import card_depth, card_middle
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec
@@ -252,15 +253,15 @@ def _check_scene(scene) -> None:
         capture = capture_of(scene)
         place = _subject_place(settings, capture)
     except InputError as error:
-        findings.keep(settings, [Finding("error", getattr(error, "code", "scene"), failures.words(error))])
+        findings.keep(settings, [Finding(getattr(error, "code", "scene"), failures.words(error), severity="error")])
         return
     sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in capture.cameras)
     settings.summary = f"images: {len(capture.observations)}\ncameras: {len(capture.cameras)} ({sizes})"
-    faults = [Finding("warning", "left_out", f"left out: {one.why}") for one in capture.left_out]
+    faults = [Finding("left_out", f"left out: {one.why}") for one in capture.left_out]
     if lack := sufficiency.no_normal([one.light for one in capture.observations]):
-        faults.append(Finding("error", f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals"))
+        faults.append(Finding(f"lights_{lack.code}", f"{capture.name}: {lack.message}", "normals", "error"))
     wide = [] if place is None else wide_lights(scene, place)
-    findings.keep(settings, [*faults, *(Finding("warning", "light_wide", text) for text in wide)])
+    findings.keep(settings, [*faults, *(Finding("light_wide", text) for text in wide)])
 
 
 def _subject_place(settings, capture: Capture) -> np.ndarray | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ...capture.inspect.report import Finding
+from ...capture.inspect.frames import Finding
 
 
 def is_checked(settings) -> bool:

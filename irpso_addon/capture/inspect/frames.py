@@ -1,0 +1,145 @@
+"""Frames of one camera as the checks keep them, small, and the findings from them."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..images.linearise import Samples
+from ..types import Capture
+from . import checks
+
+_THUMBNAIL, _CROP = 256, 512  # pixels: the longest side of what is kept of a frame
+_LEAST = 16  # pixels: the shortest side that is kept, of images of that many
+_COMPARED = 64  # pixels: the longest side at which frames are compared with each other, pair by pair
+_MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
+_IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
+_CLIPPED = 0.02  # of the masked pixels of all frames
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong, with the remedy in words. severity: "error" if a recovery cannot use the capture.
+
+    goal: the obstructed one of sufficiency.GOALS, "" for all.
+    """
+
+    code: str
+    message: str
+    goal: str = ""
+    severity: Literal["warning", "error"] = "warning"
+
+
+@dataclass
+class Frames:
+    """Thumbnails and crops of one camera's frames, grey radiance, and counts over its mask.
+
+    factors: the reduction of thumbnails' rows and columns.
+    """
+
+    mask: np.ndarray
+    factors: tuple[int, int]
+    window: tuple[slice, slice]
+    names: list[str]
+    indices: list[int]
+    thumbnails: list[np.ndarray]
+    crops: list[np.ndarray]
+    clipped: list[float]
+
+
+def frames_of(capture: Capture, index: int) -> Frames:
+    camera, mask = capture.cameras[index], capture.masks[index]
+    count = max(1, sum(observation.camera == index for observation in capture.observations))
+    affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
+    factors = _factors((camera.height, camera.width), min(_THUMBNAIL, affordable))
+    return Frames(mask, factors, checks.middle_window(mask, min(_CROP, affordable)), [], [], [], [], [])
+
+
+def keep_frame(frames: Frames, index: int, name: str, found: Samples) -> Iterator[Finding]:
+    """Keep one frame's thumbnail and crop for later checks; yield its own findings."""
+    grey, kept = found.rgba[..., :3].mean(axis=-1), frames.mask
+    frames.names.append(name)
+    frames.indices.append(index)
+    frames.thumbnails.append(shrunk(grey, frames.factors))
+    frames.crops.append(grey[frames.window].copy())
+    frames.clipped.append(float(found.clipped[kept].mean()))
+    bad, negative = int(found.not_finite[kept].sum()), int(found.negative[kept].sum())
+    if bad:
+        message = f"{name}: {counted(bad, 'pixel is', 'pixels are')} not a number; they get weight 0, render it again"
+        yield Finding("not_finite", message)
+    if negative:
+        message = f"{name}: {counted(negative, 'pixel is', 'pixels are')} negative; check how it was exported"
+        yield Finding("negative", message)
+    if not (grey[kept] > 0).any():
+        yield Finding("image_black", f"{name}: is all black; take it and its light out of the list")
+
+
+def _factors(shape: tuple[int, ...], longest: int) -> tuple[int, int]:
+    """Return factors that reduce (rows, columns) to at most ``longest`` pixels; they differ for narrow strips alone."""
+    factor = -(-max(shape) // longest)
+    rows, columns = (min(factor, max(1, side // _LEAST)) for side in shape)
+    return rows, columns
+
+
+def shrunk(image: np.ndarray, factors: tuple[int, int]) -> np.ndarray:
+    """Return an image reduced by whole factors by averaging, without the rows and columns left over."""
+    rows, columns = (side // factor for side, factor in zip(image.shape, factors, strict=True))
+    down, across = factors
+    return image[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3))
+
+
+def brightness(frames: Frames) -> str:
+    means = [float(thumbnail.mean()) for thumbnail in frames.thumbnails]
+    return f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
+
+
+def frame_steps(frames: Frames) -> Generator[None, None, list[Finding]]:
+    """Compare the frames of one camera; return the findings."""
+    shifts = yield from checks.shift_steps(np.stack(frames.crops))
+    if max(frames.factors) > 1:
+        coarse = yield from checks.shift_steps(np.stack(frames.thumbnails))
+        coarse *= frames.factors[::-1]
+        shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
+                          coarse, shifts)  # fmt: skip
+    yield
+    return list(_frame_findings(frames, shifts))
+
+
+def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
+    names = frames.names
+    if np.mean(frames.clipped) > _CLIPPED:
+        worst = int(np.argmax(frames.clipped))
+        yield Finding(
+            "clipped",
+            f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped and get weight 0"
+            f" ({np.mean(frames.clipped):.1%} of all images'); expose shorter",
+        )
+    thumbnails = np.stack(frames.thumbnails)
+    small = [shrunk(thumbnail, _factors(thumbnail.shape, _COMPARED)) for thumbnail in thumbnails]
+    for i, j, difference in checks.similar_frames(np.stack(small), _SIMILAR)[:5]:
+        code, word = ("image_same", "is") if difference <= _IDENTICAL else ("image_similar", "is nearly")
+        message = f"{names[j]}: {word} the same image as {names[i]} (difference {difference:.2%})"
+        yield Finding(code, message + "; check for a frame copied twice")
+    moved = np.flatnonzero(shifts.any(axis=1))
+    for k in moved[:5]:
+        yield Finding(
+            "shifted",
+            f"{names[k]}: is shifted by {shifts[k][0]:+d} px right, {shifts[k][1]:+d} px up against the others"
+            f" ({counted(len(moved), 'frame is', 'frames are')}); align the frames",
+        )
+
+
+def brightest(frames: Frames, capture: Capture) -> np.ndarray:
+    """Return (K,) a bright radiance, the 99th percentile, of each observation in its mask; NaN of unreadable ones."""
+    bright = np.full(len(capture.observations), np.nan)
+    mask = shrunk(frames.mask.astype(float), frames.factors) > 0.5
+    if mask.any():
+        bright[frames.indices] = [np.percentile(thumbnail[mask], 99) for thumbnail in frames.thumbnails]
+    return bright
+
+
+def counted(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
