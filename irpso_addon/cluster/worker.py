@@ -8,6 +8,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
+from ..core.optional import present
 from ..geometry.domain import Domain, subset, tile, with_lights
 from ..geometry.samples import SampleStack
 from ..gpu import context
@@ -136,7 +137,7 @@ class Worker:
         parts = None
         if self._pool is not None:
             maps, own = self._pool.active.maps(confidence), own_of(self._pool.tiles[0].domain)
-            parts = {"residual": maps.error[own]}
+            parts = {"residual": present(maps.residual)[own]}
             parts |= {f"value {name}": value[own] for name, value in maps.values.items()}
             parts |= {f"deviation {name}": value[own] for name, value in (maps.confidence or {}).items()}
             parts |= {f"alternative {name}": value[own] for name, value in (maps.alternatives or {}).items()}

@@ -1,4 +1,4 @@
-"""Driving a recovery to its end: the progress bar, Ctrl-C, and checkpoints from time to time."""
+"""Driving a recovery to its end: progress bar, Ctrl-C and checkpoints."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .interrupt import held_back
 CHECKPOINT = "checkpoint.npz"
 _SLICE_SECONDS = 0.5  # between looks at the progress bar and Ctrl-C
 _SECONDS = "seconds"  # the note in a checkpoint of how long the run has taken
-_SLICE = 100  # iterations at most between them: a GPU takes orders without having done them yet
+_SLICE = 100  # iterations at most between them: a GPU queues work without having done it
 
 
 @dataclass(frozen=True)
 class Saving:
-    """Where checkpoints go, whether to go on from the one that is there, and seconds between them (None: no more)."""
+    """Checkpoints. resume: continue from the one at ``path``. every: seconds between them, None for the last alone."""
 
     path: Path
     resume: bool = False
@@ -41,8 +41,8 @@ def check_every(seconds: float | None) -> None:
 def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: bool) -> tuple[float, list[str]]:
     """Run a recovery to its end; return the seconds, with those before a resume, and a warning of unsaved checkpoints.
 
-    What stops a checkpoint between (a full disk) does not stop the run, and leaves the one before as it was. An
-    interrupt ends in KeyboardInterrupt after a last checkpoint, or in InputError where that cannot be written.
+    A checkpoint that fails (a full disk) does not stop the run, and leaves the one before as it was. An interrupt ends
+    in KeyboardInterrupt after a last checkpoint, or in InputError where that fails.
     """
     saver = _Saver(recovery, history, saving)
     if saving.resume:
@@ -57,7 +57,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
         bar.show(progress.fraction, f"{progress.title}  placing the swarms", time_left.after(bar.seconds, progress))
         while not (progress.done or interrupted()):
             started = bar.seconds
-            if saver.turns:  # a tile makes all that it can before the next one is put on the device
+            if saver.turns:  # a tile makes all the iterations it can before the next one's turn
                 progress = recovery.step(history.until_next, _SLICE_SECONDS)
             else:
                 # One iteration of a large domain may take minutes; waiting for the bands of short ones would cost.
@@ -79,10 +79,7 @@ def drive(recovery: RecoveryEngine, history: History, saving: Saving, quiet: boo
 
 
 class _Saver:
-    """Writes checkpoints of one run, and removes what a killed one has left of its own.
-
-    before: seconds that the run took before it was gone on with.
-    """
+    """Writes checkpoints of one run, and removes the partial files of a killed one. before: seconds before a resume."""
 
     def __init__(self, recovery: RecoveryEngine, history: History, saving: Saving):
         self._recovery, self._history, self._saving = recovery, history, saving
@@ -94,18 +91,18 @@ class _Saver:
 
     @property
     def seconds(self) -> float:
-        """How long the run has taken by now."""
+        """The run's seconds so far."""
         return self.before + time.perf_counter() - self._began
 
     def save(self) -> None:
         """Write a checkpoint. Raises InputError where it cannot be written."""
-        if self.turns:  # tiles that are behind catch up: a look that is due then would not be made after a resume
+        if self.turns:  # tiles that are behind catch up: the history would miss a measurement after a resume
             self._recovery.step(0)
             self._history.look()
         self._recovery.save(self._saving.path, {**self._history.notes, _SECONDS: np.array(self.seconds)})
 
     def save_when_due(self) -> None:
-        """Write a checkpoint if the time has come; where it cannot be written, say so once and go on."""
+        """Write a checkpoint if it is due; where it cannot be written, warn once and continue."""
         if self._saving.every is None or time.perf_counter() - self._last < self._saving.every:
             return
         try:

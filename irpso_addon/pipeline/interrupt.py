@@ -1,4 +1,4 @@
-"""Ctrl-C, put off until what is under way is whole."""
+"""Ctrl-C, delayed until the current iteration is whole."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def held_back() -> Iterator[Callable[[], bool]]:
-    """Hold back the first SIGINT or SIGTERM; yields a function that says whether one has come.
+    """Hold back the first SIGINT or SIGTERM; yields a function that returns whether one has come.
 
-    An exception in the middle of an iteration would leave swarms half moved, from which no checkpoint can go on. A
-    second signal does interrupt at once, for those who do not want to wait.
+    An exception in the middle of an iteration leaves swarms half moved: no checkpoint can continue from them. A second
+    signal interrupts at once.
     """
     came = False
 

@@ -1,4 +1,4 @@
-"""What a recovery is asked for, checked before anything slow: the same for command line, MPI and window."""
+"""One recovery as the user wants it, for command line, MPI and window."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..capture.types import Capture
 from ..geometry.surface.mesh import MeshData
+from ..gpu.passes import EntryChoice
 from ..reflectance.model import ReflectanceModel
 from ..solver.lights.refine import Intensities
 from ..solver.settings.schedule import Schedule
@@ -20,7 +21,7 @@ from ..solver.views.held_out import order_of
 
 @dataclass(frozen=True)
 class LightOptions:
-    """Which lights are calibrated. degrees: standard deviation of the error of their directions, 0 to keep them."""
+    """The calibration of lights. degrees: standard deviation of the error of their directions, 0 to keep them."""
 
     intensities: Intensities = "auto"
     degrees: float = 0.0
@@ -28,14 +29,14 @@ class LightOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One recovery as it is asked for.
+    """One recovery and all its settings, checked.
 
-    capture: with the observations that are held out at its end. name: of material and images. mesh: None for a card.
-    object_uid: Blender's session number of the mesh object. size: (width, height) of the domain. fixed: parameter name
-    → its map, normals in Blender's tangent frame; truth: the same of a ground truth. held_out: the numbers, from 0, of
-    the observations that are not fitted, in the order of their files or scene. scratch: the folder for scratch files.
-    skip_damaged: whether damaged images have been left out. resumed: the checkpoint to go on from. source: what the
-    sample stack depends on; equal sources have equal domains. None: unknown. warnings: found on checking.
+    capture: the held-out observations come last. name: of material and images. mesh: None for a card. object_uid:
+    Blender's session number of the mesh object. size: (width, height) of the domain. fixed: parameter name → its map,
+    normals in Blender's tangent frame; truth: the same of a ground truth. held_out: the numbers, from 0, of the
+    observations that are not fitted, in the order of their files or scene. scratch: the folder for scratch files.
+    skip_damaged: damaged images have been left out. resumed: the checkpoint to continue from. source: all that the
+    sample stack depends on, None if unknown; equal sources have equal domains. warnings: of the checks.
     """
 
     capture: Capture
@@ -53,7 +54,7 @@ class Job:
     lights: LightOptions = LightOptions()
     shadows: bool = True
     skip_damaged: bool = False
-    entry: str = "auto"
+    entry: EntryChoice = "auto"
     memory: str | None = None
     resumed: Path | None = None
     source: tuple[Any, ...] | None = None
@@ -66,15 +67,15 @@ class Job:
 
     @property
     def unseen(self) -> range:
-        """The indices of those that are held out."""
+        """The indices of the held-out observations."""
         return range(len(self.fitted), len(self.capture.observations))
 
     @property
     def numbers(self) -> list[int]:
-        """The number, from 0, that each of the capture's observations has in its files or scene."""
+        """The number, from 0, of each of the capture's observations in its files or scene."""
         return order_of(len(self.capture.observations), self.held_out)
 
     def fitted_at(self, number: int) -> int:
-        """Return the index of the observation of a number, or, where it is held out, of the next that is fitted."""
+        """Return the index of the observation with a number, or of the next fitted one."""
         numbers = self.numbers[: len(self.fitted)]
         return min(bisect_left(numbers, number), len(numbers) - 1)

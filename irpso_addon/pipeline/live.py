@@ -1,4 +1,4 @@
-"""``recover --live``: a picture of the maps so far, while they are being found."""
+"""``recover --live``: a picture of the maps so far."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ LIVE = "live.png"
 
 
 class LivePicture:
-    """Keeps a picture of a recovery's maps in a file; what stops that does not stop the run.
-
-    warnings: that it could not be written, if so.
-    """
+    """Keeps a picture of a recovery's maps in a file; a failure does not stop the run and leaves a line in warnings."""
 
     def __init__(self, path: Path, recovery: RecoveryEngine):
         self._path, self._recovery = path, recovery

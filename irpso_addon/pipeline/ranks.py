@@ -1,4 +1,4 @@
-"""The road of a job over MPI ranks: each rank reads and solves its own texels, rank 0 writes the result."""
+"""A job over MPI ranks: each rank reads and solves its own texels, rank 0 writes the result."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ from ..cluster.recovery import Leader, RankedRecovery, serve
 from ..cluster.transport import Agreed, Ranks
 from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
+from ..core.optional import present
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, laid_on
 from ..geometry.seams.seams import SeamMap
+from ..geometry.surface.bake import surface_bake
 from ..gpu import context, probe
+from ..solver.engine.engine import RecoveryEngine
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
@@ -33,15 +36,15 @@ Surface = tuple[GeometryBake, SeamMap | None]
 
 
 class RankedRun(Run):
-    """A job on its way over all ranks, on rank 0; the others ``serve``."""
+    """The run of a job over all ranks, on rank 0; the others ``serve``."""
 
     def __init__(self, job: Job, leader: Leader, seconds: float, show: Callable[[str, float], None]):
-        """Begin with what all ranks have read. seconds: that this took."""
+        """Begin after all ranks have read. seconds: the time of that."""
         super().__init__(job, show)
         self._leader, self._seconds = leader, seconds
 
     def device_warnings(self) -> list[str]:
-        """Return a warning where ranks solved on unlike devices."""
+        """Return a warning if ranks solved on different devices."""
         names = sorted(set(self._leader.ask(Worker.renderers)))
         if len(names) == 1:
             return []
@@ -55,19 +58,19 @@ class RankedRun(Run):
         self.seconds[READ] = self._seconds
         return self._leader.domain
 
-    def _lit(self, lights: Lights) -> Domain:
-        found = lights.applied(self.domain)
-        self._leader.take_lights(found.lights, found.intensities)
+    def _lit(self, domain: Domain, lights: Lights) -> Domain:
+        lit = lights.applied(domain)
+        self._leader.take_lights(lit.lights, lit.intensities)
         return self._leader.domain
 
-    def _begin(self) -> Generator[None, None, None]:
+    def _begin(self, domain: Domain) -> Generator[None, None, None]:
         yield from ()
         self.recovery = RankedRecovery(self._leader, self.job.fitted, self.job.entry)
 
-    def _described(self) -> dict[str, Any]:
+    def _described(self, recovery: RecoveryEngine) -> dict[str, Any]:
         messages, sent = zip(*self._leader.ask(Worker.sent), strict=True)
         return {
-            "entry": self.recovery.entry, "ranks": self._leader.ranks.size, "messages": messages, "bytes_sent": sent
+            "entry": recovery.entry, "ranks": self._leader.ranks.size, "messages": messages, "bytes_sent": sent
         }  # fmt: skip
 
 
@@ -76,13 +79,14 @@ def run_on_ranks(
     options: Namespace,
     checked: Callable[[], Job],
     show: Callable[[str, float], None],
-    lead: Callable[[RankedRun], dict],
-) -> dict:
-    """Return what ``lead`` makes of the run on rank 0, or the plan of a dry run; the other ranks have an exit code.
+    lead: Callable[[RankedRun], dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the result of ``lead`` on rank 0, or the plan of a dry run; on the other ranks an exit code.
 
-    options: of ``recover``, which must be the same on all ranks. checked: returns the job. What stops one rank stops
-    all, within seconds; the last checkpoint stays.
+    options: of ``recover``, the same on all ranks. checked: returns the job. An error on one rank stops all, within
+    seconds; the last checkpoint stays.
     """
+    result: dict[str, Any]
     leader: Leader | None = None
     try:
         with going_down_together(ranks, lambda: leader is None or leader.busy):
@@ -111,8 +115,8 @@ def run_on_ranks(
     return result
 
 
-def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict:
-    """Leave the MPI job for an error that every rank has found: rank 0 raises it, the others have an exit code."""
+def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, Any]:
+    """Leave the MPI job for an error of all ranks: rank 0 raises it, the others have an exit code."""
     ranks.close()
     if ranks.leads:
         raise error
@@ -130,18 +134,19 @@ def _one_level(job: Job) -> Job:
 
 
 def _joined(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, Split]:
-    """Read this rank's part of the observations; for a dry run the split alone is found."""
+    """Read this rank's part of the observations; a dry run finds the split alone."""
     if not ranks.leads:
         options.quiet, options.json = True, False
     sharing = choose_device(ranks) if ranks.size > 1 else 1
-    ranks.agreed(lambda: (probe.probe(), context.ensure()))
-    # By what is recovered, not by its outline alone; and given by rank 0, whatever each device makes of a border.
+    ranks.agreed(probe.probe)
+    ranks.agreed(context.ensure)
+    # Rank 0's split of the geometry itself, because devices may differ in texels at a border.
     surface = None if options.dry_run else ranks.agreed(lambda: _surface(job))
     found = ranks.given(ranks.agreed(lambda: _split(ranks, job, surface)))
     ranks.agreed(lambda: _check_fits(ranks, job, found, sharing, options.checkpoint_every is not None))
     if options.dry_run:
         return None, found
-    partition = _partition(ranks, job, found, surface)
+    partition = _partition(ranks, job, found, present(surface))
     fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
     worker = Worker(ranks, partition, job.model, job.schedule, job.seed, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
@@ -157,12 +162,13 @@ def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
     cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment")
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
-    borders = None if job.mesh is None else uv_borders(job.mesh, coverage.shape)
+    height, width = coverage.shape
+    borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
     return split(coverage, cost, ranks.size, borders)
 
 
 def _check_fits(ranks: Ranks, job: Job, found: Split, sharing: int, gathers: bool) -> None:
-    """Raise InputError where memory is too small. gathers: whether checkpoints bring all state to rank 0."""
+    """Raise InputError where memory is too small. gathers: checkpoints bring all state to rank 0."""
     memory = machine_memory(job.memory, str(context.describe()["renderer"]))
     check_fits(found, ranks, memory, sharing)
     if ranks.leads and gathers:
@@ -170,7 +176,8 @@ def _check_fits(ranks: Ranks, job: Job, found: Split, sharing: int, gathers: boo
 
 
 def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partition:
-    """Read what this rank needs of the observations."""
+    """Read this rank's part of the observations."""
+    bake, seams = surface
     box = found.boxes[ranks.rank]
     part = None if box is None else around(found.shape, box, found.halo)
 
@@ -180,22 +187,22 @@ def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partit
         with naming_remedy(job.skip_damaged):
             if job.mesh is None:
                 return domain_from_card(job.capture, window=part)
-            return domain_from_mesh(job.capture, job.mesh, *job.size, shadows=job.shadows, window=part, surface=surface)
+            of_mesh = surface_bake(bake), present(seams)
+            return domain_from_mesh(job.capture, job.mesh, *job.size, shadows=job.shadows, window=part, surface=of_mesh)
 
     window = ranks.agreed(read)
-    bake, seams = surface
     of_all = ranks.given(window and _without_texels(window))
     whole = replace(of_all, bake=bake, seams=seams)
     return Partition(whole, found.boxes, found.halo, window)
 
 
 def _without_texels(domain: Domain) -> Domain:
-    """Return what all ranks have in common of a domain, to be sent to them: 0 × 0 texels."""
+    """Return a domain with the lights and views of all ranks, and 0 × 0 texels, to be sent to them."""
     return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), np.zeros((domain.observations, 0, 0, 4)))
 
 
 def _check_lit(worker: Worker, job: Job) -> None:
-    """Raise InputError where no rank sees anything lit, as one process would."""
+    """Raise InputError where no rank sees anything lit, as one process does."""
     if not worker.partition.whole.solvable.any():
         what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
         raise InputError(
@@ -204,7 +211,7 @@ def _check_lit(worker: Worker, job: Job) -> None:
 
 
 def _served(worker: Worker) -> int:
-    # Rank 0 hears of it too, and orders what is to be done.
+    # Rank 0 gets these signals too, and orders the end.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     return serve(worker)

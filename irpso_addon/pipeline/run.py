@@ -1,4 +1,4 @@
-"""The road of a job to its recovery: read → lights → plan → prepare, in steps that a window can interleave."""
+"""From a job to its recovery: read → lights → plan → prepare, in steps that a window can interleave."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,9 +14,11 @@ import numpy as np
 from ..blender.materials.tangent_frames import from_blender, turned_normals
 from ..capture.inspect.damage import naming_remedy
 from ..core.errors import InputError
+from ..core.optional import present
 from ..core.steps import map_steps, one_step, run_steps
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
+from ..geometry.surface.bake import surface_bake
 from ..results.maps import Maps
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
@@ -32,15 +35,15 @@ from .job import Job
 
 T = TypeVar("T")
 MapsOf = Mapping[str, np.ndarray]  # parameter name → its map
-READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as they are shown
-_KEPT_SHARE = 0.1  # of the free memory, for a preparation that is kept
+READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as shown
+_KEPT_SHARE = 0.1  # of the free memory, for a kept preparation
 
 
 @dataclass
 class Kept:
-    """What one run found and the next may take: the domain of a ``Job.source``, its lights and its preparation.
+    """Results of one run for the next: the domain of a ``Job.source``, its lights and its preparation.
 
-    lights: of ``wish``; prepared: of ``basis``. Nothing is kept of a domain under lights that were found.
+    lights: of ``wish``; prepared: of ``basis``. A domain under estimated lights is not kept.
     """
 
     source: tuple[Any, ...] | None = None
@@ -56,10 +59,11 @@ class Kept:
 
 
 class Run:
-    """A job on its way. domain: of all observations, under the lights that were found; fitted: of those not held out.
+    """The run of a job. domain: of all observations, under the estimated lights; fitted: of those not held out.
 
-    fixed, truth: the job's, in the frames of the domain's texels. lights: None where they stay as given. seconds: of
-    each step. progress, settings: of the last ``maps``, for the report.
+    domain, fitted, recovery: None before ``open`` and after ``close``. fixed, truth: the job's, in the frames of the
+    domain's texels. lights: None where they stay as given. seconds: of each step. progress, settings: of the last
+    ``maps``, for the report.
     """
 
     def __init__(
@@ -71,8 +75,8 @@ class Run:
     ):
         """Begin nothing yet.
 
-        show: is called with a step and the fraction of it that is done, 0…1, from any thread. elsewhere: runs a
-        function of numpy, yielding meanwhile. kept: of former runs.
+        show: called with a step and its fraction done, 0…1, from any thread. elsewhere: runs a numpy function and
+        yields meanwhile. kept: of former runs.
         """
         self.job = job
         self._show, self._elsewhere, self._kept = show, elsewhere, Kept() if kept is None else kept
@@ -88,60 +92,61 @@ class Run:
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
 
     def first_plan(self) -> Plan:
-        """Return the plan by the outline of the subject alone, before an image is read. Raises InputError."""
+        """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
         return self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size))
 
     def open(self) -> Generator[None, None, None]:
         """Take all steps to the recovery, yielding often. Raises InputError, ShaderError."""
         self.domain = yield from self._timed(READ, self._read())
         self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake)
-        if self._asks_for_lights():
-            lights = yield from self._timed(LIGHTS, self._find_lights())
-            if lights is not None:
-                self.lights, self.domain = lights, self._lit(lights)
-        yield from self._timed(PREPARE, self._begin())
+        if self._wants_lights(self.domain):
+            self.lights = yield from self._timed(LIGHTS, self._find_lights(self.domain))
+            if self.lights is not None:
+                self.domain = self._lit(self.domain, self.lights)
+        yield from self._timed(PREPARE, self._begin(self.domain))
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, in the solver's frames. confidence: as for a recovery."""
-        self.progress, self.settings = self.recovery.progress, self._described()
-        return with_modes(self.recovery.maps(confidence))
+        """Return the maps so far, in the solver's frames. confidence: as for a recovery."""
+        recovery = present(self.recovery)
+        self.progress, self.settings = recovery.progress, self._described(recovery)
+        return with_modes(recovery.maps(confidence))
 
     def device_warnings(self) -> list[str]:
-        """Return what is doubtful of the devices that it is solved on."""
+        """Return doubts about the devices that it is solved on."""
         return []
 
     def relighting(self, maps: Maps) -> Generator[None, None, None]:
-        """Render the observations held out from ``maps``, the last that were found, yielding often."""
-        steps = relit_steps(self.domain, maps, self.job.unseen, self.job.capture, self._elsewhere)
-        at = self.progress.evaluations
+        """Render the held-out observations from the last ``maps``, yielding often."""
+        steps = relit_steps(present(self.domain), maps, self.job.unseen, self.job.capture, self._elsewhere)
+        at = present(self.progress).evaluations
         self._relit = at, *(yield from steps)
 
     @property
     def is_relit(self) -> bool:
-        """Whether ``relit`` is of what has been found by now, or nothing is held out."""
+        """Whether ``relit`` is up to date, or nothing is held out."""
         now = self.recovery.progress if self.recovery is not None else self.progress
         return not self.job.held_out or (now is not None and self._relit[0] == now.evaluations)
 
     @property
     def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """The picture of the observations held out beside their renders, and the figures for the report."""
+        """The picture of the held-out observations beside their renders, and the figures for the report."""
         return self._relit[1:]
 
     def relight(self, maps: Maps) -> None:
-        """Do ``relighting`` at once, where it is still to be done."""
-        if self.job.held_out and self._relit[0] != self.progress.evaluations:
+        """Do ``relighting`` at once, if ``relit`` is older than the last maps."""
+        if self.job.held_out and self._relit[0] != present(self.progress).evaluations:
             run_steps(self.relighting(maps))
 
     def change(self, schedule: Schedule) -> None:
-        """Go on with another schedule from what has been found. Raises InputError; then nothing has changed."""
+        """Continue with another schedule from the current state. Raises InputError; then nothing has changed."""
         if schedule.levels != self.job.schedule.levels:
             raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
-        changed = self.recovery.reconfigure(schedule)
-        self.recovery.close()
-        self.recovery, self.job = changed, replace(self.job, schedule=schedule)
+        before = present(self.recovery)
+        self.recovery, self.job = before.reconfigure(schedule), replace(self.job, schedule=schedule)
+        before.close()
 
     def close(self) -> None:
-        """Free what lies on the GPU, and let go of the domain."""
+        """Free all that lies on the GPU, and the domain."""
         if self.recovery is not None:
             self.recovery.close()
         self.recovery = self.domain = self.fitted = None
@@ -149,11 +154,11 @@ class Run:
     def _read(self) -> Generator[None, None, Domain]:
         job, kept = self.job, self._kept
         self._show(READ, 0.0)
-        self._plan = self.first_plan()  # what a plan refuses, it refuses before the images are read
-        if job.source is not None and kept.source == job.source:
+        self._plan = plan = self.first_plan()  # a refusal comes before the images are read
+        if kept.domain is not None and job.source is not None and kept.source == job.source:
             return kept.domain
-        kept.clear()  # two domains at once may be more than there is room for
-        scratch = job.scratch if self._plan.stack_on == "scratch" else None
+        kept.clear()  # there may be no room for two domains
+        scratch = job.scratch if plan.stack_on == "scratch" else None
         if job.mesh is None:
             steps = card_steps(job.capture, scratch=scratch)
         else:
@@ -165,25 +170,23 @@ class Run:
             kept.source, kept.domain = job.source, domain
         return domain
 
-    def _asks_for_lights(self) -> bool:
+    def _wants_lights(self, domain: Domain) -> bool:
         lights = self.job.lights
-        return (
-            lights.intensities == "estimate"
-            or lights.degrees != 0
-            or (lights.intensities == "auto" and can_tell(self.domain, np.asarray(self.job.fitted)))
-        )
+        if lights.intensities == "estimate" or lights.degrees != 0:
+            return True
+        return lights.intensities == "auto" and can_tell(domain, np.asarray(self.job.fitted))
 
-    def _find_lights(self) -> Generator[None, None, Lights | None]:
-        """Return the lights that are found, or were for the same job before; None where they stay as given."""
+    def _find_lights(self, domain: Domain) -> Generator[None, None, Lights | None]:
+        """Return the estimated lights, or those of an equal job before; None where they stay as given."""
         job, kept = self.job, self._kept
         self._show(LIGHTS, 0.0)
         wish = job.lights, job.model, job.seed, job.entry
-        keeps = kept.domain is self.domain and not job.fixed
+        keeps = kept.domain is domain and not job.fixed
         if keeps and kept.wish == wish:
             return kept.lights
-        sample = yield from self._elsewhere(lambda: draw(self.domain, job.seed, np.asarray(job.fitted)))
+        sample = yield from self._elsewhere(lambda: draw(domain, job.seed, np.asarray(job.fitted)))
         steps = chosen_steps(
-            self.domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
+            domain, job.model, job.seed, self.fixed, intensities=job.lights.intensities,
             refine_degrees=job.lights.degrees, fitted=job.fitted, entry=job.entry, sample=sample,
         )  # fmt: skip
         found = yield from map_steps(steps, lambda fraction: self._show(LIGHTS, fraction))
@@ -191,33 +194,33 @@ class Run:
             kept.wish, kept.lights = wish, found
         return found
 
-    def _lit(self, lights: Lights) -> Domain:
-        """Return the domain under lights that were found."""
-        return lights.applied(self.domain)
+    def _lit(self, domain: Domain, lights: Lights) -> Domain:
+        """Return the domain under estimated lights."""
+        return lights.applied(domain)
 
     def _planned(self, coverage: np.ndarray, stack_on: str | None = None) -> Plan:
-        """Return how texels (H, W) bool are solved, as many at once as memory allows now. Raises InputError."""
+        """Return the plan for texels (H, W) bool, as many at once as memory allows now. Raises InputError."""
         job = self.job
         return make_plan(
             coverage, job.model, job.schedule, job.fixed, len(job.capture.observations), len(job.held_out),
             memory=job.memory, entry=job.entry, stack_on=stack_on, mesh=job.mesh,
         )  # fmt: skip
 
-    def _begin(self) -> Generator[None, None, None]:
+    def _begin(self, domain: Domain) -> Generator[None, None, None]:
         """Plan, prepare, and make the recovery."""
         job = self.job
         self._show(PREPARE, 0.0)
-        self._plan = self._planned(self.domain.solvable, self._plan.stack_on)
-        self.fitted = subset(self.domain, job.fitted)
+        self._plan = plan = self._planned(domain.solvable, present(self._plan).stack_on)
+        self.fitted = fitted = subset(domain, job.fitted)
         prepared = None
         if job.schedule.levels == 1:  # else each level is prepared by itself
-            prepared = yield from self._prepared(untiled(self._plan))
+            prepared = yield from self._prepared(fitted, untiled(plan))
         yield
         self.recovery = planned_recovery(
-            self._plan, self.fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared
+            plan, fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared
         )
 
-    def _prepared(self, pack: bool) -> Generator[None, None, Prepared]:
+    def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
         """Return the preparation, or that of an equal job before. pack: as for ``prepare``."""
         schedule, kept = self.job.schedule, self._kept
         basis = self.job.model, schedule.swarm.seed, schedule.fitness, pack
@@ -226,18 +229,18 @@ class Run:
             return kept.prepared
         if keeps:
             kept.prepared = None
-        work = self.fitted, self.job.model, schedule, pack, lambda fraction: self._show(PREPARE, fraction)
-        prepared = yield from self._elsewhere(lambda: prepare(*work))
+        model, show = self.job.model, partial(self._show, PREPARE)
+        prepared = yield from self._elsewhere(lambda: prepare(fitted, model, schedule, pack, show))
         if keeps and pack and prepared.stack.nbytes < _KEPT_SHARE * free_memory():
             kept.basis, kept.prepared = basis, prepared
         return prepared
 
-    def _described(self) -> dict[str, Any]:
-        """Return what the report says of how it was solved, beside what was asked for."""
-        return {"entry": self.recovery.entry, "tiles": len(self._plan.tiles)}
+    def _described(self, recovery: RecoveryEngine) -> dict[str, Any]:
+        """Return the settings of the report that are not the user's."""
+        return {"entry": recovery.entry, "tiles": len(present(self._plan).tiles)}
 
     def _timed(self, name: str, steps: Generator[None, None, T]) -> Generator[None, None, T]:
-        """Make steps, and note the time spent in them; what the caller does between them does not count."""
+        """Make steps, and note the time in them, without the caller's between them."""
         self.seconds[name] = 0.0
         while True:
             started = time.perf_counter()
@@ -254,6 +257,5 @@ def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | Non
     """Return the job's fixed maps and ground truth with normals in the frames of the domain's texels."""
     if job.mesh is None:
         return job.fixed, job.truth
-    maps = (job.fixed, job.truth)
-    fixed, truth = (values and turned_normals(job.model, values, job.mesh, bake, from_blender) for values in maps)
-    return fixed, truth
+    turn = partial(turned_normals, job.model, mesh=job.mesh, bake=surface_bake(bake), change=from_blender)
+    return turn(values=job.fixed), job.truth and turn(values=job.truth)

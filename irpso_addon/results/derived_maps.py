@@ -12,6 +12,7 @@ from ..geometry.domain import GeometryBake
 from ..geometry.relief.height import Height
 from ..geometry.relief.relief import card_height, mesh_height
 from ..geometry.spaces import object_normals, turned, world_normals
+from ..geometry.surface.bake import surface_bake
 from ..geometry.surface.mesh import MeshData
 from ..reflectance.model import ReflectanceModel
 from .derived_map import NORMAL_SPACES, DerivedMap, height_map, normal_maps
@@ -80,11 +81,11 @@ def derived_maps(
     if mesh is None:
         height = card_height(camera, solver, found.covered)
     else:
-        height = mesh_height(mesh, bake, solver, found.covered)
+        height = mesh_height(mesh, surface_bake(bake), solver, found.covered)
     return [*maps, height_map(height)], height
 
 
-def _everywhere(normals: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _everywhere(normals: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return (H, W, 3) normals from one per texel or one for all."""
     normals = np.asarray(normals)
     return np.broadcast_to(normals.reshape(1, 1, 3), (*shape, 3)) if normals.size == 3 else normals.reshape(*shape, 3)

@@ -40,13 +40,6 @@ class Maps:
     alternatives: dict[str, np.ndarray] | None = None
     two_modes: dict[str, np.ndarray] = field(default_factory=dict)
 
-    @property
-    def error(self) -> np.ndarray:
-        """The residual, which maps of a recovery have. Raises ValueError for others."""
-        if self.residual is None:
-            raise ValueError("maps without a residual: they are not of a recovery")
-        return self.residual
-
     def unknown(self) -> dict[str, np.ndarray]:
         """Return, for each searched number, (H, W) bool: covered texels with wide ``confidence`` or two modes."""
         return {

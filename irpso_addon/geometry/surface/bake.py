@@ -34,6 +34,13 @@ class SurfaceBake(GeometryBake):
     triangle: np.ndarray
 
 
+def surface_bake(bake: GeometryBake) -> SurfaceBake:
+    """Return a bake as that of a mesh. Raises ValueError for a card's."""
+    if not isinstance(bake, SurfaceBake):
+        raise ValueError("the bake is not of a mesh")
+    return bake
+
+
 def bake_uv(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> SurfaceBake:
     """Return the surface at each texel centre of the UV square, at any resolution.
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.optional import present
 from ...geometry.coarsen import coarser, coarser_map, finer_map
 from ...geometry.domain import Domain
 from ...gpu.passes import EntryChoice, Pass
@@ -176,7 +177,7 @@ class Pyramid(RecoveryEngine):
             p.name: finer_map(coarse, domain, maps.values[p.name], np.asarray(p.default), p.is_normal)
             for p in self.model.parameters
         }
-        residual = finer_map(coarse, domain, maps.error[..., None], 0.0)[..., 0]
+        residual = finer_map(coarse, domain, present(maps.residual)[..., None], 0.0)[..., 0]
         deviations, alternatives = (
             doubts and {name: finer_map(coarse, domain, value, 0.0) for name, value in doubts.items()}
             for doubts in (maps.confidence, maps.alternatives)

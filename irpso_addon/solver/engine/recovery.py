@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.optional import present
 from ...geometry.domain import Domain
 from ...gpu import context, textures
 from ...gpu.bands import Bands
@@ -27,7 +28,6 @@ from ..settings.schedule import Schedule
 from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
 from ..state.layout import TexelLayout
-from ..state.packing import Packing
 from ..state.prepare import Prepared
 from ..state.textures import SOLVED, DomainTextures, Estimates, loss_constants, texel_states
 from .confidence import deviation_pass
@@ -114,7 +114,7 @@ class Recovery(RecoveryEngine):
         """Return the domain on the GPU, the sample stack to upload later, and the first guess."""
         domain = self.domain
         prepared = (prepared or prepare.prepare(domain, self.model, schedule)).packed(domain, schedule)
-        packing = prepared.packing or Packing(domain.solvable, domain.seams)
+        packing = present(prepared.packing)
         scale = packing.pack(prepared.scale)
         held = DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays)
         return held, prepared.stack, prepared.guess

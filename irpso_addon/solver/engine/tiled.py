@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.optional import present
 from ...geometry.domain import Domain, tile
 from ...gpu import context
 from ...gpu.passes import EntryChoice
@@ -93,7 +94,7 @@ class TiledRecovery(RecoveryEngine):
         for number in self._pool.order():
             part, maps = self._pool.tiles[number], self._pool.recovery(number).maps(confidence)
             texels, own = part_of(part.box), own_of(part.domain)
-            residual[texels] = maps.error[own]
+            residual[texels] = present(maps.residual)[own]
             for name, value in maps.values.items():
                 values[name][texels] = value[own]
             for wholes, parts in zip(doubts, (maps.confidence, maps.alternatives), strict=True):

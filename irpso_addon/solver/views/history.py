@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ...core.optional import present
 from ...results.maps import Maps
 from ...results.preview import Curves, convergence, display_image, spread_marks
 from ...results.report import error_unit, parameter_error
@@ -83,7 +84,7 @@ class History:
         truth = self._truth or {}
         known = [p for p in maps.model.parameters if p.name in truth]
         errors = {p.name: parameter_error(p, maps.values[p.name], truth[p.name]) for p in known}
-        return {"residual": 100 * maps.error, **errors}
+        return {"residual": 100 * present(maps.residual), **errors}
 
     def _unit(self, maps: Maps, name: str) -> str:
         return "%" if name == "residual" else error_unit(maps.model.parameter(name))

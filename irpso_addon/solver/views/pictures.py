@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...core.encode import srgb_from_linear
+from ...core.optional import present
 from ...geometry.domain import Domain
 from ...results.false_color import false_color
 from ...results.map_tables import map_tables
@@ -73,7 +74,7 @@ def maps_so_far(maps: Maps, heading: str) -> np.ndarray:
     for table in map_tables(maps.model):
         images.append(display_image(table.parameters, [maps.values[p.name] for p in table.parameters]))
         labels.append(_title(table.name))
-    residual = 100 * maps.error
+    residual = 100 * present(maps.residual)
     maximum = default_maximum([residual], maps.covered)
     images.append(false_color(residual, maximum, maps.covered))
     labels.append(f"Residual (red: {maximum:g} %)")
