@@ -227,11 +227,12 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         if not unfit:
             return boxes
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
-            smallest = tile_of(coverage, small[0], cost, borders)
+            needs = {box: _device_in_turns(*_amounts(coverage, box, cost, borders)[:2], cost) for box in small}
+            box = max(small, key=needs.__getitem__)
             raise InputError(
-                f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {smallest.width} ×"
-                f" {smallest.height} texels with a halo of {cost.reach} takes {amount(smallest.device)}; allow more, or"
-                " lower the number of observations or the number of particles"
+                f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {box[2]} × {box[3]} texels"
+                f" with a halo of {cost.reach} needs at least {amount(needs[box])} at its turn; allow more, or lower"
+                " the number of observations or the number of particles"
             )
         count = max(count + 1, int(1.1 * count))
 
@@ -272,10 +273,15 @@ def _fits(
     in_turns: bool = False,
 ) -> bool:
     texels, device, _ = _amounts(coverage, box, cost, borders)
-    device += in_turns * restored_bytes(texels, cost)
+    device = _device_in_turns(texels, device, cost) if in_turns else device
     shape = coverage[_around(box, cost.reach, coverage.shape)].shape
     border = 0 if borders is None else 2 * SEAM_REACH
     return device <= memory.device and _fits_textures(texels, (shape[0] + border, shape[1] + border), cost, limits)
+
+
+def _device_in_turns(texels: int, device: int, cost: Cost) -> int:
+    """Return the bytes of a tile on the device while its state is restored."""
+    return device + restored_bytes(texels, cost)
 
 
 def _fits_textures(texels: int, shape: tuple[int, int], cost: Cost, limits: Limits) -> bool:
