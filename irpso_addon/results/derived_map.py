@@ -41,7 +41,7 @@ def normal_maps(
         flat = FLAT_NORMAL if space == "directx" else None
         values = fill_margin(vectors, covered, far=flat, given=margin if space == "directx" else None)
         if space == "directx":
-            encoded = encode_normal(values * np.float32([1, -1, 1]))
+            encoded = encode_normal(values * np.array([1, -1, 1], np.float32))
             maps.append(DerivedMap("normal_directx", values, encoded, "0.5 * n + 0.5, DirectX (Y-)", exr=False))
         else:
             maps.append(DerivedMap(f"normal_{space}", values, encode_normal(values), f"0.5 * n + 0.5, {space} space"))

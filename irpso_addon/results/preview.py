@@ -273,14 +273,17 @@ def default_maximum(errors: Sequence[np.ndarray], covered: np.ndarray | None) ->
     return round_up(percentile) if percentile > 0 else 1.0
 
 
-def _fit(shape: tuple[int, int]) -> float:
+def _fit(shape: tuple[int, ...]) -> float:
     """Return the scale: an integer, or 1 / an integer."""
     longest = max(shape[0], shape[1])
     return max(1, round(_SHOWN / longest)) if longest <= 1.5 * _SHOWN else 1 / math.ceil(longest / (1.5 * _SHOWN))
 
 
-def _size(shape: tuple[int, int], fit: float) -> tuple[int, int]:
-    return (int(shape[0] * fit), int(shape[1] * fit)) if fit >= 1 else tuple(-(-n // round(1 / fit)) for n in shape)
+def _size(shape: tuple[int, ...], fit: float) -> tuple[int, int]:
+    height, width = shape
+    if fit >= 1:
+        return int(height * fit), int(width * fit)
+    return -(-height // round(1 / fit)), -(-width // round(1 / fit))
 
 
 def _scaled(image: np.ndarray, fit: float) -> np.ndarray:

@@ -8,6 +8,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def _write_all(maps: Maps, tables: list[MapTable], folder: Path, pictures: dict[
     """Write every file except the report; return the names."""
     names = []
     for number, part in split_maps(maps):
-        names += _write_tile(part, tables, folder, lambda stem, number=number: tile_stem(stem, number, maps.tiles))
+        names += _write_tile(part, tables, folder, partial(tile_stem, number=number, tiles=maps.tiles))
     for stem, image in pictures.items():
         encode_png(folder / f"{stem}.png", image, bits=8)
         names.append(f"{stem}.png")
