@@ -1,6 +1,6 @@
-"""What was photographed: readers of captures, one file a format; no Blender.
+"""Captures: what was photographed. One reader per format; no Blender.
 
-Formats other than EXR need a decoder, which is handed in: ``irpso_addon.blender.images.decode`` is Blender's.
+Formats other than EXR need a decoder from the caller: ``irpso_addon.blender.images.decode`` is Blender's.
 """
 
 from .camera import Camera

@@ -1,4 +1,4 @@
-"""Cameras: how a point of the world falls on a pixel, and from where it is seen."""
+"""Cameras: projection of world points to pixels, and view directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _RIGID = 1e-4  # how far axes may be from unit length and right angles: six prin
 
 
 def is_rotation(axes: np.ndarray) -> bool:
-    """Return whether the axes (3, 3) turn and do nothing else, to the digits that files are written with."""
+    """Return whether a (3, 3) matrix is a rotation, within the digits that files have."""
     return bool(np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID and np.linalg.det(axes) > 0)
 
 
@@ -28,7 +28,7 @@ class Camera:
     width, height: pixels. matrix: (4, 4) camera to world, float64. scale: (2,) the focal length in pixels of a
     perspective camera, or pixels per world unit of an orthographic one. centre: (2,) principal point in pixels.
     distortion: the Brown–Conrady coefficients k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's formulas (``distortion.py``),
-    of which the last may be left out; empty for none. Raises InputError where they are more or no numbers, or the
+    trailing ones may be omitted; empty for none. Raises InputError if they are too many or not finite, or the
     camera is orthographic.
     """
 
@@ -62,7 +62,7 @@ class Camera:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """All that makes the camera, hashable: cameras of equal keys are the same."""
+        """All fields, hashable: cameras with equal keys are equal."""
         lens = (self.width, self.height, *self.scale, *self.centre, self.perspective, self.distortion)
         return (*lens, np.asarray(self.matrix, np.float64).tobytes())
 
@@ -79,14 +79,14 @@ class Camera:
 
     @property
     def view(self) -> np.ndarray:
-        """(4,) what shaders need: xyz, w = the position and 1, or the direction toward the camera and 0."""
+        """(4,) for shaders: the position and 1, or the direction toward the camera and 0."""
         return np.append(self.position, 1.0) if self.perspective else np.append(self.backward, 0.0)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel coordinates (…, 2) and depth (…) along the axis, in world units, of world points (…, 3).
 
-        Points behind a perspective camera have depth ≤ 0 and meaningless pixels; those that a distorting lens does not
-        show have NaN.
+        Points behind a perspective camera have depth ≤ 0 and meaningless pixels; points outside a distorting lens's
+        field have NaN.
         """
         inverse = np.linalg.inv(self.matrix)
         local = points @ inverse[:3, :3].T + inverse[:3, 3]
@@ -99,9 +99,9 @@ class Camera:
         return plane * np.asarray(self.scale) + np.asarray(self.centre), depth
 
     def points(self, depth: float = 1.0) -> np.ndarray:
-        """Return (H, W, 3) the world points at ``depth`` that the pixel centres show, row 0 at the bottom.
+        """Return (H, W, 3) the world points at ``depth`` on the rays of the pixel centres, row 0 at the bottom.
 
-        NaN where the lens shows nothing: its distortion folds back before it comes there.
+        NaN for pixels beyond the point where the distortion folds back.
         """
         x = (np.arange(self.width) + 0.5 - self.centre[0]) / self.scale[0]
         y = (np.arange(self.height) + 0.5 - self.centre[1]) / self.scale[1]

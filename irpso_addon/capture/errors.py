@@ -1,4 +1,4 @@
-"""What can be wrong with a capture: the exception its readers raise."""
+"""The exception of capture readers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from ..core.errors import InputError
 
 
 class CaptureError(InputError):
-    """A capture that cannot be used.
-
-    code: a short name of the kind of fault, for inspect and for tests. others: further faults found at the same time.
-    """
+    """An unusable capture. code: short name of the kind of fault. others: further faults found at the same time."""
 
     def __init__(self, message: str, code: str = "unreadable", others: tuple[CaptureError, ...] = ()):
         more = f" (and {len(others)} more like it: see 'inspect')" if others else ""
@@ -25,7 +22,7 @@ class CaptureError(InputError):
 
 
 def raise_all(faults: list[CaptureError]) -> None:
-    """Raise the first of ``faults``, carrying the rest; do nothing where there are none."""
+    """Raise the first of ``faults``, with the rest in ``others``; do nothing for none."""
     if faults:
         first = faults[0]
         raise CaptureError(first.message, first.code, (*first.others, *faults[1:]))

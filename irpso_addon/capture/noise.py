@@ -4,11 +4,11 @@ The images of one camera show the same surface under several lights. In a small 
 of a few common pictures: three on a matt surface (Shashua 1997, On Photometric Issues in 3D Visual Recognition from a
 Single 2D Image), whatever its texture. The smallest eigenvalues of a block's covariance are then the noise's (Pyatykh,
 Hesser & Zheng 2013, Image Noise Level Estimation by Principal Component Analysis). Unlike the differences of
-neighbouring pixels, they see what JPEG has left of the noise at all frequencies: where sensor and JPEG make 1.6 to 2.6
-codes on rendered cards, diagonal differences show 0.7 to 1.6 and these 1.1 to 2.8.
+neighbouring pixels, they contain the noise that JPEG has left at all frequencies: where sensor and JPEG make 1.6 to 2.6
+codes on rendered cards, diagonal differences give 0.7 to 1.6 and eigenvalues 1.1 to 2.8.
 
-Glints of single pixels are taken for noise: a glossy relief whose normals differ by 6° from pixel to pixel adds 0.6 to
-1 code, by 17° 2 to 3. What JPEG loses of a texture alike in all images is not seen.
+Glints of single pixels count as noise: a glossy relief whose normals differ by 6° from pixel to pixel adds 0.6 to 1
+code, by 17° 2 to 3. Texture that JPEG removes equally from all images is not detected.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ STEP = 0.5 / 255
 # Where the images are too few: sensor, rounding and JPEG together. Under 16 lamps, of a rusty metal, normals are off by
 # 1.76° without it, by 1.62, 1.45 and 1.35° with 1, 2 and 3 codes; its metallic by 0.050, 0.047, 0.040 and 0.036.
 USUAL = 2 / 255
-_IMAGES = 12  # at most, of those looked at
+_IMAGES = 12  # most images to read
 # Common pictures of a block: three of a matt surface, one for a highlight, one for a shadow's edge. Renders of the
 # benchmarks' cards, without noise, are off from five by 0.1 to 0.3 codes, from four by 0.15 to 0.6.
 _COMMON = 5
 _FEWEST = _COMMON + 2  # images of a block
-_SIDE, _BLOCKS, _FEWEST_BLOCKS = 8, 1000, 40  # pixels; how many are looked at, and how many must tell
+_SIDE, _BLOCKS, _FEWEST_BLOCKS = 8, 1000, 40  # pixels; most blocks; least usable blocks
 _DARK = 8  # mean code of a block under which black cuts the noise off
 _BETWEEN = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  # radiance between code k and k + 1
 
@@ -42,8 +42,8 @@ _BETWEEN = linear_from_srgb(((np.arange(255) + 0.5) / 255).astype(np.float32))  
 def noise_of(capture: Capture) -> Generator[None, None, float]:
     """Yield before each image is read, and return the standard deviation of the sRGB codes as a fraction of white.
 
-    LEAST to MOST in STEPs; USUAL where no camera has seven images, or their blocks do not tell; 0 where the files are
-    finer than 8-bit sRGB codes. It depends on the images alone, not on their order.
+    LEAST to MOST in STEPs; USUAL if no camera has seven images or too few blocks are usable; 0 for files finer than
+    8-bit sRGB codes. It depends on the images only, not on their order.
     """
     encoding = capture.encoding
     if not _coarse(capture) or (encoding is not None and encoding.colour_space != "srgb"):
@@ -55,8 +55,7 @@ def noise_of(capture: Capture) -> Generator[None, None, float]:
     blocks = []
     for one in observations:
         yield
-        # Faults are reported by whoever reads the image for itself.
-        with suppress(CaptureError):
+        with suppress(CaptureError):  # the recovery or inspect reports it
             image = one.read()
             if image.shape[:2] == capture.masks[index].shape:
                 blocks.append(_codes(np.asarray(image, np.float32), corners))
@@ -74,12 +73,12 @@ def images_read(capture: Capture) -> int:
 def block_noise(blocks: np.ndarray) -> np.ndarray:
     """Return (n,) standard deviations of the noise in blocks (B, K, N): N numbers of each of K images, NaN for none.
 
-    Only of the n blocks that enough images show whole.
+    n: the number of blocks that enough images show completely.
     """
     shown = np.isfinite(blocks).all(axis=-1)
-    told = shown.sum(axis=-1) >= _FEWEST
-    count = shown[told].sum(axis=-1)
-    values = np.where(shown[told][..., None], blocks[told], 0)
+    usable = shown.sum(axis=-1) >= _FEWEST
+    shown, blocks = shown[usable], blocks[usable]
+    count, values = shown.sum(axis=-1), np.where(shown[..., None], blocks, 0)
     # An image that is left out adds an eigenvalue of 0.
     noise = np.linalg.eigvalsh(values @ values.transpose(0, 2, 1))[:, : blocks.shape[1] - _COMMON].sum(axis=-1)
     return np.sqrt(np.maximum(noise, 0) / ((count - _COMMON) * (blocks.shape[2] - _COMMON)))
@@ -93,7 +92,7 @@ def _chosen(capture: Capture) -> tuple[int, list[Observation]]:
     """Return the camera with the most images, by index, and some of them."""
     counts = Counter(one.camera for one in capture.observations)
     index = min(counts, key=lambda camera: (-counts[camera], camera))
-    # By name: images that are held out may stand last, or where they were.
+    # By name, because held-out images may come last.
     own = sorted((one for one in capture.observations if one.camera == index), key=lambda one: one.name)
     places = np.unique(np.linspace(0, len(own) - 1, _IMAGES).round().astype(int))
     return index, [own[k] for k in places]
@@ -118,8 +117,8 @@ def _blocks(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _codes(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return (B, N) sRGB codes 0…255 of blocks of an image; NaN where one is clipped, no number, or dark."""
+    """Return (B, N) sRGB codes 0…255 of blocks of an image; NaN for blocks that are clipped, not finite or dark."""
     blocks = _blocks(image, corners)
     codes = np.searchsorted(_BETWEEN, blocks[..., :3]).astype(np.float64).reshape(len(blocks), -1)
-    told = (blocks[..., 3] > 0).all(axis=(1, 2)) & (codes.mean(axis=-1) >= _DARK)
-    return np.where(told[:, None], codes, np.nan)
+    usable = (blocks[..., 3] > 0).all(axis=(1, 2)) & (codes.mean(axis=-1) >= _DARK)
+    return np.where(usable[:, None], codes, np.nan)

@@ -1,4 +1,4 @@
-"""Where a card lies, and what tells that places and strengths of near lights are in different units."""
+"""The distance of a card, and checks of the units of near lights: positions and intensities."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ Problem = tuple[str, str]  # a short name, and a sentence with the remedy
 
 
 def card_depth(capture: Capture) -> float:
-    """Return how far a card lies from its camera, along the camera's axis.
+    """Return the distance of a card from its camera, along the camera's axis.
 
-    Where all lights are distant no image depends on it, and 1 stands for a distance that is not known. Raises
-    CaptureError where lights are near and the capture has no ``card_distance``.
+    Under distant lights no image depends on it, and an unknown distance is 1. Raises CaptureError if lights are near
+    and the capture has no ``card_distance``.
     """
     if capture.card_distance is not None:
         return capture.card_distance
     if near_lights(capture):
         raise CaptureError(
-            f"capture '{capture.name}': its lights have places, so a flat card needs its distance from the camera, in"
-            " their unit; set card_distance in capture.toml, or --distance",
+            f"capture '{capture.name}': its lights have positions, so a flat card needs its distance from the camera,"
+            " in their unit; set card_distance in capture.toml, or --distance",
             "card_distance",
         )
     return 1.0
 
 
 def near_lights(capture: Capture) -> bool:
-    """Return whether some lights have places."""
+    """Return whether some lights have positions."""
     return any(not observation.light.distant for observation in capture.observations)
 
 
 def card_size(camera: Camera, distance: float) -> tuple[float, float]:
-    """Return width and height of what an image shows of a card at a distance."""
+    """Return width and height of the visible part of a card at a distance."""
     reach = distance if camera.perspective else 1.0
     return reach * camera.width / camera.scale[0], reach * camera.height / camera.scale[1]
 
 
 def lens_problems(camera: Camera) -> Iterator[Problem]:
-    """Yield whether a perspective camera's angle is that of no lens, as where millimetres stand for pixels."""
+    """Yield a problem if no lens has a camera's angle, as with millimetres in place of pixels."""
     angle = 2 * np.degrees(np.arctan(0.5 * camera.width / camera.scale[0]))
     if camera.perspective and not _NARROW < angle < _WIDE:
         yield (
@@ -60,7 +60,7 @@ def lens_problems(camera: Camera) -> Iterator[Problem]:
 
 
 def card_problems(capture: Capture) -> Iterator[Problem]:
-    """Yield what is odd about the near lights of a card whose distance is known."""
+    """Yield the problems of near lights of a card at a known distance."""
     camera, distance = capture.cameras[0], card_depth(capture)
     world = np.array([o.light.vector for o in capture.observations if not o.light.distant], np.float64)
     places = (world - camera.position) @ camera.matrix[:3, :3]
@@ -69,24 +69,24 @@ def card_problems(capture: Capture) -> Iterator[Problem]:
         yield (
             "light_behind",
             f"{behind} of {len(places)} near lights lie behind the card, which is {distance:g} from the camera; check"
-            " the unit of card_distance and of the places, and that z is toward the viewer",
+            " the unit of card_distance and of the positions, and that z is toward the viewer",
         )
     size = max(card_size(camera, distance))
     far = float(np.median(np.linalg.norm(places - card_middle(camera, distance), axis=1))) / size
     if far > _FAR:
         yield (
             "light_far",
-            f"near lights lie {far:.0f} card widths away, as far as distant ones; check that card_distance and places"
-            " are in one unit",
+            f"near lights lie {far:.0f} card widths away, as far as distant ones; check that card_distance and"
+            " positions are in one unit",
         )
 
 
 def camera_problems(capture: Capture) -> Iterator[Problem]:
-    """Yield whether near lights are off the scale of cameras that look at the subject from several places."""
+    """Yield a problem if near lights are not at the scale of several cameras around the subject."""
     cameras = capture.cameras
     positions, axes = (np.array([getattr(camera, name) for camera in cameras]) for name in ("position", "backward"))
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # The point nearest to all axes is the subject's place; cameras side by side have none.
+    # The point nearest to all axes is the subject's position; parallel cameras have none.
     if np.linalg.cond(across.sum(axis=0)) > 1e6:
         return
     middle = np.linalg.solve(across.sum(axis=0), (across @ positions[:, :, None]).sum(axis=0))[:, 0]
@@ -96,15 +96,15 @@ def camera_problems(capture: Capture) -> Iterator[Problem]:
     if len(lights) > 1 and not reach / _FAR < spread < reach * _FAR:
         yield (
             "light_unit",
-            f"near lights are spread over {spread:.3g}, and cameras stand {reach:.3g} from the subject; check that"
-            " places of lights and of cameras are in one unit, with cameras_matrix for those of another program",
+            f"near lights are spread over {spread:.3g}, and cameras are {reach:.3g} from the subject; check that"
+            " positions of lights and cameras are in one unit, with cameras_matrix for cameras of another program",
         )
 
 
 def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Problem]:
-    """Yield whether the near lights of a card are of another strength than its photographs tell.
+    """Yield a problem if the intensities of near lights contradict the brightness of the photographs.
 
-    brightness: (K,) radiance of a bright pixel of each observation, NaN where there is none.
+    brightness: (K,) radiance of a bright pixel of each observation, NaN for none.
     """
     near = np.array([not observation.light.distant for observation in capture.observations])
     irradiance = at_card(capture)[1]
@@ -112,13 +112,13 @@ def strength_problems(capture: Capture, brightness: np.ndarray) -> Iterator[Prob
     if not _DARKEST < ratio < _BRIGHTEST:
         yield (
             "light_strength",
-            f"photographs are {ratio:.3g} times as bright as a white card under these near lights; light_intensity is"
-            " that at distance 1 in the unit of the places, so give what it is at the card times the distance squared",
+            f"photographs are {ratio:.3g} times as bright as a white card under these near lights; give light_intensity"
+            " at distance 1 in the unit of the positions: the one at the card times the distance squared",
         )
 
 
 def at_card(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
-    """Return what lights are at a card's middle: (K, 3) unit directions to them in the camera's axes, and irradiance/π.
+    """Return the lights at a card's middle: (K, 3) unit directions to them in the camera's axes, and irradiance/π.
 
     The irradiance, (K,), is the mean of the channels on a plane that faces the light.
     """

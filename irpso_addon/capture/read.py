@@ -1,4 +1,4 @@
-"""The one door to captures: finds out what a path is and reads it."""
+"""Reads captures of all formats: ``read_capture`` detects the format of a path."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light
 def read_capture(
     path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", skip_damaged: bool = False
 ) -> Capture:
-    """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded when they are asked for.
+    """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded at first use.
 
     Layouts: docs/capture_format.md; DiLiGenT (Shi et al. 2016), RTI (Malzbender et al. 2001), a table of our own.
     Images become linear Rec. 709 radiance, (H, W, 4) float32, row 0 at the bottom, with a weight of 0…1 in alpha.
-    decoder: reads the formats that are no EXR (``irpso_addon.blender.images.decode`` is one); without it such
-    images are refused. colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly
-    show to be linear (``encoding.py``), all others linear.
-    skip_damaged: whether images that cannot be decoded are left out, and named in the capture; each is then decoded
-    once now. Raises InputError naming the file and the remedy.
+    decoder: reads formats other than EXR (``irpso_addon.blender.images.decode`` is one); without it they are refused.
+    colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly show that they are
+    linear (``encoding.py``), all others linear. skip_damaged: leave out images that cannot be decoded, and list them in
+    the capture; this decodes each image once now. Raises InputError naming the file and the remedy.
     """
     spec = read_spec(path, colour_space)
     if skip_damaged:
@@ -35,7 +34,7 @@ def read_capture(
 
 
 def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
-    """Return what a capture's lists say, before any image is opened. Raises InputError as read_capture does."""
+    """Return the contents of a capture's lists; opens no image. Raises InputError as read_capture does."""
     path = Path(path)
     if colour_space not in COLOUR_SPACES:
         raise CaptureError(
@@ -54,7 +53,7 @@ def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:
         return rti.spec_of_lp(path, colour_space)
     if path.suffix.lower() == ".blend":
         raise CaptureError(
-            f"{path}: a scene is looked over in Blender, with Capture From: This Scene; recover takes it", "kind"
+            f"{path}: a scene is checked in Blender, with Capture From: This Scene; recover reads it", "kind"
         )
     if path.name in (diligent.FILENAMES, diligent.DIRECTIONS):
         return diligent.spec_of_folder(path.parent, colour_space)

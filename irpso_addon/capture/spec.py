@@ -1,4 +1,4 @@
-"""A capture as its files describe it, before any image is opened, and the checks that make it a Capture."""
+"""``CaptureSpec``: a capture as its files describe it; and the checks that turn it into a ``Capture``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .types import Capture, LeftOut, Light, Observation, triple
 
 @dataclass(frozen=True)
 class ObservationSpec:
-    """One observation as written. vector, axis: as in the file, of any length. where: the file and place that says so.
+    """One observation as written. vector, axis: as in the file, of any length. where: file and line, for errors.
 
     axis, cone, cosine: as Light's.
     """
@@ -38,10 +38,10 @@ class ObservationSpec:
 
 @dataclass(frozen=True)
 class ViewSpec:
-    """One camera as written. make: (width, height) → Camera. size: as written, or None to take that of its images.
+    """One camera as written. make: (width, height) → Camera. size: as written; None for that of its images.
 
-    placed: whether it stands anywhere but at the world's origin, looking down. where: the file and place that says so.
-    lens: whether the file says what the camera shows; else it is taken as orthographic, 2 units wide.
+    placed: whether it has a pose other than the world's origin, looking down. where: file and place, for errors. lens:
+    whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide.
     """
 
     name: str
@@ -70,15 +70,15 @@ class CaptureSpec:
 
 
 def build_capture(spec: CaptureSpec, decoder: Decoder | None = None) -> Capture:
-    """Return the Capture that a spec describes; masks are read now, images when they are asked for.
+    """Return the Capture of a spec. Reads masks and all headers now, images at first use.
 
-    Every image's header is looked at. Raises CaptureError naming the first fault and carrying the others.
+    Raises CaptureError with the first fault, and the others in it.
     """
     return run_steps(build_steps(spec, decoder))
 
 
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
-    """Yield before each image's header is looked at and each mask is read, and return what ``build_capture`` does."""
+    """Yield before each header and each mask; return the Capture. See ``build_capture``."""
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
     lights = [_light(shot, faults) for shot in spec.observations]
@@ -121,7 +121,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
 
 @dataclass(frozen=True)
 class ImageReader:
-    """Reads one observation: what Observation.read is of a capture that was built here."""
+    """Reads one observation: the ``Observation.read`` of captures from files."""
 
     image: ImageRef
     store: ImageStore
@@ -140,7 +140,7 @@ class ImageReader:
         return found
 
     def _decoded(self) -> ImageRef:
-        """Return the image with the colour space that was found, where its file does not state one."""
+        """Return the image, with the measured colour space if its file states none."""
         guessed = self.image.colour_space == "auto" and self.store.encoding(self.image)[1] == "guess"
         if not guessed or self.encoding is None or self.encoding.known_by != "guess":
             return self.image
@@ -148,7 +148,7 @@ class ImageReader:
 
 
 def written_lights(spec: CaptureSpec) -> list[Light]:
-    """Return the lights of a spec's observations; none where one of them is not sound."""
+    """Return the lights of a spec's observations; [] if one of them is invalid."""
     faults: list[CaptureError] = []
     lights = [_light(shot, faults) for shot in spec.observations]
     return [light for light in lights if light] if not faults else []
@@ -168,7 +168,7 @@ def _light(shot: ObservationSpec, faults: list[CaptureError]) -> Light | None:
         fault = f"{shot.where}: the intensity is not a number; write one or three finite numbers", "intensity"
     elif (intensity < 0).any() or not intensity.any():
         what = "negative" if (intensity < 0).any() else "zero"
-        fault = f"{shot.where}: the intensity is {what}; write what the light gives, or take the image out", "intensity"
+        fault = f"{shot.where}: the intensity is {what}; write the light's intensity, or remove the image", "intensity"
     else:
         direction = vector / length if shot.distant else vector
         towards = None if shot.axis is None else triple(axis / np.linalg.norm(axis))
@@ -197,12 +197,12 @@ def _camera_size(
 
 
 def common_size(view: ViewSpec, sizes: list[tuple[int, int]]) -> tuple[int, int]:
-    """Return the size that a camera's images must have: as written, or that of most: then the odd ones are at fault."""
+    """Return the size that a camera's images must have: as written, or the most frequent one."""
     return view.size or max(sizes, key=sizes.count)
 
 
 def size_fault(image: ImageRef, size: tuple[int, int], expected: tuple[int, int]) -> CaptureError:
-    """Return the error for an image that is not of the size (width, height) that its camera's images have."""
+    """Return the error for an image whose size (width, height) differs from its camera's."""
     return CaptureError(
         f"{image}: is {size[0]}×{size[1]} pixels where its camera has {expected[0]}×{expected[1]};"
         " all images of a camera must be of one size, unscaled and uncropped",
@@ -226,7 +226,7 @@ def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list
         if not mask.any():
             raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
         return mask
-    except CaptureError as error:  # with a code of its own: no image can be left out for it
+    except CaptureError as error:  # its own code, because no image can be left out for it
         code = error.code if error.code.startswith("mask") else f"mask_{error.code}"
         faults.append(CaptureError(error.message, code))
         return everything

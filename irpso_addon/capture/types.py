@@ -1,4 +1,4 @@
-"""What was photographed: observations, their lights, their cameras."""
+"""``Capture``: observations with their lights and cameras."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .images.encoding import Encoding
 
 
 def triple(values: Iterable[float]) -> tuple[float, float, float]:
-    """Return three numbers, those of an array (3,) for one, as floats."""
+    """Return three numbers, such as an array (3,), as floats."""
     x, y, z = map(float, values)
     return x, y, z
 
@@ -26,10 +26,10 @@ class Light:
 
     vector: (3,) a unit direction from the surface to a distant light, or the position of a near one in world units.
     intensity: (3,) linear RGB; 1 is an irradiance of π at normal incidence (at distance 1 from a near light, falling
-    with the inverse square), so that a white Lambertian texel facing the light has radiance 1. Of a near light whose
-    light differs with direction, intensity is that along its axis. axis: (3,) the unit direction in which it shines.
-    cone: its half-angle in degrees, beyond which it gives nothing (a spot). cosine: whether its light falls with the
-    cosine of the angle to the axis, as that of a flat emitter does. Raises InputError where these contradict.
+    with the inverse square), so that a white Lambertian texel facing the light has radiance 1. For a
+    directed near light it is the intensity along the axis. axis: (3,) the unit direction in which it shines. cone:
+    half-angle in degrees, with no light outside it (a spot). cosine: whether its light falls with the cosine of the
+    angle to the axis, like a flat emitter's. Raises InputError if these contradict each other.
     """
 
     vector: tuple[float, float, float]
@@ -48,13 +48,13 @@ class Light:
             raise CaptureError("a light's cone is a half-angle above 0 and up to 180 degrees")
 
     def share(self, points: np.ndarray) -> np.ndarray:
-        """Return (…) what reaches points (…, 3) of the intensity along the axis, distance left out: 0 to 1."""
+        """Return (…) the fraction 0…1 of the axial intensity in the direction of points (…, 3), without distance."""
         if self.axis is None:
             return np.ones(points.shape[:-1])
         away: np.ndarray = points - np.asarray(self.vector, np.float64)
         cosine = away @ np.asarray(self.axis) / np.maximum(np.linalg.norm(away, axis=-1), 1e-300)
         share = np.maximum(cosine, 0) if self.cosine else np.ones_like(cosine)
-        # Half of a degree's millionth: what lies on the cone's border by rounding is inside.
+        # 5e-7 degrees of tolerance: points on the cone's border within rounding are inside.
         border = -1.0 if self.cone is None else math.cos(math.radians(min(self.cone + 5e-7, 180)))
         return np.where(cosine >= border, share, 0.0)
 
@@ -64,8 +64,8 @@ class Observation:
     """One image, its light and its camera.
 
     read: returns (H, W, 4) float32, row 0 at the bottom: linear Rec. 709 radiance, and in alpha the weight of the
-    pixel, 0 where it is not a number, below 0 where it is clipped (capture/bounds.py). Reading is put off until it is
-    needed. camera: an index. coarse: whether its file holds 8-bit sRGB codes.
+    pixel, 0 for NaN, below 0 for clipped pixels (capture/bounds.py). camera: an index. coarse: whether its file holds
+    8-bit sRGB codes.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """An observation that is not used, as its image is damaged. index: in the capture's own list, from 0."""
+    """An unused observation with a damaged image. index: in the capture's own list, from 0."""
 
     index: int
     image: str
@@ -89,9 +89,8 @@ class Capture:
     """The observations of one subject. masks: one (H, W) bool array per camera, row 0 at the bottom.
 
     card_distance: from the camera to a flat subject, along the camera's axis, in the unit of the lights' positions;
-    None where it is not known. Raises InputError where it is no length.
-    left_out: what its files list and it does not hold.
-    encoding: how their files are encoded, where they were read with colour_space "auto".
+    None if unknown. Raises InputError if it is not above 0. left_out: listed observations that it does not hold.
+    encoding: of files that were read with colour_space "auto".
     """
 
     name: str
@@ -109,10 +108,10 @@ class Capture:
 
     @property
     def listed(self) -> int:
-        """How many observations its files list."""
+        """The number of observations in its files' list."""
         return len(self.observations) + len(self.left_out)
 
     def numbers(self, listed: Iterable[int]) -> list[int]:
-        """Return the indices that observations of the files' list have here, without those that are left out."""
+        """Return the indices in this capture of listed observations, without left-out ones."""
         gone = [one.index for one in self.left_out]
         return [index - sum(other < index for other in gone) for index in listed if index not in gone]

@@ -1,4 +1,4 @@
-"""Writing a capture as a folder: capture.toml and EXR images."""
+"""Writes a capture as a folder: capture.toml and EXR images."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _IMAGES = "images.exr"
 def write_capture(capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False) -> None:
     """Write a capture into a new or empty folder, whole or not at all; ``read_capture`` reads it back.
 
-    half: 16-bit floats instead of 32-bit ones (values from 65504 count as clipped when read). single_file: all images
-    and masks as parts of one EXR, which needs cameras of one size. A weight other than 1 is kept as alpha.
-    Raises InputError where the folder is not empty or cannot be written, or sizes differ.
+    half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped). single_file: all images and masks as
+    parts of one EXR; the cameras must have one size. Weights other than 1 are kept as alpha. Raises InputError if the
+    folder is not empty or cannot be written, or sizes differ.
     """
     folder = Path(folder)
     if single_file and len({(camera.width, camera.height) for camera in capture.cameras}) > 1:

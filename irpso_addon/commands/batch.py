@@ -1,4 +1,4 @@
-"""``batch LIST``: many recoveries from one list, one after another, that can be stopped and started again."""
+"""``batch LIST``: runs the recoveries of a list one after another; a second start continues."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from .options.values import silent
 _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
 _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
-_OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # where a card is listed, no defaults of it
-_OF_CARDS = ("distance",)  # and the other way round
-_EVERY = 60.0  # seconds between checkpoints, where a job does not say
+_OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # defaults that do not apply to cards
+_OF_CARDS = ("distance",)  # defaults that do not apply to meshes
+_EVERY = 60.0  # default seconds between checkpoints
 _FIGURES = (
     "texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "relighting_highlights_psnr_db", "warnings",
 )  # fmt: skip
@@ -37,9 +37,9 @@ Parse = Callable[[Sequence[str]], Namespace]
 
 @dataclass(frozen=True)
 class Row:
-    """A recovery in a list. words: its command line, without what a batch adds. listed: the same as the list has it.
+    """One job of a list. words: its command line, without the options that a batch adds.
 
-    A list that has been moved, or is named in another way, has the same jobs.
+    listed: the same words with paths as in the list, which identify the job even if the list has moved.
     """
 
     name: str
@@ -47,16 +47,16 @@ class Row:
     listed: tuple[str, ...]
 
     def folder(self, output: Path) -> Path:
-        """Return where its result goes."""
+        """Return the folder of its result."""
         return output / self.name
 
     def state_file(self, output: Path) -> Path:
-        """Return the file that tells how far it is."""
+        """Return the file of its state."""
         return output / f"{self.name}.json"
 
 
 def run(options: Namespace) -> dict:
-    """Run what is not done yet of a list, and write one report; a job that fails does not stop the others."""
+    """Run the unfinished jobs of a list and write one report. A failed job does not stop the others."""
     ranks = joined()
     if ranks is not None:
         error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
@@ -73,10 +73,10 @@ def run(options: Namespace) -> dict:
 
 
 def read_list(path: Path, parse: Parse) -> list[Row]:
-    """Return the jobs of a TOML list. Raises InputError naming the list and the job where one is not understood.
+    """Return the jobs of a TOML list. Raises InputError naming the list and the job if one is invalid.
 
-    [defaults] holds options of ``recover`` for all, each [[job]] its own, by their long names with _ for -; a job has a
-    capture and may have a name. parse: of the command line.
+    [defaults] holds options of ``recover`` for all jobs, each [[job]] its own, by their long names with _ for -. A job
+    has a capture and may have a name. parse: the command line's parser.
     """
     table = load_toml(path)
     rows, defaults = table.get("job"), table.get("defaults", {})
@@ -92,7 +92,7 @@ def read_list(path: Path, parse: Parse) -> list[Row]:
 
 
 def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return a job with what holds for all; of a card, without what is of meshes alone, and the other way round."""
+    """Return a job with the defaults: a card without those of meshes, a mesh without those of cards."""
     found = {**defaults, **row}
     card = "blend" not in found and not str(found.get("capture", "")).lower().endswith(".blend")
     others = _OF_MESHES if card else _OF_CARDS
@@ -107,7 +107,7 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
     if not isinstance(name, str) or not name or Path(name).name != name or name.startswith(".") or name == "batch":
         raise InputError(f"{where}: name must be one that a folder can have, other than batch")
     if ours := [key for key in _OURS if key in row]:
-        raise InputError(f"{where}: {ours[0]} is not for a list; it is given, or not, to batch itself")
+        raise InputError(f"{where}: {ours[0]} is not an option of jobs; give it to batch itself")
     words, listed = (_command(row, place) for place in (path, None))
     try:
         parse([*words, "-o", name])
@@ -117,7 +117,7 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
 
 
 def _command(row: dict[str, Any], path: Path | None) -> list[str]:
-    """Return the words of a job; path: of the list, to which those that are paths are relative, or None."""
+    """Return the words of a job. path: the list, which paths are relative to; None to leave them unchanged."""
     words = ["recover", _beside(path, "capture", row["capture"])]
     for key, value in row.items():
         if key not in ("name", "capture"):
@@ -126,7 +126,7 @@ def _command(row: dict[str, Any], path: Path | None) -> list[str]:
 
 
 def _words(key: str, value: Any, path: Path | None) -> list[str]:
-    """Return one option as words of a command line; a list is an option given several times."""
+    """Return one option as words of a command line; a list repeats the option."""
     option = f"--{key.replace('_', '-')}"
     if isinstance(value, bool):
         return [option] if value else []
@@ -136,7 +136,7 @@ def _words(key: str, value: Any, path: Path | None) -> list[str]:
 
 
 def _beside(path: Path | None, key: str, value: str) -> str:
-    """Return an option's value with what is a path in it relative to the list, or as it is."""
+    """Return an option's value; a path in it becomes relative to the list."""
     if path is None:
         return value
     if key in _PATHS or (key in _NAMES_OR_PATHS and value.endswith(".toml")):
@@ -148,7 +148,7 @@ def _beside(path: Path | None, key: str, value: str) -> str:
 
 
 def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
-    """Run a job, unless it is done; return what its state file holds afterwards."""
+    """Run a job unless it is done; return the contents of its state file."""
     folder, file = job.folder(output), job.state_file(output)
     before = _state(file)
     same = before.get("words") == list(job.listed)
@@ -156,29 +156,23 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
         _say(options, f"{job.name}: done before")
         return before
     resume = same and (folder / CHECKPOINT).is_file()
-    _say(options, f"{job.name}: {'goes on' if resume else 'begins'}")
+    _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
     state = {"name": job.name, "words": list(job.listed), "state": "begun"}
     write_json(file, plain(state))
-    words = [
-        *job.words,
-        "-o",
-        str(folder),
-        *(["--resume"] if resume else []),
-        *(["--quiet"] if silent(options) else []),
-    ]
+    words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
     started = time.perf_counter()
     try:
         try:
             found = recover.run(options.parse(words))
-        except CheckpointError as error:  # of options, photographs or a version that were others
-            _say(options, f"{job.name}: begins anew ({error})")
+        except CheckpointError as error:  # of other options, photographs or another version
+            _say(options, f"{job.name}: starts again ({error})")
             found = recover.run(options.parse([word for word in words if word != "--resume"]))
         state |= {"state": "done", "result": {key: found[key] for key in _FIGURES if key in found}}
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("start the batch again to go on") from None
+        raise KeyboardInterrupt("start the batch again to continue") from None
     except (InputError, MemoryError) as error:
         state |= {"state": "failed", "error": " ".join(str(error).splitlines())}
-        sys.stderr.write(f"irpso: {job.name}: {state['error']}\n")
+        sys.stderr.write(f"irpso: job '{job.name}' failed: {state['error']}\n")
     state["took"] = round(time.perf_counter() - started, 1)
     write_json(file, plain(state))
     return state
@@ -196,7 +190,7 @@ def _outcome(states: list[dict[str, Any]], file: Path | None, options: Namespace
 
 
 def _state(file: Path) -> dict[str, Any]:
-    """Return what a state file holds, nothing where it is missing or damaged: its job begins anew then."""
+    """Return the contents of a state file; {} if it is missing or damaged, so that its job starts again."""
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

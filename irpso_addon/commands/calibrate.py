@@ -1,4 +1,4 @@
-"""``calibrate CAPTURE_OR_IMAGES``: the lights of photographs from balls in them."""
+"""``calibrate CAPTURE_OR_IMAGES``: finds the lights of photographs from balls in them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHOWN_WARNINGS = 12
 
 
 def run(options: Namespace) -> dict:
-    """Find the lights and write them. Raises InputError; then nothing is written."""
+    """Find the lights and write them. Raises InputError and then writes nothing."""
     keys = _camera(options)
     requests = [ball_of_text(text) for text in options.ball]
     masks = [r.mask for r in requests if r.mask is not None]
@@ -75,24 +75,22 @@ def _albedo(text: str | None) -> tuple[float, float, float] | None:
 
 def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
     result = found.result
-    told = [light for light in result.lights if light.light is not None]
+    errors = [light.error for light in result.lights if light.light is not None]
     camera = result.views[0].ball.camera
     lines = [
-        f"{len(told)} lights of {len(found.names)} photographs, {result.how}",
-        f"standard error: median {np.median([t.error for t in told]):.2f}°, largest {max(t.error for t in told):.2f}°",
+        f"{len(errors)} lights of {len(found.names)} photographs, {result.how}",
+        f"standard error: median {np.median(errors):.2f}°, largest {max(errors):.2f}°",
     ]
-    for view in result.views:
-        lines.append(
-            f"{view.ball.name}: radius {view.ball.radius_px:.1f} pixels, outline known to {view.ball.error_px[0]:.2f}"
-        )
+    for ball in (view.ball for view in result.views):
+        lines.append(f"{ball.name}: radius {ball.radius_px:.1f} pixels, error of the outline {ball.error_px[0]:.2f}")
     if not camera.perspective:
-        lines.append("camera: orthographic; of a lens that is not very long give --fov or --camera")
+        lines.append("camera: orthographic; if the lens is not very long, give --fov or --camera")
     elif result.near and radius is None:
-        lines.append("places are counted in radii of the ball; --radius makes them world units")
+        lines.append("positions are in radii of the ball; --radius converts them to world units")
     if result.near and found.spec.card_distance is None and len(found.spec.views) == 1:
         lines.append(
-            "a flat card under these lights needs its distance from the camera in capture.toml; one that the balls lie"
-            f" on: card_distance = {found.card_distance:.6g}"
+            "a flat card under these lights needs its distance from the camera in capture.toml; for a card under the"
+            f" balls: card_distance = {found.card_distance:.6g}"
         )
     lines += [f"warning: {warning}" for warning in found.warnings[:_SHOWN_WARNINGS]]
     if len(found.warnings) > _SHOWN_WARNINGS:

@@ -124,15 +124,11 @@ def _summary(result: dict, folder: Path) -> str:
         f" figures below (n·v < {experiment.GRAZING}); {result['seconds_in_all']:.0f} s in all; written to {folder}"
     ]
     for name, errors in result["runs"].items():
-        lines.append(f"{name}: {_what_was_known(name)}")
+        start = "all parameters free" if name == experiment.JOINT else "random start, the other maps known"
+        lines.append(f"{name}: {start}")
         for what, error in errors.items():
             lines.append(
                 f"    {what:12} mean {error['mean']:.4f} {error['unit']}  99th percentile {error['p99']:.4f}"
                 f"  largest {error['max']:.3f}"
             )
     return "\n".join(lines) + "\n"
-
-
-def _what_was_known(name: str) -> str:
-    """Say what a run knew."""
-    return "nothing known" if name == experiment.JOINT else "random start, the other maps known"

@@ -1,12 +1,12 @@
-"""``develop CAPTURE``: linear images of photographs, one for each light, and the capture's lists beside them."""
+"""``develop CAPTURE``: linear images of photographs, one per light, with the capture's lists."""
 
 from __future__ import annotations
 
 import json
 import sys
 from argparse import Namespace
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ _FILENAMES = "filenames.txt"
 
 
 def run(options: Namespace) -> dict:
-    """Develop everything and write it into a new folder. Raises InputError; nothing is written then."""
+    """Develop all photographs into a new folder. Raises InputError and then writes nothing."""
     out = Path(options.output)
     check_unused(out)
     exposing = _exposing(options)
@@ -45,10 +45,10 @@ def run(options: Namespace) -> dict:
     work = _Work(options, source, exposing, chart)
     work.prepare(darks, flats)
     work.register()
-    with new_folder(out) as partial:
-        work.write(partial)
+    with new_folder(out) as folder:
+        work.write(folder)
         report = work.report()
-        (partial / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     work.bar.close()
     for warning in report["warnings"]:
         sys.stderr.write(f"irpso: {warning}\n")
@@ -62,12 +62,12 @@ def _exposing(options: Namespace) -> Exposing | None:
     given = exposure_list("--exposures", options.exposures)
     by = options.brackets or options.exposure
     if given and by != "names":
-        raise InputError("--exposures tells what the numbers at the end of names mean; add --brackets names")
+        raise InputError("--exposures lists what the numbers at the end of names stand for; add --brackets names")
     return Exposing(by, bool(options.brackets), given) if by else None
 
 
 class _Work:
-    """The developing of one source: what is measured first, then each image read, corrected, moved and written."""
+    """Develops one source: measures the corrections, then reads, corrects, moves and writes each image."""
 
     def __init__(self, options: Namespace, source: Source, exposing: Exposing | None, chart: Path | None):
         self.options, self.source, self.exposing, self.chart = options, source, exposing, chart
@@ -115,7 +115,7 @@ class _Work:
 
     def _response(self):
         if self.options.response and self.options.grey_card:
-            raise InputError("--response and --grey-card both tell the curve; give one of them")
+            raise InputError("--response and --grey-card both give the curve; give one of them")
         if self.options.response:
             response = read_response(self.options.response)
             self.measured["response"] = {"file": self.options.response, "residual": _finite(response.residual)}
@@ -130,7 +130,7 @@ class _Work:
         return response
 
     def _amount(self, path: Path) -> float | None:
-        """Return the exposure of a file beside the shots, None where it tells none or none is asked for."""
+        """Return the exposure of a file beside the shots; None if it has none or exposures are not used."""
         if self.exposing is None:
             return None
         if self.exposing.by == "exif":
@@ -162,13 +162,13 @@ class _Work:
             return first
         amount = self._amount(self.chart)
         if scaled and self.exposing is not None and amount is None:
-            raise InputError(f"{self.chart}: tells no exposure, without which the card gives no scale; leave =… out")
+            raise InputError(f"{self.chart}: has no exposure, so the card gives no scale; omit =…")
         amounts = None if amount is None else (amount,)
         image = ImageRef(self.chart, colour_space=self.options.colour_space)
         return Shot("chart", (image,), amounts, first.camera, first.size)
 
     def register(self) -> None:
-        """Find by how much each image is off the reference, where that is asked for."""
+        """Measure each image's shift against the reference, if --register is given."""
         if not self.options.register:
             if self.options.reference:
                 raise InputError("--reference is the image that --register moves the others onto; add --register")
@@ -189,10 +189,12 @@ class _Work:
             )
             return
         for k in np.flatnonzero(~self.shifts[2]):
-            self.warnings.append(f"{names[k]}: agrees with no other image, so it is not moved; look whether it belongs")
+            self.warnings.append(
+                f"{names[k]}: agrees with no other image, so it is not moved; check if it belongs here"
+            )
 
     def _read(self, index: int) -> np.ndarray:
-        """Return one image as it is written, (H, W, 4), and note its figures."""
+        """Return one image to write, (H, W, 4), and store its figures."""
         shots = self.source.shots
         found = developed(self.store, shots[index], self.corrections)
         rgba, figures = found.rgba, {"name": shots[index].name, **found.figures}
@@ -213,8 +215,7 @@ class _Work:
         """Write all images and the lists into a folder."""
         capture, half = self.source.capture, self.options.half
         if capture is not None:
-            readers = [_reader(self._read, k) for k in range(len(self.source.shots))]
-            observations = [replace(o, read=read) for o, read in zip(capture.observations, readers, strict=True)]
+            observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
             write_capture(replace(capture, observations=tuple(observations)), folder, half=half)
             return
         names = []
@@ -228,14 +229,10 @@ class _Work:
         (folder / _FILENAMES).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
 
     def report(self) -> dict:
-        """Return what was done and measured."""
-        asked = {k: v for k, v in vars(self.options).items() if k not in ("command", "json", "quiet") and v}
-        return {"settings": asked, **self.measured, "reference_exposure": self.corrections.reference,
+        """Return the report: settings, corrections and figures of each image."""
+        settings = {k: v for k, v in vars(self.options).items() if k not in ("command", "json", "quiet") and v}
+        return {"settings": settings, **self.measured, "reference_exposure": self.corrections.reference,
                 "images": self.figures, "warnings": self.warnings}  # fmt: skip
-
-
-def _reader(read: Callable[[int], np.ndarray], index: int) -> Callable[[], np.ndarray]:
-    return lambda: read(index)
 
 
 def _finite(value: float) -> float | None:

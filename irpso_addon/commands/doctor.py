@@ -1,4 +1,4 @@
-"""``doctor``: what GPU there is, its limits, and what will be used."""
+"""``doctor``: reports the GPU, its limits, and the chosen kind of pass."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..solver.planning.machine import fact_lines, machine_facts
 
 
 def run(options: Namespace) -> dict:
-    """Probe the GPU in a child process and print what it is. Raises GpuUnavailableError."""
+    """Probe the GPU in a child process and print the facts. Raises GpuUnavailableError."""
     found = probe.probe()
     if not options.json:
         sys.stdout.write("".join(f"{line}\n" for line in fact_lines(machine_facts(found))))

@@ -1,4 +1,4 @@
-"""``export RESULT``: a finished result in the formats that other programs read."""
+"""``export RESULT``: writes a finished result in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .options.values import silent
 
 
 def run(options: Namespace) -> dict:
-    """Read the result's folder and write it in the format that is asked for. Raises InputError."""
+    """Read the result's folder and write it in the chosen format. Raises InputError."""
     result = read_result(options.result, options.model)
     if options.format == "ptm":
         probe.probe()
@@ -29,7 +29,7 @@ def run(options: Namespace) -> dict:
 
 def _subject(result: Result, name: str | None) -> Any:
     if result.blend is None:
-        raise InputError(f"{result.folder}: holds no material.blend, whose mesh gltf is of; recover again")
+        raise InputError(f"{result.folder}: holds no material.blend, so gltf has no mesh; recover again")
     open_blend(str(result.blend))
     return result_object(name)
 

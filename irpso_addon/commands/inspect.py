@@ -1,4 +1,4 @@
-"""``inspect CAPTURE``: what is in a capture, and what is wrong with it."""
+"""``inspect CAPTURE``: lists the contents of a capture and its faults."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..capture.inspect.report import inspect_capture
 from ..core.errors import InputError
 from .options.values import positive
 
-_GOALS = ("normals", "roughness")  # what recover's default model has; a fact tells whether it would do for two lobes
+_GOALS = ("normals", "roughness")  # of recover's default model; a fact says whether the lights suffice for two lobes
 
 
 def run(options: Namespace) -> dict:
-    """Print facts and findings; exit code 2 where a finding is an error."""
+    """Print facts and findings; the exit code is 2 if a finding is an error."""
     distance = positive("--distance", options.distance)
     report = inspect_capture(options.capture, decode, options.colour_space, _GOALS, distance, options.skip_damaged)
-    if not report.facts:  # it could not even be opened
+    if not report.facts:  # it could not be opened
         raise InputError("; ".join(finding.message for finding in report.findings))
     if not options.json:
         width = max(len(name) for name, _ in report.facts)

@@ -1,4 +1,4 @@
-"""``recover CAPTURE``: a capture to maps, material and report."""
+"""``recover CAPTURE``: from a capture to maps, material and report."""
 
 from __future__ import annotations
 
@@ -62,15 +62,14 @@ def _planned(options: Namespace, result: dict) -> dict:
 
 def _job_of_ranks(options: Namespace) -> Job:
     if options.slots == EACH:
-        raise InputError(f"--slots {EACH}: over several ranks one slot is recovered at a time; name it")
+        raise InputError(f"--slots {EACH}: ranks recover one slot at a time; name it")
     return job_of(options)
 
 
 def _each_slot(options: Namespace) -> dict:
-    """Recover the slots of each material into a folder of its own; return the reports by the folders' names.
+    """Recover the slots of each material into its own folder; return the reports by folder name.
 
-    The materials of all are saved in one file beside them. Raises InputError before anything slow where a slot has no
-    usable UV map.
+    One file beside them holds all materials. Raises InputError before anything slow if a slot has no usable UV map.
     """
     folder, chosen = open_slots(options, blend_of(options))
     reports: dict[str, dict] = {}
@@ -89,7 +88,7 @@ def _each_slot(options: Namespace) -> dict:
 
 
 def _recovered(options: Namespace, run: Run) -> dict:
-    """Take a run to its end, write everything, and return the report."""
+    """Run to the end, write everything, and return the report."""
     folder = Path(options.output)
     run_steps(run.open())
     with run.recovery as recovery:
@@ -101,7 +100,8 @@ def _recovered(options: Namespace, run: Run) -> dict:
         warnings = [*unsaved, *live.warnings, *run.device_warnings()]
     started = time.perf_counter()
     found = found_of(run, maps, derived_maps_of(options))
-    report = report_of(run, found, _settings(options), seconds, warnings)
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
+    report = report_of(run, found, settings, seconds, warnings)
     pictures = pictures_of(run, found) | {"convergence": history.picture(maps)}
     write_maps(found.written, folder, report, pictures, found.derived)
     height = found.height if options.displacement else None
@@ -116,14 +116,10 @@ def _recovered(options: Namespace, run: Run) -> dict:
     return {"output": str(folder), **{key: report[key] for key in report if key not in ("settings", "maps")}}
 
 
-def _settings(options: Namespace) -> dict:
-    return {key: value for key, value in vars(options).items() if key not in ("json", "quiet", "command")}
-
-
 def _summary(report: dict, folder: Path, seconds: float) -> str:
     lines = [f"{report['texels']} texels, {report['seconds']['solve']:.1f} s, written to {folder} in {seconds:.1f} s"]
     if unseen := report["unseen_texels"]:
-        lines.append(f"{unseen} more texels are seen lit by no camera and hold what lies nearest")
+        lines.append(f"{unseen} more texels are lit in no photograph and copy the nearest recovered texel")
     if residual := report.get("residual"):
         lines.append(f"residual: mean {residual['mean']:.5f}, 99th percentile {residual['p99']:.5f}")
     for name, error in report.get("ground_truth", {}).items():
@@ -132,12 +128,12 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
             f" 99th percentile {error['p99']:.3f}"
         )
     for name, share in report.get("priors_decided", {}).items():
-        lines.append(f"{name}: the prior says more than the photographs on {share:.0%} of the texels")
+        lines.append(f"{name}: the prior outweighs the photographs on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():
         highlights = report["relighting_highlights_psnr_db"][name]
-        told = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]
-        told += [f"highlights {highlights:.2f} dB"] if highlights is not None else []
-        lines.append(f"relit {name}: {', '.join(told)}")
+        figures = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]
+        figures += [f"highlights {highlights:.2f} dB"] if highlights is not None else []
+        lines.append(f"relit {name}: {', '.join(figures)}")
     lines += [line[0].lower() + line[1:]] if (line := relit_line(report)) else []
     lines += [f"warning: {text}" for text in report["warnings"]]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""``render MAPS``: a capture from maps, a mesh, cameras and lights, with the shaders that the solver inverts."""
+"""``render MAPS``: renders a capture from maps, a mesh, cameras and lights with the solver's shaders."""
 
 from __future__ import annotations
 
@@ -38,16 +38,10 @@ def run(options: Namespace) -> dict:
     cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
-    renderers = [
-        camera_renderer(
-            bake,
-            model,
-            turned_normals(model, sample_maps(model, values, bake.uv), mesh, bake, from_blender),
-            camera,
-            lights,
-        )
-        for bake, camera in zip(bakes, cameras, strict=True)
-    ]
+    renderers = []
+    for bake, camera in zip(bakes, cameras, strict=True):
+        seen = turned_normals(model, sample_maps(model, values, bake.uv), mesh, bake, from_blender)
+        renderers.append(camera_renderer(bake, model, seen, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)
     write_capture(capture, options.output)
@@ -58,7 +52,7 @@ def run(options: Namespace) -> dict:
 
 
 def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dict[str, np.ndarray]:
-    """Return the maps with the model's defaults for those that are missing. Raises InputError where sizes differ."""
+    """Return the maps, with the model's defaults for missing ones. Raises InputError if sizes differ."""
     sizes = {value.shape[:2] for value in values.values()}
     if len(sizes) > 1:
         raise InputError(f"the maps differ in size: {', '.join(f'{w} × {h}' for h, w in sorted(sizes))}; resample them")
@@ -69,10 +63,10 @@ def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dic
 
 def _lights(options: Namespace) -> list[Light]:
     if options.lights:
-        rows = read_numbers(Path(options.lights), "give a file with the direction to one light a line: x y z")
+        rows = read_numbers(Path(options.lights), "give a file with one light direction per line: x y z")
         for line, row in rows:
             if len(row) != 3 or not np.isfinite(row).all() or not np.any(row):
-                raise InputError(f"{options.lights}: line {line}: wants the three numbers of a direction, not all zero")
+                raise InputError(f"{options.lights}: line {line}: write the three numbers of a direction, not all zero")
         directions = np.array([np.divide(row, np.linalg.norm(row)) for _, row in rows])
     else:
         directions = dome(*size_option("--dome", options.dome))

@@ -1,4 +1,4 @@
-"""``response PHOTOGRAPHS``: a camera's response curve, from brackets of a scene or grey patches in one photograph."""
+"""``response PHOTOGRAPHS``: measures a camera's response curve from brackets or from grey patches."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ..core.progress_bar import ProgressBar
 from .options.photographs import chart_response, exposure_list
 from .options.values import silent
 
-_SAMPLES = 4000  # pixels of all brackets together
-_WIDE = 1.6  # stops: steps above it leave a part of the curve's shape to the smoothness alone
+_SAMPLES = 4000  # pixels from all brackets
+_WIDE = 1.6  # stops: with wider steps only smoothness determines a part of the curve
 
 
 def run(options: Namespace) -> dict:
-    """Write the curve and say how well the photographs fit it. Raises InputError."""
+    """Write the curve and print its residual. Raises InputError."""
     path, store = Path(options.photographs), ImageStore(decode)
     warnings: list[str] = []
     if options.grey_card:
@@ -54,9 +54,7 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
         bar.show(k / len(brackets), bracket.name)
         codes = [_codes(store, ImageRef(p)) for p in bracket.paths]
         if len({one.shape for one in codes}) > 1:
-            raise InputError(
-                f"{bracket.paths[0]}: its bracket has photographs of different sizes; leave them uncropped"
-            )
+            raise InputError(f"{bracket.paths[0]}: the sizes in its bracket differ; do not crop photographs")
         samples.append(spread_samples(np.stack(codes, axis=-2), _SAMPLES // len(brackets)))
         exposures.append(np.array(bracket.amounts))
     bar.show(1.0)
@@ -64,8 +62,8 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
     step = bracket_step(exposures)
     if step > _WIDE:
         warnings.append(
-            f"{path}: exposures are {step:.1f} stops apart, which leaves much of the curve's shape open; photograph"
-            " brackets with steps of one stop"
+            f"{path}: exposures are {step:.1f} stops apart, which leaves much of the curve undetermined;"
+            " photograph brackets with steps of one stop"
         )
     return response_from_brackets(samples, exposures), warnings
 
@@ -80,15 +78,14 @@ def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
 
 
 def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:
-    """Return (N, F, 3) of ``count`` pixels at most of (H, W, F, 3): as many of each brightness, from even places.
+    """Return (N, F, 3): at most ``count`` pixels of (H, W, F, 3), evenly distributed over brightness.
 
-    Brackets are not perfectly still and lenses not perfectly sharp: pixels at edges are left out.
+    Pixels at edges are left out, because brackets move slightly.
     """
     height, width, frames, _ = codes.shape
     middle = codes[:, :, frames // 2].mean(axis=-1)
     rough = np.hypot(*np.gradient(middle))
     flat = codes.reshape(-1, frames, 3)
     smooth = np.flatnonzero((rough <= np.quantile(rough, 0.7)).ravel())
-    # Even quantiles of the mean code over all frames: dark and bright places alike.
     order = smooth[np.argsort(flat[smooth].mean(axis=(1, 2)), kind="stable")]
     return flat[order[np.linspace(0, len(order) - 1, min(count, len(order))).astype(int)]]

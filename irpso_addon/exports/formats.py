@@ -1,4 +1,4 @@
-"""The formats by name, for the command line and the panel."""
+"""The export formats by name, for command line and panel."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def export(result: Result, kind: str, out: str | Path, convention: str, subject:
         return write_openlime(result, out)
     if kind == "textures":
         return write_textures(result, out, convention)
-    path = Path(out)
-    if path.suffix.lower() == ONE_FILE[kind]:
+    path, suffix = Path(out), ONE_FILE[kind]
+    if path.suffix.lower() == suffix:
         check_output_folder(path.parent)
     else:
-        path = check_output_folder(out) / f"{file_stem(result.name)}{ONE_FILE[kind]}"
+        path = check_output_folder(out) / f"{file_stem(result.name)}{suffix}"
     return write_ptm(result, path) if kind == "ptm" else write_gltf(result, path, subject())

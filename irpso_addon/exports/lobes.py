@@ -59,7 +59,7 @@ def fit_ggx(surface: Surface) -> Fit:
         alpha = surface.lobes[0].alpha
         return Fit(alpha, np.ones_like(alpha), np.zeros_like(alpha))
     everywhere = np.ones(surface.f0.shape, bool)
-    fitted = _fit(_texels(surface, everywhere), _ggx, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
+    fitted = _fit(_texels(surface, everywhere), _microfacet, np.geomspace(1e-3, 1.0, 2 * _WIDTHS), _VIEWS)
     return Fit(*fitted.reshape(3, *surface.f0.shape))
 
 
@@ -97,7 +97,7 @@ def _configurations(views: tuple[float, ...]) -> _Configurations:
     return _Configurations(light[seen], np.cos(view_angle)[seen], np.cos(theta)[seen], between[seen], weight[seen])
 
 
-def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str) -> np.ndarray:
+def _microfacet(k: _Configurations, alpha: np.ndarray, distribution: str = "GGX") -> np.ndarray:
     """Return (…, K) radiance over f0 of lobes of widths (…): Cook & Torrance 1982 with Smith's masking."""
     alpha = np.asarray(alpha, np.float64)[..., None]
     slope = (1 - k.half**2) / k.half**2 / alpha**2
@@ -117,10 +117,6 @@ def _smith(cosine: np.ndarray, alpha: np.ndarray, distribution: str) -> np.ndarr
         return (np.sqrt(1 + slope**2) - 1) / 2
     a = 1 / np.maximum(slope, 1e-9)
     return np.where(a < 1.6, (1 - 1.259 * a + 0.396 * a**2) / (3.535 * a + 2.181 * a**2), 0.0)
-
-
-def _ggx(k: _Configurations, alpha: np.ndarray) -> np.ndarray:
-    return _microfacet(k, alpha, "GGX")
 
 
 def _ward(k: _Configurations, alpha: np.ndarray) -> np.ndarray:

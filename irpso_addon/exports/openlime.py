@@ -43,7 +43,10 @@ def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
         for number, maps in split_maps(result.maps):
             surface = surface_of(maps)
             fit = fit_ward(surface, _LOWEST, _HIGHEST)
-            limits = _limits(fit.alpha[maps.covered])
+            widths = fit.alpha[maps.covered]
+            low, high = (float(widths.min()), float(widths.max())) if widths.size else (_LOWEST, _HIGHEST)
+            # Slightly apart even if all widths are equal.
+            limits = [round(low * 0.999, 6), round(max(high, 1.01 * low) * 1.001, 6)]
             names = {}
             for channel, image in _images(surface, fit, limits, maps).items():
                 names[channel] = f"{tile_stem(channel, number, tiles)}.png"
@@ -60,23 +63,16 @@ def write_openlime(result: Result, folder: str | Path) -> dict[str, Any]:
     return {"output": str(folder), **report}
 
 
-def _limits(alpha: np.ndarray) -> list[float]:
-    """Return least and greatest width of the gloss range, slightly apart even if all widths are equal."""
-    low, high = (float(alpha.min()), float(alpha.max())) if alpha.size else (_LOWEST, _HIGHEST)
-    return [round(low * 0.999, 6), round(max(high, 1.01 * low) * 1.001, 6)]
-
-
 def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, np.ndarray]:
     metallic = surface.metallic[..., None]
     f0 = surface.f0[..., None] * (1 - metallic) + surface.base_color * metallic
     kd = surface.base_color * (1 - metallic)
     if surface.layered:
         kd = kd * (1 - f0)  # the base gets only the light that the layer transmits, here at normal incidence
-    normals = np.where(maps.covered[..., None], encode_normal(surface.normal), _OUTSIDE)
     return {
         "kd": pixels.colour(kd, maps),
         "ks": pixels.colour(f0 * fit.scale[..., None], maps),
-        "normals": normals,
+        "normals": np.where(maps.covered[..., None], encode_normal(surface.normal), _OUTSIDE),
         "gloss": pixels.packed(maps, gloss_of(fit.alpha, limits)),
     }
 

@@ -51,7 +51,9 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
         table = load_model(model or stored or report.get("model", ""))
     except InputError as error:
         raise InputError(f"{error}; give its present place by --model") from error
-    tiles = _tiles(report)
+    files = [str(name).split(".") for name in report.get("files", ())]
+    numbers = sorted(int(parts[1]) for parts in files if len(parts) == 3 and parts[0] == "maps" and parts[2] == "exr")
+    tiles = tuple(numbers) or ONE_SQUARE
     values = read_maps(folder, table, tiles)
     covered = np.concatenate([_coverage(folder / f"{tile_stem('maps', tile, tiles)}.exr") for tile in tiles], axis=1)
     # The file's margins are already filled, at seams with the texels from across the seam.
@@ -72,13 +74,6 @@ def _report(folder: Path) -> dict[str, Any]:
         names = ", ".join(f"'{folder / name}'" for name in report["slots"])
         raise InputError(f"{folder}: holds a result for each material slot; give one of their folders: {names}")
     return report
-
-
-def _tiles(report: dict[str, Any]) -> tuple[int, ...]:
-    """Return the UDIM tiles, from the names of the maps*.exr files."""
-    files = [str(name).split(".") for name in report.get("files", ())]
-    numbers = sorted(int(parts[1]) for parts in files if len(parts) == 3 and parts[0] == "maps" and parts[2] == "exr")
-    return tuple(numbers) or ONE_SQUARE
 
 
 def _coverage(path: Path) -> np.ndarray:

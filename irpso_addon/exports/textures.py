@@ -51,16 +51,13 @@ _METALLIC = _Texture("_Metallic", lambda s: pixels.packed(s.maps, s.surface.meta
 _SPECULAR = _Texture("_Specular", lambda s: pixels.packed(s.maps, s.specular))
 _NORMAL = _Texture("_Normal", lambda s: pixels.normal(s.surface.normal, s.maps), 16)
 _HEIGHT = _Texture("_Height", lambda s: s.height, 16)
+# Metallic, occlusion, detail mask and smoothness, as for Unity's HDRP.
+_MASK = _Texture("_MaskMap", lambda s: pixels.packed(s.maps, s.surface.metallic, 1.0, 1.0, 1 - s.roughness))
 
 
 def _orm(s: _Set) -> np.ndarray:
     """Return occlusion (unknown: 1), roughness and metallic."""
     return pixels.packed(s.maps, 1.0, s.roughness, s.surface.metallic)
-
-
-def _mask_map(s: _Set) -> np.ndarray:
-    """Return metallic, occlusion, detail mask and smoothness, as for Unity's HDRP."""
-    return pixels.packed(s.maps, s.surface.metallic, 1.0, 1.0, 1 - s.roughness)
 
 
 def _directx(s: _Set) -> np.ndarray:
@@ -77,10 +74,7 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
             _Texture("_S", _SPECULAR.pixels), _Texture("_H", _HEIGHT.pixels, 16),
         ),
     ),
-    "unity": (
-        "",
-        (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _Texture("_MaskMap", _mask_map), _HEIGHT),
-    ),
+    "unity": ("", (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _MASK, _HEIGHT)),
     "substance": (
         "",
         (

@@ -22,8 +22,8 @@ def launcher():
     found = str(beside) if beside.exists() else shutil.which("mpirun")
     if importlib.util.find_spec("mpi4py") is None or found is None:
         return None
-    told = subprocess.run([found, "--version"], capture_output=True, text=True)
-    return found if told.returncode == 0 and "Open MPI" in told.stdout else None
+    done = subprocess.run([found, "--version"], capture_output=True, text=True)
+    return found if done.returncode == 0 and "Open MPI" in done.stdout else None
 
 
 def needs_mpi():

@@ -147,18 +147,18 @@ def main(folder):
 
     for name, case in cases().items():
         sizes, stop = PLAN[name]
-        told = {"one process": whole(case, to_the_end)} if world.leads else {}
+        by_size = {"one process": whole(case, to_the_end)} if world.leads else {}
         for size in sizes:
-            told[f"{size} ranks"] = some(size, case, to_the_end)
+            by_size[f"{size} ranks"] = some(size, case, to_the_end)
         if stop is not None:
             path = folder / name
             some(4, case, saved(path, stop))
-            told["4 ranks, then 7"] = some(7, case, resumed(path))
+            by_size["4 ranks, then 7"] = some(7, case, resumed(path))
             if world.leads:
-                told["4 ranks, then one process"] = whole(case, resumed(path))
+                by_size["4 ranks, then one process"] = whole(case, resumed(path))
                 whole(case, saved(path, stop))
-            told["one process, then 2 ranks"] = some(2, case, resumed(path))
-        found[name] = told
+            by_size["one process, then 2 ranks"] = some(2, case, resumed(path))
+        found[name] = by_size
     if world.leads:
         (folder / "digests.json").write_text(json.dumps(found, indent=2))
     world.close()

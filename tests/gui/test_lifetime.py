@@ -24,10 +24,10 @@ def test_enabling_and_disabling_ten_times_leaves_nothing_behind(counted):
 
 
 def test_disabling_leaves_no_name_of_the_extension(counted):
-    told = switch(counted, "disable")
+    after = switch(counted, "disable")
     switch(counted, "enable")
-    assert [name for name in (*told["types"], *told["properties"]) if "irpso" in name.lower()] == []
-    assert (told["timers"], told["drawn into Blender's menus"], told["draw handlers"]) == ([], [], 0)
+    assert [name for name in (*after["types"], *after["properties"]) if "irpso" in name.lower()] == []
+    assert (after["timers"], after["drawn into Blender's menus"], after["draw handlers"]) == ([], [], 0)
 
 
 def test_another_file_can_be_loaded_and_the_extension_is_there_in_it(counted, tmp_path):

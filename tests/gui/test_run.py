@@ -166,8 +166,8 @@ def test_the_extension_switched_off_in_mid_run_leaves_nothing_behind(ready):
     switch(ready, "enable")
     ready.run(MODULES, area="")
     begin(ready)
-    told = switch(ready, "disable")
-    assert {**told, "data": None} == {**clean, "data": None}
+    after = switch(ready, "disable")
+    assert {**after, "data": None} == {**clean, "data": None}
     switch(ready, "enable")
     ready.run(MODULES, area="")
 

@@ -51,9 +51,9 @@ def switch(window, state: str) -> dict:
 
 def changes(before: dict, after: dict) -> dict:
     """Return what differs between two snapshots: kind -> (there before only, there after only)."""
-    told = {}
+    difference = {}
     for kind in before:
         if before[kind] != after[kind]:
             sides = [each if isinstance(each, list) else [each] for each in (before[kind], after[kind])]
-            told[kind] = tuple([item for item in one if item not in other] for one, other in (sides, sides[::-1]))
-    return told
+            difference[kind] = tuple([item for item in one if item not in other] for one, other in (sides, sides[::-1]))
+    return difference

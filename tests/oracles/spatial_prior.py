@@ -70,12 +70,12 @@ def pooled(prior, model, covered, estimates, own):
             y, theirs = belief[rows, columns], deviation[rows, columns]
             s = likeness(prior, model, x, sigma, y, theirs)
             for c, width in components(model):
-                told = theirs[:, c] < TOLD * width
-                if s[told].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
+                determined = theirs[:, c] < TOLD * width
+                if s[determined].sum() <= 1e-6 or (not last and sigma[c] < TOLD * width):
                     continue
-                fixed = np.maximum(theirs[told, c], FINEST * width)
+                fixed = np.maximum(theirs[determined, c], FINEST * width)
                 mean[row, column, c], spread[row, column, c] = random_effects(
-                    s[told], y[told, c], fixed, (prior.spread * width) ** 2
+                    s[determined], y[determined, c], fixed, (prior.spread * width) ** 2
                 )
         belief, deviation = mean, spread
     return belief, deviation

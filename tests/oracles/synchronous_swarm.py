@@ -201,16 +201,16 @@ def placed(problem: SynchronousSwarm, state: State) -> Generation:
     seeded = int(np.ceil(constants.seeded * problem.particles)) if constants.seed != "random" else 0
     guess = problem.encode(problem.estimates)
     # A Lambertian fit seeds the normal and the colour only: other numbers are random, except in particle 0.
-    told = np.zeros(problem.columns, bool)
+    guessed = np.zeros(problem.columns, bool)
     for name, at, size in problem.places:
         p = problem.model.parameter(name)
-        told[at : at + size] = p.is_normal or (p.kind == "linear" and p.components == 3)
+        guessed[at : at + size] = p.is_normal or (p.kind == "linear" and p.components == 3)
     xs, vs = [], []
     for k in range(problem.particles):
         chance = swarm.uniforms(problem, -1, k, swarm.POSITION)
         spread = constants.seed_spread if k else 0.0
         near = np.clip(guess + spread * (2 * chance - 1), 0, 1)
-        xs.append(np.where((k < seeded) & (told | (k == 0)), near, chance))
+        xs.append(np.where((k < seeded) & (guessed | (k == 0)), near, chance))
         vs.append(constants.start_speed * (2 * swarm.uniforms(problem, -1, k, swarm.VELOCITY) - 1))
     return _committed(problem, state, np.stack(xs), np.stack(vs), problem.estimates, start=True)
 

@@ -1,4 +1,4 @@
-"""The cameras of a capture table: written there, or taken from a file of another program by the images' names."""
+"""The cameras of a capture table: written there, or from another program's file by image names."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _KNOWN = {"name", "width", "height", "matrix"} | _MASK | CAMERA_KEYS
 
 
 class Views:
-    """The cameras of one table, in the order in which they are written or first used.
+    """The cameras of one table, in order of definition or first use. specs: of all so far.
 
-    specs: of all so far. Raises CaptureError where keys are unknown, missing or wrong.
+    Raises CaptureError if keys are unknown, missing or wrong.
     """
 
     def __init__(self, table: dict[str, Any], path: Path):
@@ -32,7 +32,7 @@ class Views:
         self._world = _world(table, path, self._poses)
         self._masks: dict[str, ImageRef] = {}
         for count, row in enumerate(rows(table, "camera", path, needed=self._poses is None), 1):
-            # Of a camera that another program wrote, the table may say its mask and nothing else.
+            # For another program's camera the table may only give a mask.
             if self._poses is not None and {"name", "mask"} <= set(row) <= {"name"} | _MASK:
                 name = self._poses.name_of(text(row, "name", str(path)), f"{path}: camera {row['name']}")
                 self._masks[name] = image_ref(row, "mask", path, f"{path}: camera {name}")
@@ -43,7 +43,7 @@ class Views:
             raise CaptureError(f"{path}: two cameras have the same name; names must differ", "camera")
 
     def index(self, row: dict[str, Any], image: ImageRef, where: str) -> int:
-        """Return the camera of an observation: the one it names, else that of its image, else the first."""
+        """Return the camera of an observation: the named one, else its image's, else the first."""
         names = self._names()
         if "camera" not in row and self._poses is None:
             return 0
@@ -78,11 +78,11 @@ def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:
 
 
 def _world(table: dict[str, Any], path: Path, poses: PoseFile | None) -> np.ndarray:
-    """Return (4, 4) what brings the world of the file of cameras into the capture's."""
+    """Return (4, 4) from the world of the cameras file to the capture's."""
     if "cameras_matrix" not in table:
         return np.eye(4)
     if poses is None:
-        raise CaptureError(f"{path}: cameras_matrix is of a file of cameras; add cameras, or take it out", "matrix")
+        raise CaptureError(f"{path}: cameras_matrix is for a file of cameras; add cameras, or remove it", "matrix")
     return similarity(_sixteen(table["cameras_matrix"], f"{path}: cameras_matrix"), f"{path}: cameras_matrix")
 
 

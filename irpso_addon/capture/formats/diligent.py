@@ -15,15 +15,15 @@ MASKS = ("mask.png", "mask.exr", "mask.tif", "mask.jpg")
 
 
 def is_diligent(folder: Path) -> bool:
-    """Return whether a folder holds one of the two lists that make up the layout."""
+    """Return whether a folder holds one of the two lists of the layout."""
     return (folder / FILENAMES).is_file() or (folder / DIRECTIONS).is_file()
 
 
 def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     """Return the spec of a DiLiGenT folder.
 
-    Without camera.toml its camera is orthographic, without a mask all is kept.
-    Raises CaptureError where a list is missing, damaged or of another length than the others.
+    Without camera.toml the camera is orthographic; without a mask all pixels count. Raises CaptureError if a list is
+    missing, damaged or of another length than the others.
     """
     names = read_lines(folder / FILENAMES, "write the images' names into it, one a line")
     lights = read_directions(folder / DIRECTIONS)
@@ -33,7 +33,7 @@ def spec_of_folder(folder: Path, colour_space: str = "auto") -> CaptureSpec:
     _same_count(path, len(intensities), len(names))
     shots = []
     for (_, name), (line, vector), (row, intensity) in zip(names, lights, intensities, strict=True):
-        # One place is told of: that of the intensity only where the light itself is sound.
+        # For errors: the intensity's line if the light itself is valid.
         sound = any(vector) and all(abs(v) < float("inf") for v in vector)
         where = f"{path}: line {row}" if row and sound else f"{folder / DIRECTIONS}: line {line}"
         image = ImageRef(find_image(folder, name), colour_space=colour_space)

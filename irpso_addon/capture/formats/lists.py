@@ -1,4 +1,4 @@
-"""The plain text lists of captures: lines of numbers and lines of names."""
+"""Plain text lists of captures: lines of numbers and lines of names."""
 
 from __future__ import annotations
 
@@ -9,17 +9,21 @@ import numpy as np
 from ..errors import CaptureError
 
 
-def read_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
-    """Return (line number, text) of the lines that are neither empty nor a # comment; CaptureError says ``remedy``."""
+def read_text(path: Path, remedy: str) -> str:
+    """Return a file's text. Raises CaptureError with ``remedy`` if it is missing, unreadable or no text."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise CaptureError(f"{path}: is not there; {remedy}", "missing") from error
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}); check its permissions", "missing") from error
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: is no text file; {remedy}", "not_text") from error
-    lines = [(n, line.strip()) for n, line in enumerate(text.splitlines(), 1)]
+
+
+def read_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
+    """Return (line number, text) of all lines except empty ones and # comments. Raises CaptureError with ``remedy``."""
+    lines = [(n, line.strip()) for n, line in enumerate(read_text(path, remedy).splitlines(), 1)]
     lines = [(n, line) for n, line in lines if line and not line.startswith("#")]
     if any("\0" in line for _, line in lines):
         raise CaptureError(f"{path}: is no text file; {remedy}", "not_text")
@@ -29,21 +33,23 @@ def read_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
 
 
 def read_numbers(path: Path, remedy: str) -> list[tuple[int, list[float]]]:
-    """Return (line number, numbers) of each line; CaptureError names the line that is none."""
+    """Return (line number, numbers) of each line. Raises CaptureError naming a line with anything else."""
     return [(n, numbers(line.replace(",", " ").split(), f"{path}: line {n}")) for n, line in read_lines(path, remedy)]
 
 
 def numbers(words: list[str], where: str) -> list[float]:
-    """Return words as floats; CaptureError names the one that is no number."""
-    try:
-        return [float(word) for word in words]
-    except ValueError as error:
-        wrong = next(word for word in words if not _is_number(word))
-        raise CaptureError(f"{where}: '{wrong[:40]}' is not a number; write numbers only", "not_number") from error
+    """Return words as floats. Raises CaptureError naming the first that is no number."""
+    found = []
+    for word in words:
+        try:
+            found.append(float(word))
+        except ValueError as error:
+            raise CaptureError(f"{where}: '{word[:40]}' is not a number; write numbers only", "not_number") from error
+    return found
 
 
 def read_directions(path: Path) -> list[tuple[int, tuple[float, ...]]]:
-    """Return (line number, (x, y, z)) of a light_directions.txt. A 3×K table, lying on its side, is refused as such."""
+    """Return (line number, (x, y, z)) of a light_directions.txt. Refuses a transposed (3×K) table."""
     rows = read_numbers(path, "write one light a line: x y z toward the light")
     widths = {len(row) for _, row in rows}
     if len(rows) == 3 and len(widths) == 1 and min(widths) > 3:
@@ -60,17 +66,9 @@ def read_directions(path: Path) -> list[tuple[int, tuple[float, ...]]]:
 
 
 def read_intensities(path: Path) -> list[tuple[int, tuple[float, ...]]]:
-    """Return (line number, (r, g, b)) of a light_intensities.txt whose lines hold one number or three."""
+    """Return (line number, (r, g, b)) of a light_intensities.txt with one or three numbers per line."""
     rows = read_numbers(path, "write one light a line: r g b, or one number")
     for n, row in rows:
         if len(row) not in (1, 3):
             raise CaptureError(f"{path}: line {n}: has {len(row)} numbers; write r g b, or one number", "intensity")
     return [(n, tuple(np.broadcast_to(row, 3).tolist())) for n, row in rows]
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -14,8 +14,8 @@ from .toml_file import camera_maker
 def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
     """Return the spec of a .lp file: a count, then lines of ``name x y z``; names may hold spaces.
 
-    Its positions lie on a dome of unknown radius, so they are taken as directions. The camera is orthographic.
-    Raises CaptureError where the count or a line is wrong.
+    Its positions lie on a dome of unknown radius and are used as directions. The camera is orthographic. Raises
+    CaptureError if the count or a line is wrong.
     """
     remedy = "write the number of images, then one line for each: name x y z"
     (first, head), *rows = read_lines(path, remedy)
@@ -28,7 +28,7 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
     shots = []
     for line, row in rows:
         where = f"{path}: line {line}"
-        # Split from the right: the name is what is left, spaces and all.
+        # Split from the right, because names may hold spaces.
         words = row.rsplit(maxsplit=3)
         if len(words) != 4:
             raise CaptureError(f"{where}: is not 'name x y z'; complete it", "light_columns")

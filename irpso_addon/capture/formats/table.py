@@ -1,4 +1,4 @@
-"""The capture table, capture.toml: everything about a capture in one file. docs/capture_format.md describes it."""
+"""The capture table, capture.toml: a whole capture in one file (docs/capture_format.md)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _OBSERVATION = {
 
 
 def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
-    """Return the spec of a capture.toml. ``colour_space``, where not "auto", goes before what the file says.
+    """Return the spec of a capture.toml. A ``colour_space`` other than "auto" overrides the file's.
 
-    Raises CaptureError where a key is unknown, missing or wrong, or a file of cameras is.
+    Raises CaptureError if a key is unknown, missing or wrong, or the file of cameras is.
     """
     table = load_toml(path)
     known_keys(table, _TOP, str(path))
@@ -37,9 +37,10 @@ def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
     distance = number(table, CARD_DISTANCE, str(path)) if CARD_DISTANCE in table else None
     views = Views(table, path)
     defaults: dict[str, Any] = {key: table[key] for key in ("image", "colour_space") if key in table}
-    asked: dict[str, Any] = {} if colour_space == "auto" else {"colour_space": colour_space}
+    override: dict[str, Any] = {} if colour_space == "auto" else {"colour_space": colour_space}
     shots = tuple(
-        _shot({**defaults, **row, **asked}, path, n, views) for n, row in enumerate(rows(table, "observation", path), 1)
+        _shot({**defaults, **row, **override}, path, n, views)
+        for n, row in enumerate(rows(table, "observation", path), 1)
     )
     return CaptureSpec(name, "capture table", path, shots, tuple(views.specs), distance)
 
@@ -69,9 +70,9 @@ def _emission(row: dict[str, Any], distant: bool, where: str) -> tuple[tuple[flo
     """Return axis, cone in degrees and whether the light falls with the cosine to the axis."""
     given = [key for key in _EMISSION if key in row]
     if given and distant:
-        raise CaptureError(f"{where}: {given[0]} is of a light_position; a light that is far away has none", "value")
+        raise CaptureError(f"{where}: {given[0]} is for a light_position; a distant light has none", "value")
     if given and "light_axis" not in row:
-        raise CaptureError(f"{where}: {given[0]} needs light_axis = [x, y, z], where the light shines to", "value")
+        raise CaptureError(f"{where}: {given[0]} needs light_axis = [x, y, z], the light's direction", "value")
     axis = vector(row, "light_axis", 3, where) if "light_axis" in row else None
     cone = number(row, "light_cone_degrees", where) if "light_cone_degrees" in row else None
     if cone is not None and cone > 180:

@@ -1,4 +1,4 @@
-"""Reading TOML tables strictly: unknown keys and wrong types are told with file, place and remedy."""
+"""Strict reading of TOML tables: errors for unknown keys and wrong types name file, place and remedy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SQUARE_WORLD = 2.0  # the width of Blender's default plane
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """Return the table of a TOML file; CaptureError where it is missing or not TOML."""
+    """Return the table of a TOML file. Raises CaptureError if it is missing or not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -33,14 +33,14 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 
 def known_keys(table: dict[str, Any], known: set[str], where: str) -> None:
-    """Raise CaptureError at the first key of a table that is not known."""
+    """Raise CaptureError for the first unknown key of a table."""
     unknown = sorted(set(table) - known)
     if unknown:
         raise CaptureError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(sorted(known))}", "unknown_key")
 
 
 def number(table: dict[str, Any], key: str, where: str, positive: bool = True) -> float:
-    """Return a number of a table; CaptureError where it is none, or not above 0 and finite though ``positive``."""
+    """Return a number of a table. Raises CaptureError if it is none or, if ``positive``, not finite and above 0."""
     value = table[key]
     if not is_number(value) or (positive and not 0 < value < math.inf):
         raise CaptureError(
@@ -50,7 +50,7 @@ def number(table: dict[str, Any], key: str, where: str, positive: bool = True) -
 
 
 def vector(table: dict[str, Any], key: str, length: int, where: str) -> tuple[float, ...]:
-    """Return a list of ``length`` numbers; CaptureError where it is anything else."""
+    """Return a list of ``length`` numbers. Raises CaptureError for anything else."""
     value = table[key]
     if not isinstance(value, list) or len(value) != length or not all(map(is_number, value)):
         raise CaptureError(f"{where}: {key} must be a list of {length} numbers", "value")
@@ -58,7 +58,7 @@ def vector(table: dict[str, Any], key: str, length: int, where: str) -> tuple[fl
 
 
 def text(table: dict[str, Any], key: str, where: str) -> str:
-    """Return a string of a table that is not empty; CaptureError where it is anything else."""
+    """Return a non-empty string of a table. Raises CaptureError for anything else."""
     if not isinstance(table[key], str) or not table[key]:
         raise CaptureError(f'{where}: {key} must be a text, as in {key} = "name"', "value")
     return table[key]
@@ -70,7 +70,7 @@ def is_number(value: Any) -> bool:
 
 
 def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> list[dict[str, Any]]:
-    """Return the tables [[key]]; CaptureError where they are none, or missing though ``needed``."""
+    """Return the tables [[key]]. Raises CaptureError if they are no tables or, if ``needed``, missing."""
     found = table.get(key, [])
     if not isinstance(found, list) or not (found or not needed) or not all(isinstance(row, dict) for row in found):
         raise CaptureError(f"{path}: has no [[{key}]]; add one such table for each {key}", key)
@@ -78,7 +78,7 @@ def rows(table: dict[str, Any], key: str, path: Path, needed: bool = True) -> li
 
 
 def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef:
-    """Return the image that ``image``, ``part``, ``layer`` (or ``mask``, ``mask_part``, ``mask_layer``) name."""
+    """Return the image of the keys ``image``, ``part``, ``layer`` (or ``mask``, ``mask_part``, ``mask_layer``)."""
     prefix = "mask_" if key == "mask" else ""
     part, layer = row.get(f"{prefix}part"), row.get(f"{prefix}layer")
     if part is not None and (not isinstance(part, str | int) or isinstance(part, bool)):
@@ -92,14 +92,14 @@ def image_ref(row: dict[str, Any], key: str, path: Path, where: str) -> ImageRef
 
 
 def has_lens(table: Mapping[str, Any]) -> bool:
-    """Return whether a camera's table says what the camera shows, and so in which unit lengths before it are."""
+    """Return whether a camera's table gives an angle, a focal length or a width, and so a unit of length."""
     return not {"fov_degrees", "focal_length_px", "world_width"}.isdisjoint(table)
 
 
 def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = None) -> Callable[[int, int], Camera]:
     """Return (width, height) → Camera of the keys CAMERA_KEYS; without any, an orthographic camera 2 units wide.
 
-    Raises CaptureError where keys are wrong or contradict each other.
+    Raises CaptureError if keys are wrong or contradict each other.
     """
     perspective = not {"fov_degrees", "focal_length_px"}.isdisjoint(table)
     orthographic = table.get("orthographic", "world_width" in table or not perspective)
@@ -124,10 +124,8 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
         x, y = centre or (width / 2, height / 2)
         if orthographic:
             camera = Camera.orthographic(width, height, world_width, matrix)
-        elif fov is not None:
-            camera = Camera.from_fov(width, height, fov, matrix)
         else:
-            camera = Camera.from_fov(width, height, 90.0, matrix)
+            camera = Camera.from_fov(width, height, fov or 90.0, matrix)
         scale = focal or camera.scale
         return Camera(width, height, scale, (x, y), camera.matrix, camera.perspective, distortion)
 
@@ -136,7 +134,7 @@ def camera_maker(table: dict[str, Any], where: str, matrix: np.ndarray | None = 
 
 def _distortion(value: Any, orthographic: bool, where: str) -> tuple[float, ...]:
     if orthographic:
-        raise CaptureError(f"{where}: distortion is of perspective cameras; take it out or give fov_degrees", "camera")
+        raise CaptureError(f"{where}: distortion is for perspective cameras; remove it or give fov_degrees", "camera")
     if not isinstance(value, list) or not 0 < len(value) <= len(NAMES) or not all(map(is_number, value)):
         raise CaptureError(f"{where}: distortion must be a list of up to 8 numbers: {', '.join(NAMES)}", "value")
     if not all(map(math.isfinite, value)):

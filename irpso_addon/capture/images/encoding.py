@@ -1,4 +1,4 @@
-"""Whether the image files of a capture hold linear or sRGB values, where they do not say so themselves."""
+"""Decides whether image files without a stated encoding hold linear or sRGB values."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..errors import CaptureError
 from ..inspect.falloff import EncodingTest, encoding_test
 from .image import ImageRef, ImageStore, KnownBy
 
-_IMAGES, _PIXELS, _CANDIDATES = 24, 400, 4000  # at most, of those looked at
-_BACKGROUND = 0.2  # of the brightest pixel: of a capture without a mask most pixels may lie under it
+_IMAGES, _PIXELS, _CANDIDATES = 24, 400, 4000  # most to use
+_BACKGROUND = 0.2  # of the brightest pixel; without a mask most pixels may be darker
 _WORDS = {"linear": "linear values", "srgb": "sRGB values"}
 
 
@@ -31,10 +31,10 @@ class LitImage:
 
 @dataclass(eq=False)
 class Encoding:
-    """How the images of one camera are encoded, by what their files state and by how light falls off in them.
+    """The encoding of one camera's images, from their files and from the measured fall-off of light.
 
-    images: all alike in what their files state. mask: (H, W) bool. store: reads them. taken_as: "linear" or "srgb",
-    what they are without a test; only where that is a guess may the test change it.
+    images: all with the same statement in their files. mask: (H, W) bool. store: reads them. taken_as: "linear" or
+    "srgb", the encoding without a test; the test can change it only if it is a guess.
     """
 
     images: tuple[LitImage, ...]
@@ -46,7 +46,7 @@ class Encoding:
 
     @property
     def test(self) -> EncodingTest:
-        """The test, for which at most 24 images are read once."""
+        """The test; reads at most 24 images, once."""
         return run_steps(self.testing())
 
     def testing(self) -> Generator[None, None, EncodingTest]:
@@ -55,11 +55,10 @@ class Encoding:
             chosen = np.unique(np.linspace(0, len(self.images) - 1, _IMAGES).round().astype(int))
             lit = [self.images[k] for k in chosen]
             places = np.random.default_rng(0).permutation(np.flatnonzero(self.mask))[:_CANDIDATES]
-            store, samples = ImageStore(self.store.decoder), []  # its own: a part that is read leaves its store
+            store, samples = ImageStore(self.store.decoder), []  # its own, because reading a part removes it
             for one in lit:
                 yield
-                # Faults are reported by whoever reads the image for itself.
-                with suppress(CaptureError):
+                with suppress(CaptureError):  # the recovery or inspect reports it
                     rgba = store.samples(replace(one.image, colour_space="linear")).rgba
                     if rgba.shape[:2] == self.mask.shape:
                         samples.append((one, rgba.reshape(-1, 4)[places]))
@@ -67,17 +66,17 @@ class Encoding:
         return self._test
 
     def settling(self) -> Generator[None, None, None]:
-        """Yield before each image that is read to decide on the encoding: none, where the files state it."""
+        """Yield before each image of the test; no image is read if the files state their encoding."""
         if self.known_by == "guess":
             yield from self.testing()
 
     @property
     def colour_space(self) -> str:
-        """What the images are read as, "linear" or "srgb"."""
+        """The encoding in use, "linear" or "srgb"."""
         return (self.test.sure if self.known_by == "guess" else "") or self.taken_as
 
     def message(self) -> str:
-        """Return what is to be said about the encoding, "" where nothing is."""
+        """Return a warning about the encoding, "" for none."""
         likely, linear, srgb = self.test.likely, self.test.linear, self.test.srgb
         if not likely or likely == self.taken_as or not linear or not srgb:
             return ""
@@ -98,7 +97,7 @@ class Encoding:
 
 
 def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: ImageStore) -> Encoding | None:
-    """Return the encoding of the largest group of images that can be tested together, None where there are none."""
+    """Return the encoding of the largest group of images that can be tested together, None without images."""
     groups = defaultdict(list)
     for one in images:
         groups[one.camera, *store.encoding(one.image)].append(one)
@@ -109,7 +108,7 @@ def encoding_of(images: Sequence[LitImage], masks: Sequence[np.ndarray], store: 
 
 
 def _test(samples: Sequence[tuple[LitImage, np.ndarray]]) -> EncodingTest:
-    """Return the test of the subject's pixels, of (T, 4) samples of each image."""
+    """Return the test of the subject's pixels from (T, 4) samples of each image."""
     if not samples:
         return EncodingTest(None, None)
     stack = np.stack([rgba for _, rgba in samples])

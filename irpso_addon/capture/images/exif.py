@@ -1,4 +1,4 @@
-"""The tags of photographs (EXIF 2.3), which Pillow reads: exposure and orientation; and turning pixels upright."""
+"""EXIF 2.3 tags of photographs, read by Pillow: exposure and orientation; and rotation of pixels."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
 
 JPEG_START = b"\xff\xd8"
-_DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, struct.error)  # what Pillow raises of it
+_DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, struct.error)  # Pillow's exceptions
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """How a photograph was exposed. seconds: above 0. f_number, iso: above 0, or None where the file does not tell."""
+    """A photograph's exposure. seconds: above 0. f_number, iso: above 0, or None if the file has none."""
 
     seconds: float
     f_number: float | None = None
@@ -32,20 +32,17 @@ class Exposure:
 
     @property
     def amount(self) -> float:
-        """What a given radiance is multiplied by in the file, up to one factor a camera: seconds · ISO / 100 / N²."""
+        """Factor from radiance to file values, up to one factor per camera: seconds · ISO / 100 / N²."""
         return self.seconds * (self.iso or 100.0) / 100 / (self.f_number or 1.0) ** 2
 
 
 def tiff_tags(block: bytes) -> dict[int, Any]:
-    """Return the tags of a TIFF structure (a TIFF file, or an EXIF block) and of its EXIF directory.
-
-    What is damaged is left out: {} where nothing can be read.
-    """
+    """Return the tags of a TIFF file or EXIF block and of its EXIF directory; damaged tags are left out."""
     from PIL import Image
 
     exif = Image.Exif()
     tags: dict[int, Any] = {}
-    with _damage_is_no_news():
+    with _ignored_damage():
         exif.load(block)
         tags |= dict(exif)
         tags |= exif.get_ifd(_EXIF_DIRECTORY)
@@ -53,30 +50,30 @@ def tiff_tags(block: bytes) -> dict[int, Any]:
 
 
 def open_jpeg(data: bytes) -> JpegImageFile | None:
-    """Return a JPEG file with ``size`` and ``info``, its pixels not decoded; None where it is damaged."""
+    """Return a JPEG file with ``size`` and ``info``, pixels not decoded; None if it is damaged."""
     from PIL.JpegImagePlugin import JpegImageFile
 
-    with _damage_is_no_news():
+    with _ignored_damage():
         return JpegImageFile(io.BytesIO(data))
     return None
 
 
 @contextmanager
-def _damage_is_no_news() -> Iterator[None]:
-    """Pass over what Pillow raises, and warns of, where files are damaged."""
+def _ignored_damage() -> Iterator[None]:
+    """Suppress Pillow's exceptions and warnings about damaged files."""
     with warnings.catch_warnings(), suppress(*_DAMAGE):
         warnings.simplefilter("ignore")
         yield
 
 
 def orientation_of(tags: dict[int, Any]) -> int:
-    """Return the orientation, 1 to 8; 1 where the tags hold none."""
+    """Return the orientation, 1 to 8; 1 without a tag."""
     value = tags.get(_ORIENTATION)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def exposure_of(data: bytes) -> Exposure | None:
-    """Return the exposure that a JPEG, PNG or TIFF file tells (a DNG and many raw files are TIFF); None without one."""
+    """Return the exposure of a JPEG, PNG or TIFF file (DNG and many raw files are TIFF); None without one."""
     tags = tiff_tags(_exif_block(data))
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
@@ -91,7 +88,7 @@ def _exif_block(data: bytes) -> bytes:
 
 
 def _positive(value: Any) -> float | None:
-    """Return a tag's number, the first where there are several; None where it is not above 0."""
+    """Return a tag's (first) number; None if it is not above 0."""
     value = value[0] if isinstance(value, tuple) else value
     try:
         number = float(value)

@@ -1,4 +1,4 @@
-"""OpenEXR files to arrays and back: parts, layers, half and float, windows. Rows are flipped: row 0 is the bottom."""
+"""OpenEXR files to arrays and back: parts, layers, half and float, windows. Row 0 is the bottom."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HALF_MAX = 65504.0
 class ExrImage:
     """One part of an EXR file. channels: name → (H, W) over the display window. inside: (H, W) bool, the data window.
 
-    Pixels of the display window that the data window leaves out are 0; what lies beyond it (overscan) is dropped.
+    Pixels outside the data window are 0; overscan outside the display window is dropped.
     """
 
     channels: dict[str, np.ndarray]
@@ -49,7 +49,7 @@ def load_exr(path: Path) -> dict[str, ExrImage]:
     if any(part.subsampled for part in headers):
         raise CaptureError(f"{path}: has chroma of lower resolution (Y, RY, BY); save it as RGB", "image_unknown")
     try:
-        # OpenEXR's Python layer prints warnings; what they say is found by counting parts and channels.
+        # OpenEXR's Python layer prints warnings; missing parts and channels are detected below.
         with contextlib.redirect_stdout(io.StringIO()), OpenEXR.File(str(path), separate_channels=True) as file:
             images = {h.name: _image(part) for h, part in zip(headers, file.parts, strict=True)}
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
@@ -151,5 +151,5 @@ def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], h
 def _stored(array: np.ndarray, half: bool) -> np.ndarray:
     array = np.asarray(array)
     kind = np.uint32 if array.dtype.kind == "u" else np.float16 if half else np.float32
-    with np.errstate(over="ignore"):  # what half cannot hold becomes infinite, and reads as clipped
+    with np.errstate(over="ignore"):  # values too large for half become infinite and read as clipped
         return np.ascontiguousarray(array[::-1], kind)

@@ -1,4 +1,4 @@
-"""What an image file says of itself: kind, size, depth, orientation, encoding; and whether it is whole."""
+"""Headers of image files: kind, size, depth, orientation, encoding; and detection of truncated files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ImageHeader:
 
 
 def read_header(path: Path) -> ImageHeader:
-    """Return the header of an image that is no EXR. Raises CaptureError where it is missing, unknown or cut short."""
+    """Return the header of an image that is no EXR. Raises CaptureError if it is missing, unknown or cut short."""
     data = read_bytes(path)
     if data.startswith(SIGNATURE):
         header = _png(path, data)
@@ -59,7 +59,7 @@ def read_header(path: Path) -> ImageHeader:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return a file's bytes; CaptureError where it is missing or may not be read."""
+    """Return a file's bytes. Raises CaptureError if it is missing or unreadable."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:

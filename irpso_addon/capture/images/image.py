@@ -1,4 +1,4 @@
-"""One image of a capture, in any format: found, looked at, decoded."""
+"""One image of a capture, in any format: its path, header and pixels."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .headers import ImageHeader, read_header
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
 from .raw import decode_raw, is_raw, raw_size
 
-# By what the encoding of an image is known: its file states it, its format or its 16 bits do, or nothing does.
+# Source of an image's encoding: stated in the file, implied by the format or by 16 bits, or a guess.
 KnownBy = Literal["file", "format", "depth", "guess"]
 
 
 @dataclass(frozen=True)
 class ImageRef:
-    """Where an image is: a file, the part of a multi-part EXR by name or number, the layer, how it is encoded."""
+    """Reference to an image: file, part of a multi-part EXR by name or number, layer, colour space."""
 
     path: Path
     part: str | int | None = None
@@ -35,10 +35,10 @@ class ImageRef:
 
 @dataclass
 class ImageStore:
-    """Decodes images, and keeps the parts of a multi-part EXR that have not been asked for yet.
+    """Decodes images, and keeps the unread parts of a multi-part EXR.
 
-    OpenEXR's Python reader has no way to read one part: without this, a capture of K parts would be read K times.
-    A part leaves the store when it is read, so that memory shrinks as a capture streams through.
+    OpenEXR's Python reader cannot read a single part: without this, a capture of K parts would be read K times. Reading
+    a part removes it from the store, so memory shrinks while a capture streams.
     """
 
     decoder: Decoder | None = None
@@ -47,7 +47,7 @@ class ImageStore:
     _pictures: dict[Path, ImageHeader] = field(default_factory=dict)
 
     def encoding(self, image: ImageRef) -> tuple[str, KnownBy]:
-        """Return what colour_space "auto" takes an image for, "srgb" or "linear", and by what that is known.
+        """Return the encoding under colour_space "auto", "srgb" or "linear", and its source.
 
         8-bit files are sRGB unless they state to be linear; all others are linear. Raises CaptureError.
         """
@@ -59,26 +59,26 @@ class ImageStore:
         return "linear", "depth" if header.bits == 16 else "format"
 
     def coarse(self, image: ImageRef) -> bool:
-        """Return whether an image holds 8-bit sRGB codes, as far as that is stated. Raises CaptureError."""
+        """Return whether an image holds 8-bit sRGB codes by its statement. Raises CaptureError."""
         space, known_by = self.encoding(image)
         eight = known_by in ("file", "guess")
         return eight and (space if image.colour_space == "auto" else image.colour_space) == "srgb"
 
     def _header(self, path: Path) -> ImageHeader:
-        """Return the header of an image that is no EXR, which takes reading the whole file, once."""
+        """Return the header of an image that is no EXR; reads the whole file, once."""
         if path not in self._pictures:
             self._pictures[path] = read_header(path)
         return self._pictures[path]
 
     def size(self, image: ImageRef) -> tuple[int, int]:
-        """Return (width, height) from the file's header. Raises CaptureError where it cannot be read as asked."""
+        """Return (width, height) from the file's header. Raises CaptureError if it cannot be read."""
         if is_exr(image.path):
             part = self._part(image)
             colour_channels(part, image.layer, str(image))
             return part.width, part.height
         if image.part is not None or image.layer is not None:
-            read_header(image.path)  # what is no image at all is told first
-            raise CaptureError(f"{image.path}: only an EXR file has parts and layers; take part and layer out", "layer")
+            read_header(image.path)  # raises if it is no image at all
+            raise CaptureError(f"{image.path}: only EXR files have parts and layers; remove part and layer", "layer")
         if is_raw(image.path):
             return raw_size(image.path)
         header = self._header(image.path)
@@ -158,15 +158,14 @@ class ImageStore:
 
 
 def find_image(folder: Path, name: str) -> Path:
-    """Return the path of an image that a list beside it names, the name being relative, absolute or long dead.
+    """Return the path of an image in a list; names may be relative, absolute, or stale paths of another machine.
 
-    Looked for: as named; the last part of the name beside the list; the same whatever the case of its letters.
-    The path is returned though nothing is there: reading it reports that.
+    Tried in order: the name itself; its last part beside the list; the last part in any letter case. A path without a
+    file is returned too: reading it raises.
     """
-    here = folder / name
-    if here.is_file():
-        return here
-    # A Windows path has backslashes, which POSIX takes for letters of a name, so both readings are tried.
+    if (folder / name).is_file():
+        return folder / name
+    # POSIX takes the backslashes of a Windows path for letters, so both readings are tried.
     for last in (PurePosixPath(name).name, PureWindowsPath(name).name):
         if (folder / last).is_file():
             return folder / last

@@ -1,4 +1,4 @@
-"""From the code values of an image file to linear radiance with a weight."""
+"""Converts code values of an image file to linear radiance with weights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COLOUR_SPACES = ("auto", "srgb", "linear")
 
 @dataclass(frozen=True)
 class Picture:
-    """An image as its file has it, upright: what a decoder hands over.
+    """A decoded image, upright, in the file's encoding.
 
     values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
     bottom. An integer file's values are code / largest code, in 0…1, with no colour curve undone. bits: 8 or 16 for
@@ -27,16 +27,16 @@ class Picture:
     bits: int
 
 
-# Reads one image that is no EXR. Gets the path; honours the file's orientation tag; raises InputError naming the file.
+# Reads an image that is no EXR from its path, turned by its orientation tag. Raises InputError naming the file.
 Decoder = Callable[[Path], Picture]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """One observation's pixels, and what was found wrong with them.
+    """One observation's pixels, and masks of faulty ones.
 
     rgba: (H, W, 4) float32, row 0 at the bottom: linear radiance and weight. clipped, not_finite, negative: (H, W)
-    bool. The first two have weight 0. bounds: the rgba, but for the weights of what is clipped (capture/bounds.py).
+    bool. The first two have weight 0. bounds: rgba with encoded weights of clipped pixels (capture/bounds.py).
     """
 
     rgba: np.ndarray
@@ -49,9 +49,9 @@ class Samples:
 def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     """Return linear radiance of a decoded picture; a pixel with any channel at the file's largest code has weight 0.
 
-    In ``bounds`` that channel is a lower bound; of an 8-bit file all of the pixel's channels are: a JPEG mixes them, so
-    that where one is clipped the others are too dark. Under 16 lamps the base colour of a gilding's metal is off by
-    0.028 so, by 0.059 where they count as samples, and of its numbers 3 % lie beyond three deviations, not 7 %.
+    In ``bounds`` that channel is a lower bound. In 8-bit files all channels of the pixel are, because JPEG mixes them:
+    beside a clipped channel the others are too dark. Under 16 lamps the base colour error of a gilding's metal is 0.028
+    with such bounds and 0.059 with samples; 3 % and 7 % of its values lie beyond three deviations.
     colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB, all others linear.
     """
     colour, alpha = _colour_and_alpha(picture.values)
@@ -67,7 +67,7 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
 
 
 def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -> Samples:
-    """Return Samples of (H, W, 3) linear colour, an (H, W) alpha or None, and (H, W, 3) bool: what is clipped."""
+    """Return Samples of (H, W, 3) linear colour, (H, W) alpha or None, and (H, W, 3) bool clipped."""
     not_finite = ~np.isfinite(colour).all(axis=-1)
     weight = np.ones(colour.shape[:2], np.float32) if alpha is None else alpha.astype(np.float32)
     not_finite |= ~np.isfinite(weight)
@@ -85,9 +85,9 @@ def samples(colour: np.ndarray, alpha: np.ndarray | None, clipped: np.ndarray) -
 
 
 def mask_of_picture(picture: Picture) -> np.ndarray:
-    """Return (H, W) bool: where a mask, be it grey, RGB or with alpha, is above half of its largest value.
+    """Return (H, W) bool: pixels of a grey, RGB or alpha mask above half of its largest value.
 
-    An alpha that varies and colours that do not make the alpha the mask.
+    If only alpha varies, alpha is the mask.
     """
     colour, alpha = _colour_and_alpha(picture.values)
     grey = np.nan_to_num(colour.max(axis=-1))

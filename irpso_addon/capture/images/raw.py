@@ -1,4 +1,4 @@
-"""Raw files of cameras, developed without any curve by rawpy (LibRaw), which is an extra: nothing else needs it."""
+"""Raw files of cameras, developed without a curve by rawpy (LibRaw), an optional extra."""
 
 from __future__ import annotations
 
@@ -37,25 +37,20 @@ def raw_size(path: Path) -> tuple[int, int]:
 def decode_raw(path: Path | str, camera_white: bool = True) -> Picture:
     """Return a raw file as a linear 16-bit Picture of four channels, Rec. 709 primaries, upright.
 
-    White balance is the one that the camera noted, or, not ``camera_white``, none; brightness is not touched. Alpha is
-    0 where a photosite is full, whatever the colour matrix makes of it. Raises CaptureError where rawpy is not
-    installed, or the file is missing, damaged or of a camera that LibRaw does not know.
+    The white balance is the camera's, or none without ``camera_white``; brightness is unchanged. Alpha is 0 at full
+    photosites. Raises CaptureError if rawpy is not installed, or the file is missing, damaged or of an unknown camera.
     """
     path = Path(path)
     with _opened(path) as raw:
         import rawpy
 
-        # LibRaw would also take the brightest photosite for white where it is near it: another scale for each frame.
+        # By default LibRaw scales each frame by its brightest photosite.
         white = {"use_camera_wb": True} if camera_white else {"user_wb": [1.0, 1.0, 1.0, 1.0]}
         try:
             codes = raw.postprocess(
-                gamma=(1, 1),
-                no_auto_bright=True,
-                adjust_maximum_thr=0.0,
-                output_bps=16,
-                output_color=rawpy.ColorSpace.sRGB,
-                **white,
-            )
+                gamma=(1, 1), no_auto_bright=True, adjust_maximum_thr=0.0, output_bps=16,
+                output_color=rawpy.ColorSpace.sRGB, **white,
+            )  # fmt: skip
         except (rawpy.LibRawError, ValueError) as error:
             raise _damaged(path, error) from error
         full = _full(raw)
@@ -90,7 +85,7 @@ def _damaged(path: Path, error: Exception) -> CaptureError:
 
 
 def _full(raw: RawPy) -> np.ndarray:
-    """Return (H, W) bool, top row first and upright: pixels that a full photosite has part in."""
+    """Return (H, W) bool, top row first and upright: pixels that a full photosite contributes to."""
     levels = raw.camera_white_level_per_channel
     white = min(level for level in levels if level > 0) if levels and any(levels) else raw.white_level
     black = max(raw.black_level_per_channel)

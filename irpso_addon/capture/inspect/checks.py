@@ -1,4 +1,4 @@
-"""What is suspicious about lights and frames: pure functions of arrays, used by inspect."""
+"""Checks of lights and frames for inspect: pure functions of arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SAME_LIGHT_DEGREES = 0.01
 _MAX_SHIFT = 16  # pixels searched on each side
 # Of a correlation's peak over staying, and in deviations: below, a frame is taken to stay. How many times as far the
 # frame as it is must be from what the others explain as it is once moved back, and their correlation then. Measured on
-# 200 captures in which nothing moves (test_capture_inspect.py tells which): the largest false ratio is 1.31
+# 200 captures in which nothing moves (listed in test_capture_inspect.py): the largest false ratio is 1.31
 # where the correlation is 0.6 or more; frames that were rolled by 2 to 4 px and show texture have 1.5 and more.
 _SHIFT_GAIN, _SHIFT_PEAK, _BETTER, _AGREE = 0.05, 5.0, 1.35, 0.6
 _PASS = 0.15  # cycles a pixel: the width of the low pass that keeps noise out of the correlation
@@ -28,14 +28,14 @@ def not_unit(vectors: np.ndarray) -> np.ndarray:
 def flatness(directions: np.ndarray) -> float:
     """Return the smallest over the largest singular value of unit directions (K, 3): 0 where all lie in one plane.
 
-    The plane goes through the origin: the part of a normal that is across it cannot be told from the images.
+    The plane goes through the origin: the images do not determine the part of a normal across it.
     """
     values = np.linalg.svd(directions, compute_uv=False)
     return float(values[-1] / values[0]) if len(values) == 3 else 0.0
 
 
 def same_lights(directions: np.ndarray) -> list[tuple[int, int]]:
-    """Return the pairs of unit directions (K, 3) that are one and the same within 0.01°."""
+    """Return the pairs of unit directions (K, 3) that are equal within 0.01°."""
     far = np.linalg.norm(directions[:, None] - directions[None], axis=-1)
     i, j = np.nonzero(np.triu(far < np.radians(_SAME_LIGHT_DEGREES), 1))
     return list(zip(i.tolist(), j.tolist(), strict=True))
@@ -171,8 +171,8 @@ def mirror_agreement(normals: np.ndarray, mask: np.ndarray) -> tuple[float, int]
 def outwardness(normals: np.ndarray, mask: np.ndarray) -> tuple[float, float, int]:
     """Return (x, y, count): how far normals at the mask's border point out of it along x and along y.
 
-    The border of a solid object is where it turns away, so both are above 0; a negative one says that this axis is
-    mirrored. Measured on the bunnies: about 0.2 each. count: border texels; those along the frame do not count.
+    At its border a solid object turns away, so both are above 0; a negative one means that this axis is mirrored.
+    Measured on the bunnies: about 0.2 each. count: border texels, without those along the frame.
     """
     if min(mask.shape) < 2:
         return 0.0, 0.0, 0

@@ -1,4 +1,4 @@
-"""Images of a capture that cannot be read: found by decoding each one, and left out where that is asked for."""
+"""Detects damaged images of a capture by decoding each one, and leaves them out on request."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..images.linearise import Samples
 from ..spec import CaptureSpec, common_size, size_fault
 from ..types import LeftOut
 
-# Codes of a CaptureError that tell of one image: not there, no image, cut short, of another size, without a number.
+# Codes of CaptureErrors about a single image.
 DAMAGE = frozenset({"missing", "image_unknown", "image_truncated", "size", "image_nan"})
-_REMEDY = "or have it left out with --skip-damaged"
-_sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of images that were found whole, by their file's time and length
+_REMEDY = "or leave it out with --skip-damaged"
+_sizes: dict[tuple[Any, ...], tuple[int, int]] = {}  # of intact images, by their file's time and length
 
 
 @contextmanager
 def naming_remedy(skipping: bool) -> Iterator[None]:
-    """Have the error of a damaged image name the option that leaves it out, unless that is set already."""
+    """Add the option that leaves damaged images out to their errors, unless it is set."""
     try:
         yield
     except CaptureError as error:
@@ -33,15 +33,15 @@ def naming_remedy(skipping: bool) -> Iterator[None]:
 
 
 def without_damaged(spec: CaptureSpec, store: ImageStore) -> CaptureSpec:
-    """Return a spec without its damaged images, which it names. Raises CaptureError where none is whole."""
+    """Return a spec with damaged images moved to ``left_out``. Raises CaptureError if none is intact."""
     return run_steps(sound_steps(spec, store))
 
 
 def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, CaptureSpec]:
-    """Yield before each image is decoded, and return what ``without_damaged`` does.
+    """Yield before each image is decoded; return what ``without_damaged`` does.
 
-    A camera whose images are all damaged is left out with them. What is wrong with the list rather than with an image
-    (a part that an EXR does not have) stays in, for ``build_capture`` to refuse.
+    A camera without intact images is removed. Faults of the list, such as an unknown EXR part, stay in for
+    ``build_capture`` to refuse.
     """
     sizes: dict[int, tuple[int, int]] = {}
     why: dict[int, str] = {}
@@ -60,7 +60,7 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
         why |= {k: size_fault(spec.observations[k].image, size, expected).message
                 for k, size in seen.items() if size != expected}  # fmt: skip
     if len(why) == len(spec.observations):
-        raise CaptureError(f"{why[0]} (and so it is with all images of {spec.source})", "list_empty")
+        raise CaptureError(f"{why[0]} (like all other images of {spec.source})", "list_empty")
     left_out = tuple(LeftOut(k, str(spec.observations[k].image), why[k]) for k in sorted(why))
     kept = [shot for k, shot in enumerate(spec.observations) if k not in why]
     gone = {shot.camera for shot in spec.observations} - {shot.camera for shot in kept}
@@ -70,13 +70,13 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:
-    """Raise CaptureError where no pixel of an image is a number."""
+    """Raise CaptureError if no pixel of an image is a number."""
     if found.not_finite.all():
         raise CaptureError(f"{image}: none of its pixels is a number; render or export it again", "image_nan")
 
 
 def _whole_size(image: ImageRef, store: ImageStore) -> tuple[int, int]:
-    """Return (width, height) of an image that is decoded for it, once as long as its file stays the same."""
+    """Decode an image, once per version of its file; return (width, height)."""
     key = (image, *_stamp(image.path))
     if key not in _sizes:
         store.size(image)
@@ -90,6 +90,6 @@ def _whole_size(image: ImageRef, store: ImageStore) -> tuple[int, int]:
 def _stamp(path: Path) -> tuple[int, int]:
     try:
         stat = path.stat()
-    except OSError:  # which reading it says better
+    except OSError:  # reading it reports this
         return 0, 0
     return stat.st_mtime_ns, stat.st_size

@@ -1,4 +1,4 @@
-"""How radiance falls off with the slant of the light, and what that tells of the encoding of image files."""
+"""Fall-off of radiance with the slant of the light, as a test of the encoding of image files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...core.encode import linear_from_srgb
 from .checks import flatness
 
 _EXPONENTS = np.geomspace(0.25, 4, 13)
-_LOWEST = 0.4  # of a pixel's bright samples, as code values: what is darker is shadow more often than not
+_LOWEST = 0.4  # of a pixel's bright samples, as code values: darker samples are mostly shadow
 _BRIGHT = 90.0  # percentile of a pixel's samples
 _DARK = 0.06  # code value under which even a pixel's bright samples are mostly noise
 _WIDTH = 0.03  # of the Cauchy weight, as a fraction of a pixel's bright samples
@@ -43,27 +43,27 @@ class FallOff:
 
     @property
     def matt(self) -> bool:
-        """Whether it is that of a surface whose radiance goes with n·l, beyond doubt."""
+        """Whether radiance is proportional to n·l beyond doubt."""
         return _within(self.exponent, _MATT) and self.misfit <= _MISFIT and self.variety >= _VARIETY
 
 
 @dataclass(frozen=True)
 class EncodingTest:
-    """The fall-offs of values taken as linear, and decoded from sRGB first; None where they cannot be told."""
+    """The fall-offs of values taken as linear, and decoded from sRGB first; None if undetermined."""
 
     linear: FallOff | None
     srgb: FallOff | None
 
     @property
     def sure(self) -> str:
-        """The encoding, "linear" or "srgb", where the fall-off leaves no doubt; else ""."""
+        """The encoding, "linear" or "srgb", if the fall-off leaves no doubt; else ""."""
         if not self.likely or not self.linear or not self.srgb or max(self.linear.spread, self.srgb.spread) > _SPREAD:
             return ""
         return self.likely if (self.linear if self.likely == "linear" else self.srgb).matt else ""
 
     @property
     def likely(self) -> str:
-        """The encoding that the exponents speak for, whether or not they are to be trusted; else ""."""
+        """The encoding that the exponents indicate, reliable or not; else ""."""
         if self.linear is None or self.srgb is None:
             return ""
         exponents = self.linear.exponent, self.srgb.exponent
@@ -89,7 +89,7 @@ def encoding_test(codes: np.ndarray, weight: np.ndarray, directions: np.ndarray,
 
 
 def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> FallOff | None:
-    """Return the fall-off of radiances (K, T) of T pixels under distant lights (K, 3), None where too few tell.
+    """Return the fall-off of radiances (K, T) of T pixels under distant lights (K, 3), None for too few.
 
     For every exponent k on a grid the pixels' scaled normals b are fitted to m = (b·l)^k by weighted least squares of
     m^(1/k), reweighted so that highlights and shadow count little; the k of least loss is the answer. lowest: samples
@@ -100,10 +100,10 @@ def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> Fall
     bright = np.maximum(np.percentile(samples, _BRIGHT, axis=0), 1e-9)
     relative = samples / bright
     used = (samples > 0) & (relative > lowest)
-    told = used.sum(axis=0) >= _LEAST_LIGHTS
-    if told.sum() < _LEAST_PIXELS:
+    lit = used.sum(axis=0) >= _LEAST_LIGHTS
+    if lit.sum() < _LEAST_PIXELS:
         return None
-    relative, used = relative[:, told], used[:, told]
+    relative, used = relative[:, lit], used[:, lit]
     fits = [_fit(relative, used, directions, k) for k in _EXPONENTS]
     losses = np.stack([np.log1p((error / _WIDTH) ** 2).sum(axis=0) for _, error in fits])
     scaled, error = fits[int(losses.sum(axis=1).argmin())]
@@ -113,11 +113,9 @@ def fall_off(samples: np.ndarray, directions: np.ndarray, lowest: float) -> Fall
     axes = np.linalg.svd(normals - mean, full_matrices=False)[2]
     spreads = [_spread_along(losses, key) for key in (slant, *(normals @ axes[:2].T).T)]
     return FallOff(
-        _lowest_at(losses.sum(axis=1)),
-        max(spreads),
-        float(np.median(np.abs(error[used]))),
+        _lowest_at(losses.sum(axis=1)), max(spreads), float(np.median(np.abs(error[used]))),
         float(np.sqrt((slant**2).mean())),
-    )
+    )  # fmt: skip
 
 
 def _spread_along(losses: np.ndarray, key: np.ndarray) -> float:

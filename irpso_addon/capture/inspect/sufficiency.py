@@ -1,4 +1,4 @@
-"""What a set of lights is enough for: normals, the roughness of one lobe, two lobes. Judged by what was measured."""
+"""Sufficiency of a set of lights for normals, the roughness of one lobe, and two lobes, from measurements."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..errors import CaptureError
 from ..types import Light
 
 GOALS = ("normals", "roughness", "two lobes")
-FEW = 0.1  # of the texels may fail where lights are called enough
+FEW = 0.1  # most failed texels under sufficient lights, as a fraction
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A set of lights that was tried. value: of what was varied. failed: the part of the texels, for each of GOALS.
+    """A measured set of lights. value: of the varied quantity. failed: fraction of failed texels, for each of GOALS.
 
-    A texel failed with a normal off by more than 5°, or a lobe's parameter by more than 10 % of its range.
+    A texel fails with a normal error above 5°, or a lobe parameter's error above 10 % of its range.
     """
 
     value: float
@@ -52,24 +52,23 @@ ACROSS = (
 )
 FEWEST = 3  # lights of a normal
 FLAT_USELESS = 1e-3  # smallest over largest singular value of lights below which they have no third direction
-_ONE_PLACE = 1e-6  # of their distance from the world's origin: near lights that stand no further apart
-# A set that misses a measured value by less than this is taken to reach it.
-_SLACK = 0.97
+_ONE_PLACE = 1e-6  # of their distance from the world's origin: near lights no further apart are at one position
+_SLACK = 0.97  # a set that reaches this part of a measured value counts as reaching it
 
 
 @dataclass(frozen=True)
 class Shortfall:
-    """What lights lack for something: a short name, and a sentence with the measured figure."""
+    """A lack of lights: a short name, and a sentence with the measured figure."""
 
     code: str
     message: str
 
 
 def no_normal(lights: Sequence[Light]) -> Shortfall | None:
-    """Return why lights give a normal at no texel, whatever is photographed; None where they may.
+    """Return why lights cannot give a normal at any texel; None if they can.
 
-    Seen from a point, lights whose directions lie in one plane leave the normal's part across that plane open.
-    Distant lights do so everywhere where their directions have rank 2, near lights where they stand on one line.
+    Light directions in one plane do not determine the normal's part across it. This holds at all points for distant
+    lights of rank 2 and for near lights on one line.
     """
     if len(lights) < FEWEST:
         what = f"has {len(lights)} light{'s' * (len(lights) != 1)}"
@@ -82,8 +81,8 @@ def no_normal(lights: Sequence[Light]) -> Shortfall | None:
     values = np.linalg.svd(rows, compute_uv=False)
     if values[FEWEST - 1] >= FLAT_USELESS * values[0]:
         return None
-    what = "all lights lie in one plane through the subject" if lights[0].distant else "all lights stand on one line"
-    return Shortfall("coplanar", f"{what}, across which no normal can be told; add lights off it")
+    what = "all lights lie in one plane through the subject" if lights[0].distant else "all lights are on one line"
+    return Shortfall("coplanar", f"{what}, across which normals are undetermined; add lights off it")
 
 
 def _projective(lights: Sequence[Light]) -> np.ndarray:
@@ -101,7 +100,7 @@ def _projective(lights: Sequence[Light]) -> np.ndarray:
 
 
 def check_normal(source: str, lights: Sequence[Light]) -> None:
-    """Raise CaptureError, naming the source, where lights can give no normal."""
+    """Raise CaptureError, naming the source, if lights cannot give a normal."""
     if lack := no_normal(lights):
         message = f"{source}: {lack.message}; or give the normals, and recover the rest"
         raise CaptureError(message, f"lights_{lack.code}")
@@ -110,7 +109,7 @@ def check_normal(source: str, lights: Sequence[Light]) -> None:
 def half_angle(directions: np.ndarray) -> float:
     """Return the degrees between the middle and the border of an even cap of lights, from unit directions (K, 3).
 
-    Over such a cap the cosine to the middle is even between 1 and its border's (Archimedes), so that its mean tells.
+    There the cosine to the middle is uniform between 1 and the border's (Archimedes): its mean gives the angle.
     """
     total = np.linalg.norm(directions.sum(axis=0)) / len(directions)
     return float(np.degrees(np.arccos(np.clip(2 * total - 1, -1, 1))))
@@ -123,7 +122,7 @@ def spread_across(directions: np.ndarray) -> float:
 
 
 def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator[Shortfall]:
-    """Yield what ``count`` lights lack for one of GOALS. directions: (K, 3) unit, or None where lights are near."""
+    """Yield what ``count`` lights lack for one of GOALS. directions: (K, 3) unit, or None for near lights."""
     at = GOALS.index(goal)
     if found := _short(NUMBER, at, count):
         row, enough = found
@@ -154,9 +153,9 @@ def shortfalls(goal: str, count: int, directions: np.ndarray | None) -> Iterator
 
 
 def _short(figures: tuple[Figure, ...], at: int, value: float) -> tuple[Figure, float] | None:
-    """Return the next figure below a value that is not enough, and the least that is; None for one that is."""
+    """Return the next figure below an insufficient value, and the least sufficient value; None if it suffices."""
     good = [f.value for f in figures if f.failed[at] <= FEW]
-    # Fewer may do by chance what more do not: enough begins above all that are not.
+    # Sufficient values lie above all insufficient ones: fewer lights may succeed by chance.
     enough = min(v for v in good if all(f.value < v for f in figures if f.failed[at] > FEW))
     if value >= _SLACK * enough:
         return None

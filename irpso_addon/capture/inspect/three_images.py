@@ -1,7 +1,7 @@
-"""A frame as a sum of three images made of the others: all that a matt surface can show under any distant light.
+"""Fits a frame by three basis images of the others, which span a matt surface under all distant lights.
 
-Shashua 1997; what the sum does not explain, highlights and the rims of shadows, is weighed down as in Hager and
-Belhumeur 1998. It tells a frame that has moved from one whose light has.
+Shashua 1997; highlights and shadow rims, which the sum does not explain, get low weights as in Hager and Belhumeur
+1998. The fit separates a moved frame from a moved light.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import numpy as np
 
 IMAGES = 3
 _BLUR = 0.7  # pixels: noise out, edges wide enough for their derivatives
-_SHADOW = 0.08  # of a frame's bright tenth: below it shadow, which no sum of images explains
+_SHADOW = 0.08  # of a frame's bright tenth: darker pixels are shadow, which the sum does not explain
 _OUTLIER = 1.5  # median residuals: the Cauchy scale of the weights
 _ROUNDS = 5  # of weighing
 
 
 def scale_of(frame: np.ndarray) -> float:
-    """Return how bright a frame's bright tenth begins, 1 of a black one."""
+    """Return the 90th percentile of a frame, 1 for a black one."""
     return float(np.percentile(frame, 90)) or 1.0
 
 

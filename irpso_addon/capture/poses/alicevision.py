@@ -36,7 +36,7 @@ _AGAIN = "write it again with Meshroom's ConvertSfMFormat, with views, intrinsic
 def read_alicevision(path: Path) -> PoseFile:
     """Return the cameras of a .sfm file in the world of the mesh that the same version writes.
 
-    Views without a pose are left out. Raises CaptureError where the file is damaged.
+    Views without a pose are unusable. Raises CaptureError if the file is damaged.
     """
     table = _parsed(path)
     version = tuple(int(value) for value in _numbers(table, "version", 3, str(path)))
@@ -74,7 +74,7 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | str:
-    """Return (size, focal length, centre, distortion), or in words why the intrinsics are none of ours."""
+    """Return (size, focal length, centre, distortion), or the reason why the intrinsics are unsupported."""
     where = f"{path}: intrinsics {row.get('intrinsicId')}"
     kind = str(row.get("type", "")).lower()
     # Since the distortion has a name of its own, type is that of the projection.

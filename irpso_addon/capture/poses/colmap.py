@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import CaptureError
-from ..formats.lists import numbers
+from ..formats.lists import numbers, read_text
 from .posed import Lens, PoseFile, camera_from_vision
 
 CAMERAS, IMAGES = "cameras.txt", "images.txt"
@@ -37,16 +37,16 @@ _AGAIN = "export the model as text again"
 def read_colmap(folder: Path) -> PoseFile:
     """Return the cameras of a folder that holds cameras.txt and images.txt, there or below in sparse/0.
 
-    Raises CaptureError where they are missing or damaged.
+    Raises CaptureError if they are missing or damaged.
     """
-    here = next((folder / place for place in _PLACES if (folder / place / CAMERAS).is_file()), None)
-    if here is None:
+    found = next((folder / place for place in _PLACES if (folder / place / CAMERAS).is_file()), None)
+    if found is None:
         binary = any((folder / place / "cameras.bin").is_file() for place in _PLACES)
         remedy = "export the model as text (File > Export model as text)" if binary else "give the folder that holds it"
         raise CaptureError(f"{folder}: has no {CAMERAS}; {remedy}", "missing")
-    lenses = _lenses(here / CAMERAS)
+    lenses = _lenses(found / CAMERAS)
     cameras, unusable = {}, {}
-    for where, words in _images(here / IMAGES):
+    for where, words in _images(found / IMAGES):
         name, lens = words[9].strip(), lenses.get(words[8])
         if lens is None:
             raise CaptureError(f"{where}: {CAMERAS} has no camera {words[8]}; {_AGAIN}", "camera")
@@ -57,11 +57,11 @@ def read_colmap(folder: Path) -> PoseFile:
             unusable[name] = lens
         else:
             cameras[name] = camera_from_vision(*lens, rotation, position)
-    return PoseFile(here, "COLMAP", cameras, unusable)
+    return PoseFile(found, "COLMAP", cameras, unusable)
 
 
 def _lenses(path: Path) -> dict[str, Lens | str]:
-    """Return by number (size, focal length, centre, distortion), or in words why the model is none of ours."""
+    """Return number → (size, focal length, centre, distortion), or the reason why the model is unsupported."""
     lenses: dict[str, Lens | str] = {}
     for where, line in _lines(path):
         words = line.split()
@@ -90,7 +90,7 @@ def _lenses(path: Path) -> dict[str, Lens | str]:
 
 
 def _images(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield (place, ten words) of each image's first line; the second, its points, is left out, written or not."""
+    """Yield (place, ten words) of each image's first line; skips the second, its points, which may be missing."""
     points_next = False
     for where, line in _lines(path):
         if points_next and _is_points(line):
@@ -104,7 +104,7 @@ def _images(path: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def _is_points(line: str) -> bool:
-    """Return whether a line holds points, X Y POINT3D_ID each; looked at are two of what may be ten thousand."""
+    """Return whether a line holds points, X Y POINT3D_ID each; tests the first and the last."""
     words = line.split()
     try:
         numbers([*words[:3], *words[-3:]], "")
@@ -114,19 +114,13 @@ def _is_points(line: str) -> bool:
 
 
 def _lines(path: Path) -> list[tuple[str, str]]:
-    """Return (place, text) of the lines that are neither empty nor comments, as many as a comment says there are."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise CaptureError(f"{path}: is not there; {_AGAIN}", "missing") from error
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{path}: is no text file; {_AGAIN}", "not_text") from error
-    rows = [(f"{path}: line {n}", line.strip()) for n, line in enumerate(text.splitlines(), 1)]
+    """Return (place, text) of all lines except empty ones and comments. Checks their number against the comment's."""
+    rows = [(f"{path}: line {n}", line.strip()) for n, line in enumerate(read_text(path, _AGAIN).splitlines(), 1)]
     found = [(where, line) for where, line in rows if line and not line.startswith("#")]
-    told = next((int(match[1]) for _, line in rows if (match := _COUNT.match(line))), None)
+    stated = next((int(match[1]) for _, line in rows if (match := _COUNT.match(line))), None)
     listed = len([line for _, line in found if path.name != IMAGES or not _is_points(line)])
-    if told is not None and told != listed:
-        raise CaptureError(f"{path}: says it lists {told} and lists {listed}; it is cut short: {_AGAIN}", "count")
+    if stated is not None and stated != listed:
+        raise CaptureError(f"{path}: says it lists {stated} and lists {listed}; it is cut short: {_AGAIN}", "count")
     return found
 
 

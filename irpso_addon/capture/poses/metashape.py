@@ -20,16 +20,17 @@ from ..errors import CaptureError
 from .posed import Lens, PoseFile, camera_from_vision, similarity
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
-_NEGLIGIBLE = 0.1  # pixels that a term which Camera does not have may amount to in the image's corners
+_NEGLIGIBLE = 0.1  # pixels at the image's corners: most effect of an unsupported term
 _NO = ("0", "false")
+_TERMS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 _EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # of WKT: worlds that are the Earth
 
 
 def read_metashape(path: Path) -> PoseFile:
     """Return the cameras of a Metashape XML file in the world of its exported models (scale of the chunk applied).
 
-    Disabled cameras and those without a place are left out. Raises CaptureError where the file is damaged, or its
-    world is a map of the Earth.
+    Disabled and unaligned cameras are unusable. Raises CaptureError if the file is damaged, or its world is a map of
+    the Earth.
     """
     root = _parsed(path)
     chunks = [root] if root.tag == "chunk" else root.findall("chunk")
@@ -88,7 +89,7 @@ def _parsed(path: Path) -> ElementTree.Element:
 
 
 def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
-    """Return (size, focal length, centre, distortion), or in words why the sensor is none of ours."""
+    """Return (size, focal length, centre, distortion), or the reason why the sensor is unsupported."""
     found = sensor.findall("calibration")
     calibration = next((item for item in found if item.get("class") == "adjusted"), found[0] if found else None)
     if calibration is None:
@@ -101,7 +102,7 @@ def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     if resolution is None:
         raise CaptureError(f"{where}: has no resolution; {_AGAIN}", "camera")
     size = tuple(_numbers(resolution.get(side), 1, f"{where}: its resolution")[0] for side in ("width", "height"))
-    of = {item.tag: _numbers(item.text, 1, f"{where}: {item.tag}")[0] for item in calibration if _is_term(item.tag)}
+    of = {item.tag: _numbers(item.text, 1, f"{where}: {item.tag}")[0] for item in calibration if item.tag in _TERMS}
     if "f" not in of:
         raise CaptureError(f"{where}: its calibration has no f; {_AGAIN} with Metashape 1 or later", "camera")
     if min(of["f"], of["f"] + of.get("b1", 0), *size) <= 0 or any(side % 1 for side in size):
@@ -116,12 +117,8 @@ def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     return (int(size[0]), int(size[1])), (of["f"] + of.get("b1", 0), of["f"]), centre, distortion
 
 
-def _is_term(tag: str) -> bool:
-    return tag in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-
-
 def _unknown_term(of: dict[str, float], size: tuple[float, ...]) -> str:
-    """Return the name of a term that Camera does not have and that moves the image's corners, "" without one."""
+    """Return the name of an unsupported term that moves the image's corners, "" for none."""
     x = (size[0] / 2 + abs(of.get("cx", 0))) / of["f"]
     y = (size[1] / 2 + abs(of.get("cy", 0))) / of["f"]
     r = math.hypot(x, y)

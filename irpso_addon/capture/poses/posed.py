@@ -1,4 +1,4 @@
-"""Cameras with names and places, from whatever program, and bringing them to our axes, our world and our pictures."""
+"""Named cameras of other programs, and their conversion to our axes, world and image sizes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..errors import CaptureError
 
 # Quarter turns clockwise that bring a picture upright, by its orientation tag (EXIF 2.3, tag 274); others mirror it.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
-_TOLD = 6  # names that an error lists
+_LISTED = 6  # most names in an error
 _SIZE = 0.75  # pixels by which the height of a scaled picture may be off its camera's proportions, by rounding
 _BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, to y up and z toward the viewer
 
 
 @dataclass(frozen=True)
 class PoseFile:
-    """The cameras of one file or folder. program: whose it is. cameras: by image name as written there.
+    """The cameras of one file or folder. program: its writer. cameras: by image name as written there.
 
-    unusable: image name → why that one has no camera.
+    unusable: image name → why it has no camera.
     """
 
     path: Path
@@ -31,9 +31,9 @@ class PoseFile:
     unusable: Mapping[str, str]
 
     def name_of(self, wanted: str, where: str) -> str:
-        """Return the name of the camera of an image that is wanted, as written, or by its last part, or without suffix.
+        """Return the name of an image's camera: matched as written, by the last part, or without suffix.
 
-        Raises CaptureError, beginning with ``where``, where there is none or several.
+        Raises CaptureError, beginning with ``where``, for none or several.
         """
         found = self._matches(wanted, self.cameras)
         if len(found) == 1:
@@ -46,7 +46,7 @@ class PoseFile:
             why = f"its '{lost[0]}' {self.unusable[lost[0]]}"
         else:
             why = f"it has no '{wanted}'; set camera to one that it has: {_some(list(self.cameras))}"
-        raise CaptureError(f"{where}: its camera is to be had from {self.path}: {why}", "camera")
+        raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
     @staticmethod
     def _matches(wanted: str, names: Mapping[str, object]) -> list[str]:
@@ -84,7 +84,7 @@ def camera_from_vision(
 
 
 def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
-    """Return a (4, 4) matrix that turns, moves and scales evenly. Raises CaptureError where it does anything else."""
+    """Return a (4, 4) similarity transform as float64. Raises CaptureError for any other matrix."""
     matrix = np.asarray(matrix, np.float64)
     scale = np.cbrt(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
     if not scale > 0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
@@ -97,7 +97,7 @@ def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
 
 
 def moved(camera: Camera, world: np.ndarray) -> Camera:
-    """Return a camera of a world that was turned, moved and scaled by a ``similarity``."""
+    """Return a camera after a ``similarity`` transform of its world."""
     scale = np.cbrt(np.linalg.det(world[:3, :3]))
     matrix = world @ camera.matrix
     matrix[:3, :3] /= scale
@@ -105,15 +105,14 @@ def moved(camera: Camera, world: np.ndarray) -> Camera:
 
 
 def of_picture(camera: Camera, width: int, height: int, orientation: int, where: str) -> Camera:
-    """Return a camera for a picture as it is shown, upright, where the file's was that of the picture as it is stored.
+    """Return the camera of the upright picture for the camera of the stored one, scaled to the picture's size.
 
-    The program may have aligned a larger or a smaller copy: the picture's size decides. orientation: its EXIF tag.
-    Raises CaptureError where the picture has other proportions, or is mirrored.
+    orientation: its EXIF tag. Raises CaptureError if the picture has other proportions or is mirrored.
     """
     if orientation not in _TURNS:
         raise CaptureError(f"{where}: the picture is stored mirrored; save it upright, and align that one", "size")
-    # A program that turned the picture upright itself has the upright size. Half a turn, and squares, look alike: then
-    # it is taken to have left the picture as stored, as these programs do.
+    # A program that turned the picture itself has the upright size. Half a turn and squares are ambiguous: these
+    # programs leave such pictures as stored.
     turned_already = _fits(camera, width, height) and not _fits(camera, height, width)
     if not (turned_already and _TURNS[orientation] % 2):
         for _ in range(_TURNS[orientation]):
@@ -136,7 +135,7 @@ def _fits(camera: Camera, width: int, height: int) -> bool:
 
 
 def _quarter_turn(camera: Camera) -> Camera:
-    """Return the camera of the picture turned by 90° clockwise: what was up is right."""
+    """Return the camera of the picture turned by 90° clockwise."""
     matrix = camera.matrix.copy()
     matrix[:3, 0], matrix[:3, 1] = camera.matrix[:3, 1], -camera.matrix[:3, 0]
     k1, k2, p1, p2, *rest = (*camera.distortion, *(0.0,) * (4 - len(camera.distortion)))
@@ -156,4 +155,4 @@ def _stem(name: str) -> str:
 
 
 def _some(names: list[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names[:_TOLD]) + (", …" if len(names) > _TOLD else "")
+    return ", ".join(f"'{name}'" for name in names[:_LISTED]) + (", …" if len(names) > _LISTED else "")

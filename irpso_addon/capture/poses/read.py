@@ -1,4 +1,4 @@
-"""The one door to files of cameras: finds out whose a path is and reads it."""
+"""Reads camera files of other programs: ``read_poses`` detects the program of a path."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _KINDS = "cameras are read from a COLMAP folder (cameras.txt, images.txt), Metas
 def read_poses(path: Path | str) -> PoseFile:
     """Read the cameras of COLMAP (text), Agisoft Metashape (.xml) or AliceVision, as in Meshroom (.sfm, .json).
 
-    The world is that of the mesh that the program exports. Raises CaptureError naming the file and the remedy where
-    it is missing, damaged or holds no camera that can be used.
+    The world is that of the program's exported mesh. Raises CaptureError naming the file and the remedy if it is
+    missing, damaged or holds no usable camera.
     """
     path = Path(path)
     try:

@@ -1,1 +1,1 @@
-"""From words of the command line to values, photographs and a ``Job``, with errors that name the option."""
+"""Converts command-line options to values, photographs and a ``Job``; errors name the option."""

@@ -38,9 +38,9 @@ _RESOLUTION = "512"
 
 
 def job_of(options: Namespace, opened: bool = False) -> Job:
-    """Return the job that options ask for; ``entry`` "auto" of a run that is gone on with becomes the former one.
+    """Return the job of the options. ``entry`` "auto" of a resumed run becomes its former entry.
 
-    opened: whether the mesh is in the file that is open, to be taken as it is. Raises InputError.
+    opened: the open file already holds the mesh. Raises InputError.
     """
     folder = _output_folder(options)
     options.blend = blend_of(options)
@@ -81,47 +81,42 @@ def job_of(options: Namespace, opened: bool = False) -> Job:
 
 
 def derived_maps_of(options: Namespace) -> DerivedMaps:
-    """Return the maps that are asked for besides the model's. Raises InputError."""
+    """Return the choice of derived maps. Raises InputError."""
     return DerivedMaps(normals_of_text("--normals", options.normals), options.height, options.displacement)
 
 
 def blend_of(options: Namespace) -> str | None:
-    """Return the file with the mesh: a capture that is a scene of Blender's holds it itself."""
+    """Return the file with the mesh; a capture that is a Blender scene holds its own mesh."""
     if not _is_scene(options.capture):
         return options.blend
     if options.blend and Path(options.blend).resolve() != Path(options.capture).resolve():
-        raise InputError(
-            f"--blend {options.blend}: the capture is a scene, which has the mesh in it; leave --blend out"
-        )
+        raise InputError(f"--blend {options.blend}: the capture is a scene and holds the mesh; omit --blend")
     return options.capture
 
 
 def _output_folder(options: Namespace) -> Path:
     folder, source = check_output_folder(options.output), Path(options.capture)
     if folder.resolve() in (source.resolve(), source.parent.resolve() if source.is_file() else None):
-        raise InputError(f"{folder}: holds the capture, whose images a result could replace; choose another with -o")
+        raise InputError(f"{folder}: holds the capture, and a result could replace its images; choose another with -o")
     return folder
 
 
 def _check_mesh_options(options: Namespace) -> None:
-    """Raise InputError for an option of meshes where there is none, or of cards where there is one."""
-    if options.object and not options.blend:
-        raise InputError("--object names a mesh, but no --blend FILE is given to find it in")
-    if options.resolution and not options.blend:
-        raise InputError("--resolution is of a mesh's maps (--blend FILE); a card's maps have the size of the images")
+    """Raise InputError for an option of meshes without a mesh, or of cards with one."""
     if options.blend and options.distance is not None:
-        raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own place")
-    if options.slots and not options.blend:
-        raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
+        raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own position")
+    for option in ("object", "slots", "resolution"):
+        if getattr(options, option) and not options.blend:
+            raise InputError(f"--{option} is for meshes: give --blend FILE (a card's maps have the images' size)")
 
 
 def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:
-    """Have --resume go on by the kind of pass that the run was begun with: the two differ in the last bits.
+    """Make a resumed run use its former kind of pass, because the two kinds differ in the last bits.
 
-    Raises InputError where the checkpoint is of no use, or cannot be written later on.
+    Raises InputError if the checkpoint is unusable or cannot be written.
     """
     if path.is_dir():
-        raise InputError(f"{path}: is a folder, where a checkpoint would go; choose another -o, or move it away")
+        raise InputError(f"{path}: is a folder in the place of the checkpoint; choose another -o, or move it")
     if not options.resume:
         return
     if not path.is_file():
@@ -132,7 +127,7 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
 
 
 def _capture(options: Namespace) -> Capture:
-    """Return the capture; that of a scene's own cameras and lights is the file that was opened for the mesh."""
+    """Return the capture; a scene's cameras and lights are read from the open file."""
     if _is_scene(options.capture):
         return capture_of_open_file(options.colour_space, options.skip_damaged)
     distance = positive("--distance", options.distance)
@@ -145,7 +140,7 @@ def _is_scene(path: str) -> bool:
 
 
 def _subject(options: Namespace, opened: bool) -> tuple[Any, MeshData | None, str]:
-    """Return the object, its mesh, and the name for what is recovered of it; of a card the capture knows that."""
+    """Return the object, its mesh, and the name of the result; for a card None, None and ""."""
     if not options.blend:
         empty_blend()
         return None, None, ""

@@ -1,4 +1,4 @@
-"""Options that name photographs, places in them and exposures, for ``develop`` and ``response``."""
+"""Options of ``develop`` and ``response``: photographs, patches and exposures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .values import numbers_of_text
 
 
 def files_option(option: str, names: Sequence[str] | None) -> list[Path]:
-    """Return the files of an option that takes files and folders of images. Raises InputError where one is missing."""
+    """Return the images of an option that takes files and folders. Raises InputError if one is missing."""
     files: list[Path] = []
     for name in names or ():
         path = Path(name)
@@ -57,9 +57,7 @@ def patch_option(option: str, text: str) -> Patch:
     """Return the patch of "X,Y,W,H" or "X,Y,W,H=REFLECTANCE". Raises InputError naming the option."""
     place, equals, value = text.partition("=")
     numbers = number_list(option, place)
-    if len(numbers) != 4 or not all(number == int(number) >= 0 for number in numbers if np.isfinite(number)):
-        raise InputError(f"{option} {text}: write X,Y,W,H in pixels from the upper left corner, as 100,220,40,40")
-    if not np.isfinite(numbers).all():
+    if len(numbers) != 4 or not all(np.isfinite(number) and number == int(number) >= 0 for number in numbers):
         raise InputError(f"{option} {text}: write X,Y,W,H in pixels from the upper left corner, as 100,220,40,40")
     reflectance = None
     if equals:
@@ -73,9 +71,9 @@ def chart_response(store: ImageStore, image: ImageRef, texts: Sequence[str]) -> 
     """Return the response curve of the grey patches "X,Y,W,H=REFLECTANCE" in one photograph. Raises InputError."""
     patches = [patch_option("--grey-card", text) for text in texts]
     if any(patch.reflectance is None for patch in patches):
-        raise InputError("--grey-card: tell each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
+        raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
     if is_exr(image.path):
-        raise InputError(f"{image}: is an EXR, linear by itself, and has no response curve; leave --grey-card out")
+        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
     values = store.picture(image).values
     rgb = values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
     weight = np.ones(rgb.shape[:2])

@@ -1,4 +1,4 @@
-"""``--slots each``: the material slots of a mesh, by the material that they hold."""
+"""``--slots each``: the material slots of a mesh, grouped by material."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _UNFIT = re.compile(r"[^\w\- ]+")  # in the name of a folder
 
 
 def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, tuple[int, ...]]]:
-    """Open the file with the mesh; return the output folder, and name of a folder in it → the slots of one material.
+    """Open the file with the mesh; return the output folder, and subfolder name → the slots of one material.
 
-    Raises InputError where a slot has no usable UV map, or there are no slots.
+    Raises InputError if a slot has no usable UV map, or there are no slots.
     """
     folder = check_output_folder(options.output)
     if not blend:
-        raise InputError("--slots are of a mesh, but no --blend FILE is given to find it in")
+        raise InputError("--slots is for meshes: give --blend FILE")
     if options.resume:
-        raise InputError(f"--resume: of {EACH} slot; resume the one that was interrupted: --slots NAME -o OUT/NAME")
+        raise InputError("--resume: resume only the interrupted slot: --slots NAME -o OUT/NAME")
     open_blend(blend)
     subject = mesh_object(options.object)
     chosen = _slots_with_faces(subject)
@@ -38,10 +38,10 @@ def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, t
 
 
 def _slots_with_faces(subject: Any) -> dict[str, tuple[int, ...]]:
-    """Return name of a folder → the slots of one material. Raises InputError where there are no slots."""
+    """Return folder name → the slots of one material. Raises InputError if there are no slots."""
     names = slot_names(subject)
     if not names:
-        raise InputError(f"--slots {EACH}: object '{subject.name}' has no material slots; leave it away")
+        raise InputError(f"--slots {EACH}: object '{subject.name}' has no material slots; omit it")
     used = np.zeros(len(subject.data.polygons), np.int32)
     subject.data.polygons.foreach_get("material_index", used)
     chosen: dict[str, list[int]] = {}
@@ -49,7 +49,7 @@ def _slots_with_faces(subject: Any) -> dict[str, tuple[int, ...]]:
     for slot in sorted(set(np.minimum(used, len(names) - 1).tolist())):
         if names[slot] not in folders:
             label = _UNFIT.sub("_", names[slot]).strip() or f"slot {slot}"
-            # Two names may differ by case alone, or by what no folder can be called.
+            # Names may differ only by case, or by characters that folders cannot have.
             taken = {other.lower() for other in folders.values()}
             folders[names[slot]] = label if label.lower() not in taken else f"{label} {slot}"
         chosen.setdefault(folders[names[slot]], []).append(slot)

@@ -1,4 +1,4 @@
-"""Turning options of the command line into settings, with errors that name the option."""
+"""Converts options to settings; errors name the option."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LARGEST_SIDE = 16384
 
 
 def silent(options: Namespace) -> bool:
-    """Return whether a command says nothing to people: --quiet, or --json, which speaks to programs."""
+    """Return whether a command prints no progress: --quiet or --json."""
     return options.quiet or options.json
 
 
@@ -34,14 +34,14 @@ def size_option(option: str, text: str) -> tuple[int, int]:
 
 
 def positive(option: str, value: float | None) -> float | None:
-    """Return the value of an option that is a number above 0, or None where it is not given. Raises InputError."""
+    """Return an option's number above 0, None if it is not given. Raises InputError."""
     if value is not None and not 0 < value < math.inf:
         raise InputError(f"{option} {value:g}: give a number above 0")
     return value
 
 
 def schedule_from_options(options: Namespace) -> Schedule:
-    """Return the preset with the changes that --set, --search and --iterations ask for. Raises InputError."""
+    """Return the preset with the changes of --set, --search and --iterations. Raises InputError."""
     schedule = load_schedule(options.preset)
     changes = {}
     for text in options.set:
@@ -61,15 +61,13 @@ def fixed_from_options(
 ) -> dict[str, np.ndarray]:
     """Return the maps of --fixed NAME=VALUE: (H, W, components) from a file, or (components,) from numbers.
 
-    tiles: the UDIM tiles of the domain, which each have a file, as in normal=normal.<UDIM>.exr.
+    tiles: the UDIM tiles of the domain; each has a file, as in normal=normal.<UDIM>.exr.
     """
     fixed = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise InputError(
-                f"--fixed {text}: write NAME=VALUE, as in --fixed roughness=0.5 or --fixed normal=file.exr"
-            )
+            raise InputError(f"--fixed {text}: write NAME=VALUE, as in roughness=0.5 or normal=file.exr")
         parameter = model.parameter(name.strip())
         numbers = numbers_of_text(value)
         fixed[parameter.name] = (
@@ -81,7 +79,7 @@ def fixed_from_options(
 
 
 def check_size(option: str, maps: Mapping[str, np.ndarray], shape: tuple[int, int]) -> None:
-    """Raise InputError, naming the option, where a map is not of the domain's shape (H, W)."""
+    """Raise InputError, naming the option, if a map does not have the domain's shape (H, W)."""
     height, width = shape
     for name, value in maps.items():
         if value.ndim == 3 and value.shape[:2] != shape:
@@ -91,7 +89,7 @@ def check_size(option: str, maps: Mapping[str, np.ndarray], shape: tuple[int, in
 
 
 def _fixed_numbers(option: str, numbers: list[float], parameter: Parameter) -> np.ndarray:
-    """Return (components,) float32 of numbers that are the same everywhere."""
+    """Return (components,) float32 of numbers that hold at all texels."""
     count, (low, high) = parameter.components, parameter.range
     if len(numbers) not in ((count,) if parameter.is_normal else (1, count)):
         raise InputError(f"{option}: {parameter.name} has {count} numbers; give them separated by commas")
@@ -108,12 +106,12 @@ def _fixed_numbers(option: str, numbers: list[float], parameter: Parameter) -> n
 
 
 def held_out_list(text: str | None, count: int) -> list[int]:
-    """Return the indices that --hold-out asks for, of ``count`` observations. Raises InputError."""
+    """Return the indices of --hold-out among ``count`` observations. Raises InputError."""
     if text != "auto":
         return index_list("--hold-out", text, count)
     chosen = spared(count)
     if not chosen:
-        raise InputError(f"--hold-out auto: of {count} observations none can be spared; leave it out, or name one")
+        raise InputError(f"--hold-out auto: of {count} observations none can be held out; omit the option, or name one")
     return chosen
 
 
@@ -129,7 +127,7 @@ def index_list(option: str, text: str | None, count: int) -> list[int]:
 
 
 def numbers_of_text(text: str) -> list[float] | None:
-    """Return the numbers of "a,b,…", not finite ones included, or None where it is something else."""
+    """Return the numbers of "a,b,…", NaN and infinity included; None for other text."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:

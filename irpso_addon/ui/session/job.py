@@ -63,7 +63,7 @@ def missing(context) -> str:
             lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
             return f"Only {lights}: a normal needs at least three; add some, or give the normals"
     if wants_distance(context.scene) and not (settings.card_distance or _stated_distance(settings)):
-        return "No distance of the card: its lights have places; set Card Distance, in the unit of the places"
+        return "No distance of the card: its lights have positions; set Card Distance, in their unit"
     if settings.subject == "MESH":
         obj = subject_object(context)
         if obj is None:

@@ -179,8 +179,8 @@ def test_the_command_writes_a_capture_that_holds_the_lights(folder, tmp_path):
     out = tmp_path / "out"
     code, said, _ = run_cli("calibrate", folder / "images", "--ball", folder / "mirror.exr", "--kind", "mirror",
                             "--fov", FOV, "-o", out, "--json")  # fmt: skip
-    told = json.loads(said.splitlines()[-1])
-    assert code == 0 and told["lights"] == len(LIGHTS) and not told["near"]
+    printed = json.loads(said.splitlines()[-1])
+    assert code == 0 and printed["lights"] == len(LIGHTS) and not printed["near"]
     capture = read_capture(out)
     assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 1.0
     assert capture.cameras[0].perspective and capture.observations[3].read().shape == (HEIGHT, WIDTH, 4)

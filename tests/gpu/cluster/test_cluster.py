@@ -88,21 +88,21 @@ def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
     """Prime sizes, empty ranks, near lights, wide windows, seams; and other numbers of ranks after a checkpoint."""
     mpi_maker.start(7, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
-    assert len(found) == 5 and sum(len(told) for told in found.values()) == 19
-    assert {name: set(told.values()) - {told["one process"]} for name, told in found.items()} == dict.fromkeys(
+    assert len(found) == 5 and sum(len(reply) for reply in found.values()) == 19
+    assert {name: set(reply.values()) - {reply["one process"]} for name, reply in found.items()} == dict.fromkeys(
         found, set()
     )
-    assert len({told["one process"] for told in found.values()}) == 5
+    assert len({reply["one process"] for reply in found.values()}) == 5
 
 
 def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_path):
     assert run_cli(*options_of(ball, STANDARD, tmp_path / "one"))[0] == 0
-    code, told, err = mpi_maker.run(3, *options_of(ball, STANDARD, tmp_path / "out"))
+    code, reply, err = mpi_maker.run(3, *options_of(ball, STANDARD, tmp_path / "out"))
     assert code == 0, err
     assert files_of(tmp_path / "out") == files_of(tmp_path / "one")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     settings = report["settings"]
-    assert settings["ranks"] == 3 and told["texels"] == report["texels"]
+    assert settings["ranks"] == 3 and reply["texels"] == report["texels"]
     sent = settings["bytes_sent"]  # one rank has the texels that no camera sees
     assert len(settings["messages"]) == len(sent) == 3 and sorted(sent)[1] > 0
 
@@ -136,8 +136,8 @@ def test_a_killed_job_resumes_on_another_number_of_ranks_with_the_same_files(car
 def test_a_rank_that_fails_in_the_middle_ends_the_job_and_is_named(card, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(FAILING)
     there = f'export PYTHONPATH="{mpi_maker.ROOT}:{tmp_path}";'
-    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=there)
-    assert code == 1 and told is None
+    code, reply, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=there)
+    assert code == 1 and reply is None
     assert re.search(r"irpso: rank 1 on \S+: RuntimeError: a driver's own words", err) and err.count("irpso: ") == 1
     assert not (tmp_path / "out").exists()
 
@@ -150,31 +150,31 @@ def test_ranks_with_unlike_versions_of_the_program_refuse(card, tmp_path):
     version = re.search(r'^version = "(.*)"', manifest, re.M)[1]
     (other / "blender_manifest.toml").write_text(manifest.replace(f'version = "{version}"', 'version = "9.9.9"'))
     moved = f'[ $OMPI_COMM_WORLD_RANK = 1 ] && cd "{other}";'
-    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=moved)
+    code, reply, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=moved)
     assert code == 2 and not (tmp_path / "out").exists()
     assert re.search(rf"program of rank 1 on \S+ \(version 9.9.9\) and of rank 0 on \S+ \(version {version}\)", err)
-    assert told["exit_code"] == 2 and err.count("irpso: ") == 1
+    assert reply["exit_code"] == 2 and err.count("irpso: ") == 1
 
 
 def test_a_rank_without_a_gpu_is_named(card, tmp_path):
     blind = "[ $OMPI_COMM_WORLD_RANK = 1 ] && export __EGL_VENDOR_LIBRARY_FILENAMES=/nowhere.json;"
-    code, told, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=blind)
-    assert code == 3 and told["exit_code"] == 3
+    code, reply, err = mpi_maker.run(2, *options_of([card], WIDE, tmp_path / "out"), before=blind)
+    assert code == 3 and reply["exit_code"] == 3
     assert re.search(r"irpso: rank 1 on \S+: no GPU context", err) and err.count("irpso: ") == 1
     assert not (tmp_path / "out").exists()
 
 
 def test_unsupported_options_of_ranks_are_refused_once(card, tmp_path):
-    code, told, err = mpi_maker.run(2, *options_of([card], [*WIDE, "--set", "levels=2"], tmp_path / "out"))
-    assert code == 2 and "levels" in told["error"] and err.count("irpso: ") == 1
+    code, reply, err = mpi_maker.run(2, *options_of([card], [*WIDE, "--set", "levels=2"], tmp_path / "out"))
+    assert code == 2 and "levels" in reply["error"] and err.count("irpso: ") == 1
 
 
 def test_ranks_refuse_separate_slots_and_batches(ball, card, tmp_path):
-    code, told, _ = mpi_maker.run(2, *options_of([*ball, "--slots", "each"], STANDARD, tmp_path / "out"))
-    assert code == 2 and "--slots each" in told["error"]
+    code, reply, _ = mpi_maker.run(2, *options_of([*ball, "--slots", "each"], STANDARD, tmp_path / "out"))
+    assert code == 2 and "--slots each" in reply["error"]
     (tmp_path / "list.toml").write_text('[[job]]\ncapture = "a"\n[[job]]\ncapture = "b"\n')
-    code, told, _ = mpi_maker.run(2, "batch", tmp_path / "list.toml", "--json", "-o", tmp_path / "out")
-    assert code == 2 and "without mpirun" in told["error"]
+    code, reply, _ = mpi_maker.run(2, "batch", tmp_path / "list.toml", "--json", "-o", tmp_path / "out")
+    assert code == 2 and "without mpirun" in reply["error"]
     assert not (tmp_path / "out").exists()
 
 

@@ -273,7 +273,7 @@ OPTIONS = {
     "a resolution of text": (recover("--resolution", "big"), r"--resolution big: give a whole number"),
     "a resolution of zero": (recover("--resolution", "0x8"), r"--resolution 0x8"),
     "a resolution past all limits": (recover("--resolution", "99999"), r"--resolution 99999"),
-    "a resolution of a card": (recover("--resolution", "64"), r"--resolution is of a mesh"),
+    "a resolution of a card": (recover("--resolution", "64"), r"--resolution is for meshes: give --blend"),
     "a seed of text": (recover("--seed", "seven"), r"--seed: seven is not a whole number"),
     "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
     "an observation that is not there": (recover("--hold-out", "1,6"), r"--hold-out 1,6: .*from 0 to 5"),
@@ -284,7 +284,7 @@ OPTIONS = {
         lambda f: recover("--ground-truth", f / "card" / "000.exr")(f), r"000.exr: holds no map of model metallic"),
     "ground truth of another size": (
         lambda f: recover("--ground-truth", f / "normal_4.exr")(f), r"normal is 4 × 3.*8 × 6"),
-    "an object and no .blend": (recover("--object", "square"), r"--object .* no --blend"),
+    "an object and no .blend": (recover("--object", "square"), r"--object is for meshes: give --blend"),
     "an output that is a file": (with_file(OUT, "mine", "--seed", 1), r"out: is a file"),
     "an output below a file": (
         lambda f: recover("-o", f / "scene.blend" / "deep")(f), r"scene.blend: is a file.*-o"),

@@ -50,7 +50,7 @@ def maps_of(folder):
 def test_a_batch_writes_its_recoveries_and_one_report_and_skips_finished_jobs(listed, monkeypatch):
     out = listed / "out"
     code, _, err = run_cli("batch", listed / "list.toml", "-o", out)
-    assert code == 2 and "irpso: none: " in err and "not there" in err
+    assert code == 2 and "irpso: job 'none' failed: " in err and "not there" in err
     report = json.loads((out / "batch.json").read_text(encoding="utf-8"))
     assert [job["state"] for job in report["jobs"]] == ["done", "failed", "done"] and report["failed"] == ["none"]
     for name, options in (("first", ["--seed", "3"]), ("second", ["--set", "particles=20", "--set", "loss=l1"])):
@@ -101,8 +101,8 @@ def test_a_useless_checkpoint_does_not_block_its_job(listed):
     (out / "first").mkdir(parents=True)
     (out / "first" / "checkpoint.npz").write_bytes(b"cut off in its middle")
     (out / "first.json").write_text(json.dumps({"words": job.listed, "state": "begun"}), encoding="utf-8")
-    code, told, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
-    assert code == 0 and "first: goes on" in told and "begins anew" in told and "damaged" in told
+    code, message, _ = run_cli("batch", listed / "list.toml", "-o", out, "--only", "first")
+    assert code == 0 and "first: continues" in message and "starts again" in message and "damaged" in message
     assert (out / "first" / "maps.exr").is_file() and not (out / "first" / "checkpoint.npz").exists()
 
 
@@ -114,7 +114,7 @@ def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "lists no job"),
         ("[[job]]\nseed = 1", "has no capture"),
@@ -123,16 +123,16 @@ def test_a_renamed_or_moved_list_has_the_same_jobs(listed, monkeypatch):
         ('[[job]]\ncapture = "a"\niteration = 5', "unrecognized arguments"),
         ('[[job]]\ncapture = "a"\nseed = "x"', "--seed"),
         ('[[job]]\ncapture = "a"\nname = "../b"', "name"),
-        ('[[job]]\ncapture = "a"\nresume = true', "resume is not for a list"),
+        ('[[job]]\ncapture = "a"\nresume = true', "resume is not an option of jobs"),
         ('jobs = 1\n[[job]]\ncapture = "a"', "[[job]]"),
         ("[[job]\n", "is not valid TOML"),
     ],
 )
-def test_an_invalid_list_is_reported_before_any_job_runs(text, told, tmp_path):
+def test_an_invalid_list_is_reported_before_any_job_runs(text, message, tmp_path):
     path = tmp_path / "list.toml"
     path.write_text(text, encoding="utf-8")
     code, _, err = run_cli("batch", path, "-o", tmp_path / "out")
-    assert code == 2 and err.count("\n") == 1 and str(path) in err and told in err
+    assert code == 2 and err.count("\n") == 1 and str(path) in err and message in err
     assert not (tmp_path / "out").exists()
 
 

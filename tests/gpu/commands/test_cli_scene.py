@@ -106,7 +106,7 @@ def test_a_rendered_scene_recovers_its_own_material(card):
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [(["--blend", "other.blend"], "the capture is a scene, which has the mesh in it"), ([], "no light of this scene")],
+    [(["--blend", "other.blend"], "the capture is a scene and holds the mesh"), ([], "no light of this scene")],
 )
 def test_a_scene_that_cannot_be_recovered_is_reported(tmp_path, options, words):
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -119,4 +119,4 @@ def test_a_scene_that_cannot_be_recovered_is_reported(tmp_path, options, words):
 def test_inspect_sends_scenes_to_blender(tmp_path):
     (tmp_path / "a.blend").touch()
     code, out, err = run_cli("inspect", tmp_path / "a.blend")
-    assert code == 2 and "looked over in Blender" in out + err
+    assert code == 2 and "checked in Blender" in out + err

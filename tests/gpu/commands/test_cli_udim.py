@@ -274,7 +274,7 @@ def test_other_slots_have_no_texels_but_occlude(folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--slots", "each", "--resume"), "--resume: of each slot; resume the one that was interrupted"),
+        (("--slots", "each", "--resume"), "--resume: resume only the interrupted slot"),
         (("--slots", "Hair"), "--slots Hair: there is no slot 'Hair'; the slots are 0 'Skin', 1 'Cloth'"),
         (("--ground-truth", "{truth}/maps.exr"), "is one picture, the UV map has the UDIM tiles 1001, 1011"),
         (("--fixed", "normal={truth}/maps.1002.<UDIM>.exr"), "has no file for UDIM tile 1001 (2 of 2 are missing)"),

@@ -32,53 +32,53 @@ def package(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(package) -> dict:
+def facts(package) -> dict:
     return installed(package)
 
 
-def test_blender_installs_and_enables_the_zip(told):
-    assert (told["done"], told["enabled"]) == (["FINISHED"], ["bl_ext.user_default.irpso"])
+def test_blender_installs_and_enables_the_zip(facts):
+    assert (facts["done"], facts["enabled"]) == (["FINISHED"], ["bl_ext.user_default.irpso"])
 
 
-def test_enabling_adds_one_command_and_disabling_takes_it_away(told):
-    assert (told["commands"], told["commands after"]) == (["irpso"], [])
+def test_enabling_adds_one_command_and_disabling_takes_it_away(facts):
+    assert (facts["commands"], facts["commands after"]) == (["irpso"], [])
 
 
-def test_enabling_adds_the_interface_and_disabling_takes_it_away(told):
-    assert "Settings" in told["classes"]
-    assert told["classes after"] == []
+def test_enabling_adds_the_interface_and_disabling_takes_it_away(facts):
+    assert "Settings" in facts["classes"]
+    assert facts["classes after"] == []
 
 
-def test_the_installed_program_knows_its_own_package(told):
-    assert told["base"] == "bl_ext.user_default.irpso"
+def test_the_installed_program_knows_its_own_package(facts):
+    assert facts["base"] == "bl_ext.user_default.irpso"
 
 
-def test_the_installed_program_finds_its_own_shaders_and_presets(told):
-    assert (told["model"], told["schedule"]) == ("lambert", "standard")
-    assert told["root"].startswith(told["profile"])
+def test_the_installed_program_finds_its_own_shaders_and_presets(facts):
+    assert (facts["model"], facts["schedule"]) == ("lambert", "standard")
+    assert facts["root"].startswith(facts["profile"])
 
 
-def test_every_module_of_the_program_can_be_imported_from_where_it_is_installed(told):
+def test_every_module_of_the_program_can_be_imported_from_where_it_is_installed(facts):
     shipped = [path for path in (ROOT / "irpso_addon").rglob("*.py") if path.name != "__init__.py"]
     packages = [path for path in (ROOT / "irpso_addon").rglob("__init__.py")]
-    assert told["modules"] == len(shipped) - 1 + len(packages) - 1  # without __main__ and the package itself
+    assert facts["modules"] == len(shipped) - 1 + len(packages) - 1  # without __main__ and the package itself
 
 
-def test_blender_has_nothing_to_warn_of(told):
-    assert told["violations"] == []
+def test_blender_has_nothing_to_warn_of(facts):
+    assert facts["violations"] == []
 
 
-def test_the_program_writes_nothing_into_its_own_folder(told):
-    assert told["written"] == []
+def test_the_program_writes_nothing_into_its_own_folder(facts):
+    assert facts["written"] == []
 
 
-def test_a_zip_without_wheels_brings_no_libraries(told):
-    assert told["exr"] is told["pillow"] is None
+def test_a_zip_without_wheels_brings_no_libraries(facts):
+    assert facts["exr"] is facts["pillow"] is None
 
 
-def test_a_faulty_installation_is_reported(told):
-    assert install_extension.faults(told, with_wheels=False) == []
-    broken = told | {"classes after": ["Settings"], "commands": []}
+def test_a_faulty_installation_is_reported(facts):
+    assert install_extension.faults(facts, with_wheels=False) == []
+    broken = facts | {"classes after": ["Settings"], "commands": []}
     assert install_extension.faults(broken, with_wheels=True) == [
         "the command irpso was not registered",
         "classes outlived the extension: ['Settings']",
@@ -95,6 +95,6 @@ def test_a_zip_with_wheels_brings_the_libraries_that_the_program_uses(tmp_path):
         pytest.skip("the wheels are not on this machine; `make extension` downloads them")
     system = extension.this_platform()
     package, pythons = extension.build_all(tmp_path, [system])[system]
-    told = installed(package)
-    assert told["python"] in pythons
-    assert install_extension.faults(told, with_wheels=True) == []
+    facts = installed(package)
+    assert facts["python"] in pythons
+    assert install_extension.faults(facts, with_wheels=True) == []

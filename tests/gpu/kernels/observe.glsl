@@ -6,8 +6,8 @@
 bool texel_kernel(ivec2 texel)
 {
     Observation o;
-    bool told = observe(observed_texel(texel), u_observation, o);
-    o_light = vec4(o.l, told ? o.weight : 0.0);
+    bool valid = observe(observed_texel(texel), u_observation, o);
+    o_light = vec4(o.l, valid ? o.weight : 0.0);
     o_intensity = vec4(o.intensity, 1.0);
     o_radiance = vec4(o.radiance, 1.0);
     o_clipped = vec4(o.clipped, 1.0);

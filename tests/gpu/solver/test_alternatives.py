@@ -82,13 +82,13 @@ def test_alternatives_are_as_much_worse_as_float64_says(name, fixed, domain):
     got = alternatives(domain, model, values, scale, fixed)
     expected = alternatives_oracle.worse(domain, model, values, STANDARD, scale, fixed)
     assert set(got) == set(expected) and expected
-    told = domain.solvable
+    solvable = domain.solvable
     for number, wanted in expected.items():
-        off = np.abs(got[number] - wanted)[told]
+        off = np.abs(got[number] - wanted)[solvable]
         # Where a bound of float32 decides, as whether a light is above the horizon, single texels differ.
         assert (off < 0.01).mean() > 0.95 and np.median(off) < 1e-3, number
-        assert np.isnan(got[number][~told]).all()
-        assert np.ptp(wanted[told]) > 5, number
+        assert np.isnan(got[number][~solvable]).all()
+        assert np.ptp(wanted[solvable]) > 5, number
 
 
 def test_alternatives_skip_fixed_linear_and_normal_prior_parameters_and_other_losses():
@@ -148,9 +148,9 @@ def polished():
 
 def test_a_material_without_visible_highlight_has_two_modes(polished):
     maps, hidden = polished
-    told = with_modes(maps)
-    assert set(told.two_modes) == {"roughness"}
-    two, found = told.two_modes["roughness"], told.values["roughness"][..., 0]
+    marked = with_modes(maps)
+    assert set(marked.two_modes) == {"roughness"}
+    two, found = marked.two_modes["roughness"], marked.values["roughness"][..., 0]
     assert two[hidden].mean() > 0.95 and two[~hidden].mean() < 0.05
     # The prior has decided for matt where nothing is seen, and it is wrong; where some see a highlight, all know.
     assert np.median(found[hidden]) > 0.6 and np.median(np.abs(found[~hidden] - SMOOTH)) < 0.1

@@ -88,24 +88,24 @@ def test_grey_samples_are_those_of_numpy(root, options):
     domain.stack.values[..., 3] = bounded(domain.stack.values[..., 3], clipped)
     pack = Packing(domain.solvable)
     scale = np.random.default_rng(2).uniform(0.5, 2, domain.shape).astype(np.float32)
-    told = grey(
+    grey_textures = grey(
         DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), pack.pack(scale)),
         STANDARD.replaced(prefit_shadow=0.4),
     )
-    assert told.brightness == 1
+    assert grey_textures.brightness == 1
     outputs = tuple(Output(name) for name in ("o_light", "o_intensity", "o_radiance", "o_clipped"))
     kernel = Kernel(
         str(root / "tests/gpu/kernels/observe.glsl"),
         outputs,
         kernels.OBSERVATIONS,
         {"u_observation": "INT"},
-        told.defines,
+        grey_textures.defines,
     )
     one = Pass(kernel)
     targets = [textures.empty(pack.width, pack.height) for _ in outputs]
     dropped = 0
     for k in range(domain.observations):
-        one.run(targets, {n: told.textures[n] for n in kernels.OBSERVATIONS}, {"u_observation": k})
+        one.run(targets, {n: grey_textures.textures[n] for n in kernels.OBSERVATIONS}, {"u_observation": k})
         light, intensity, radiance, clipped = (pack.unpack(textures.download(t)) for t in targets)
         sample = domain.stack.values[k].astype(np.float64)
         weight, bound = weight_and_clipped(domain.stack.values[k][..., 3])
@@ -221,11 +221,11 @@ def bounded_misfit(domain, model, values, settings, scale):
 @pytest.fixture(scope="module")
 def half():
     """(domain, truth) of a card of which the left half is what the model says, and the right half is not."""
-    told, truth = card("principled", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
+    textured, truth = card("principled", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
     other, _ = card("falloff_lobe", shape=(8, 12), noise=0.002, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)),
                     falloff=np.full((8, 12, 1), 1.35))  # fmt: skip
-    stack = np.where(np.arange(12)[:, None] < 6, told.stack.values, other.stack.values)
-    return with_samples(told, np.ascontiguousarray(stack)), truth
+    stack = np.where(np.arange(12)[:, None] < 6, textured.stack.values, other.stack.values)
+    return with_samples(textured, np.ascontiguousarray(stack)), truth
 
 
 def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(recover, half):

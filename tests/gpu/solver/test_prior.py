@@ -207,10 +207,10 @@ def test_own_deviations_come_from_the_inverse_normal_matrix(prior):
     scalars = {name: i for i, (p, _, _) in enumerate(confidence_oracle.unknowns(TWO_LOBES)) for name in [p.name]}
     for name in ("r1", "r2", "w"):
         p = TWO_LOBES.parameter(name)
-        told = wanted[..., scalars[name]] < 0.2
-        assert told.sum() > 20
+        determined = wanted[..., scalars[name]] < 0.2
+        assert determined.sum() > 20
         found = own[..., TWO_LOBES.offset(name)] / (p.range[1] - p.range[0])
-        np.testing.assert_allclose(found[told], wanted[told][:, scalars[name]], rtol=0.02)
+        np.testing.assert_allclose(found[determined], wanted[determined][:, scalars[name]], rtol=0.02)
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])

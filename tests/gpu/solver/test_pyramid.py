@@ -52,8 +52,8 @@ def test_one_level_is_the_recovery_bit_for_bit(preset):
     with Recovery(domain, LAMBERT, PRESETS[preset], 1, entry="fragment") as recovery:
         recovery.step()
         wanted, progress = recovery.maps(), recovery.progress
-    maps, told = found(domain, PRESETS[preset])
-    assert bits_of(maps) == bits_of(wanted) and told == progress
+    maps, reported = found(domain, PRESETS[preset])
+    assert bits_of(maps) == bits_of(wanted) and reported == progress
     assert maps.residual.tobytes() == wanted.residual.tobytes()
 
 
@@ -82,8 +82,8 @@ def in_tiny_slices(run):
 def test_stepping_does_not_change_the_maps(turned, preset, drive):
     schedule = PRESETS[preset].replaced(levels=3)
     wanted, progress = found(turned[0], schedule)
-    maps, told = found(turned[0], schedule, drive=drive)
-    assert bits_of(maps) == bits_of(wanted) and told == progress
+    maps, reported = found(turned[0], schedule, drive=drive)
+    assert bits_of(maps) == bits_of(wanted) and reported == progress
 
 
 def test_a_step_makes_the_requested_iterations_across_levels(turned):

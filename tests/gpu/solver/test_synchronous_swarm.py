@@ -64,11 +64,11 @@ def assert_equal_iterations(b, step, places):
     found, wanted, moved = b.read(), step.state, step.moved
     clear = step.margin > 2 * rounding(step.fitness)
     leads = step.lead > 2 * rounding(np.min(step.fitness, axis=0))
-    told = moved & ~step.edge
+    compared = moved & ~step.edge
     # Particles that came to a neighbour's best, or search nothing, tie with where they have been before.
     ties = b.schedule.swarm.neighbour_every == 1 or b.problem.dimensions == 0
-    assert told[:, moved].mean() > 0.8 and clear[told].mean() > (0.4 if ties else 0.9)
-    assert_close_fitness(b.found_fitness()[told], step.fitness[told])
+    assert compared[:, moved].mean() > 0.8 and clear[compared].mean() > (0.4 if ties else 0.9)
+    assert_close_fitness(b.found_fitness()[compared], step.fitness[compared])
     np.testing.assert_allclose(found.x, wanted.x, atol=places, rtol=0)
     np.testing.assert_allclose(found.v, wanted.v, atol=places, rtol=0)
     np.testing.assert_allclose(found.p[clear], wanted.p[clear], atol=places, rtol=0)

@@ -241,13 +241,13 @@ def device(monkeypatch):
         peak[0] = max(peak[0], sum(size for _, size in made))
         return texture
 
-    def told():
+    def take_peak():
         made.clear()
         found, peak[0] = peak[0], 0
         return found
 
     monkeypatch.setattr(textures, "_texture", counted)
-    return told
+    return take_peak
 
 
 @pytest.mark.parametrize("entry", ["fragment", "compute"])

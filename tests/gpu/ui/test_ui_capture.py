@@ -187,9 +187,9 @@ def test_light_sufficiency_follows_the_recovered_parameters(scene):
 
 def test_a_check_pauses_at_every_image(tmp_path):
     write_diligent(tmp_path / "a")
-    told = list(inspect_steps(tmp_path / "a", decode))
+    lines = list(inspect_steps(tmp_path / "a", decode))
     for words in ("Looking at headers: {} of 5", "Checking images: {} of 5"):
-        assert [words.format(k) for k in range(1, 6)] == [line for line in told if line.startswith(words[:8])][:5]
+        assert [words.format(k) for k in range(1, 6)] == [line for line in lines if line.startswith(words[:8])][:5]
 
 
 def test_a_slice_of_a_check_is_short_and_another_capture_ends_it(scene, tmp_path):
@@ -571,7 +571,7 @@ def nothing(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (narrow_area, "light 'Softbox' has a Spread of 90°, which is not supported; set it to 180°"),
         (soft_spot, "light 'Spot' reaches full strength nowhere; lower Blend"),
@@ -589,14 +589,14 @@ def nothing(scene, tmp_path):
         (nothing, "no light of this scene has a photograph"),
     ],
 )
-def test_an_incomplete_scene_is_reported_with_the_remedy(scene, tmp_path, spoil, told):
+def test_an_incomplete_scene_is_reported_with_the_remedy(scene, tmp_path, spoil, message):
     add_camera(scene)
     write_png(tmp_path / "b.png", np.zeros((4, 4, 3)))
     add_light(scene, "Key", image_of(tmp_path / "a.png", np.full((4, 4, 3), 100)))
     scene.irpso.source = "SCENE"
     assert len(scene_capture.capture_of(scene).observations) == 1
     spoil(scene, tmp_path)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         scene_capture.capture_of(scene)
     assert "\n" not in str(caught.value) and ";" in str(caught.value)
     bpy.ops.irpso.check_capture()

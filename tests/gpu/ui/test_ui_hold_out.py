@@ -215,8 +215,8 @@ def test_the_view_shows_a_fitted_photograph_by_the_number_that_it_has_in_the_fil
         index = running.observation(view)
         assert running.job.capture.observations[index].name == f"light {shown}" and index in running.job.fitted
         assert running.job.numbers[index] == shown
-        told = f"Observation {chosen} is held out: {shown + 1} is shown"
-        assert (told in drawn().texts) == (chosen in (5, 13))
+        notice = f"Observation {chosen} is held out: {shown + 1} is shown"
+        assert (notice in drawn().texts) == (chosen in (5, 13))
         np.testing.assert_allclose(running.domain.lights[index, :3], LIGHTS[shown], atol=1e-6)
     assert "of 20" in drawn().texts
     np.testing.assert_array_equal(running.recovery.domain.lights, running.domain.lights[:18])

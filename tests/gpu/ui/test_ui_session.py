@@ -113,14 +113,14 @@ def test_reading_a_mesh_ends_with_its_images_and_camera(job):
     settings = bpy.context.scene.irpso
     settings.subject, settings.resolution = "MESH", 8
     running = session.begin(job())
-    told = []
+    fractions = []
     while running.recovery is None:
         running.tick(1e-6)
         if running.state == "loading":
-            told.append(running.fraction)
+            fractions.append(running.fraction)
     session.end()
-    assert told == sorted(told) and told[0] < 0.1 and told[-1] == 1.0
-    assert told.count(1.0) == 1 and len(set(told)) > len(LIGHTS)
+    assert fractions == sorted(fractions) and fractions[0] < 0.1 and fractions[-1] == 1.0
+    assert fractions.count(1.0) == 1 and len(set(fractions)) > len(LIGHTS)
 
 
 def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):

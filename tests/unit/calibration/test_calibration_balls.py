@@ -132,8 +132,8 @@ def test_a_matte_ball_gives_colours_and_directions_within_two_degrees(camera, sh
     found = calibrated(images, [ball_of(view, np.array(centre), radius)], "matte")
     off = degrees(directions(found), lights)
     assert off.mean() < 0.6 and off.max() < 2.0
-    told = np.array([light.light.intensity for light in found.lights])
-    np.testing.assert_allclose(told, strengths, rtol=0.03)
+    found_strengths = np.array([light.light.intensity for light in found.lights])
+    np.testing.assert_allclose(found_strengths, strengths, rtol=0.03)
     white = calibrated(images, [ball_of(view, np.array(centre), radius)], "matte", albedo=(0.5, 0.5, 0.5))
     np.testing.assert_allclose([light.light.intensity for light in white.lights], strengths, rtol=0.03)
 

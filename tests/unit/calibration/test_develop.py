@@ -206,7 +206,7 @@ BROKEN = [
     (["--white", "1,0,1"], "gains are above 0"),
     (["--white", "40,0,4,4", "--dark", "capture/dark"], "the white patch is black in a channel"),
     (["--grey-card", "3,40,6,6=0.18"], "one grey patch gives a scale, not a curve"),
-    (["--grey-card", "3,40,6,6"], "tell each patch's reflectance"),
+    (["--grey-card", "3,40,6,6"], "give each patch's reflectance"),
     (["--response", "no.toml"], "no.toml: cannot be read"),
     (["--response", "a.toml", "--grey-card", "3,40,6,6=0.18"], "give one of them"),
     (["--brackets", "names"], "its name has no exposure"),

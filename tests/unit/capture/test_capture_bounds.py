@@ -17,8 +17,8 @@ def test_bounds_in_weights_read_back():
     rng = np.random.default_rng(0)
     weight = np.float32(rng.choice([0, 0.25, 0.5, 1], (40, 50)))
     clipped = rng.random((40, 50, 3)) < 0.3
-    told, channels = weight_and_clipped(bounded(weight, clipped))
-    np.testing.assert_array_equal(told, weight)
+    weights, channels = weight_and_clipped(bounded(weight, clipped))
+    np.testing.assert_array_equal(weights, weight)
     np.testing.assert_array_equal(channels, clipped & (weight > 0)[..., None])
     some = np.concatenate([np.ones((40, 50, 3)), bounded(weight, clipped)[..., None]], axis=-1)
     np.testing.assert_array_equal(without_bounds(some)[..., 3], np.where(clipped.any(axis=-1), 0, weight))

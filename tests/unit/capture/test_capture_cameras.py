@@ -87,7 +87,7 @@ def test_a_photograph_on_its_side_and_at_half_the_size_has_its_camera_turned_and
 @pytest.mark.parametrize(
     ("observations", "top", "words"),
     [
-        (['image = "IMG_3.png"'], "", "observation 1: its camera is to be had from .*colmap: it has no 'IMG_3.png'"),
+        (['image = "IMG_3.png"'], "", "observation 1: its camera should be in .*colmap: it has no 'IMG_3.png'"),
         (
             ['image = "IMG_1.png"\ncamera = "x"'],
             "",
@@ -118,7 +118,7 @@ def test_a_missing_cameras_file_or_a_matrix_without_one_is_reported(tmp_path):
     for top, words in (
         ('cameras = "gone.sfm"', "gone.sfm: is not there"),
         ("cameras = 3", "must be a text"),
-        (f"cameras_matrix = {np.eye(4).tolist()}", "cameras_matrix is of a file of cameras"),
+        (f"cameras_matrix = {np.eye(4).tolist()}", "cameras_matrix is for a file of cameras"),
     ):
         (tmp_path / "capture.toml").write_text(f"{top}\n{rest}")
         with pytest.raises(CaptureError, match=words):
@@ -187,8 +187,8 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
         ("fov_degrees = 40\ndistortion = []", LIT, "up to 8 numbers"),
         (f"fov_degrees = 40\ndistortion = {[0.1] * 9}", LIT, "up to 8 numbers"),
         ("fov_degrees = 40\ndistortion = [nan]", LIT, "finite numbers only"),
-        ("world_width = 2\ndistortion = [0.1]", LIT, "distortion is of perspective cameras"),
-        ("", LIT + "light_axis = [0, 0, 1]", "observation 1: light_axis is of a light_position"),
+        ("world_width = 2\ndistortion = [0.1]", LIT, "distortion is for perspective cameras"),
+        ("", LIT + "light_axis = [0, 0, 1]", "observation 1: light_axis is for a light_position"),
         ("", "light_position = [0, 0, 1]\nlight_cone_degrees = 20", "light_cone_degrees needs light_axis"),
         ("", "light_position = [0, 0, 1]\nlight_axis = [0, 0, 0]", "light_axis is no direction"),
         ("", "light_position = [0, 0, 1]\nlight_axis = [0, nan, 0]", "light_axis is no direction"),

@@ -94,7 +94,7 @@ def test_a_damaged_image_is_left_out_with_its_light_whatever_is_wrong_with_it(tm
 def test_a_damaged_image_is_refused_with_the_option_that_leaves_it_out(tmp_path, harm):
     path = diligent(tmp_path)
     harm(tmp_path / "003.png")
-    message = r"003\.png.*; or have it left out with --skip-damaged$"
+    message = r"003\.png.*; or leave it out with --skip-damaged$"
     with pytest.raises(CaptureError, match=message) as caught, damage.naming_remedy(skipping=False):
         for observation in read_capture(path, decode).observations:
             observation.read()
@@ -150,7 +150,7 @@ def test_a_capture_without_an_intact_image_is_refused(tmp_path):
     diligent(tmp_path)
     for k in range(len(ALL)):
         (tmp_path / f"{k:03d}.png").unlink()
-    with pytest.raises(CaptureError, match=r"000\.png: this image is not there.*all images"):
+    with pytest.raises(CaptureError, match=r"000\.png: this image is not there.*all other images"):
         read_capture(tmp_path, decode, skip_damaged=True)
 
 

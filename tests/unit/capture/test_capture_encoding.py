@@ -57,7 +57,7 @@ def encoded(images, encoding):
     return np.rint(255 * images).astype(int)
 
 
-def told(surface, encoding, lights, normals, mask):
+def decided(surface, encoding, lights, normals, mask):
     codes = encoded(photographed(surface, lights, normals), encoding)[:, mask] / 255
     return encoding_test(codes, (codes < 1).all(axis=-1), lights, np.ones(len(lights))).sure
 
@@ -82,7 +82,7 @@ def ball():
 @pytest.mark.parametrize("lights", [WIDE, NARROW, OBLIQUE], ids=["24 wide", "12 narrow", "12 oblique"])
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
 def test_the_fall_off_decides_dielectrics_right_and_metals_never_wrong(ball, encoding, lights):
-    found = {name: told(surface, encoding, lights, *ball) for name, surface in {**MATT, **OTHERS}.items()}
+    found = {name: decided(surface, encoding, lights, *ball) for name, surface in {**MATT, **OTHERS}.items()}
     assert {name: found[name] for name in MATT} == dict.fromkeys(MATT, encoding)
     assert not [name for name, answer in found.items() if answer not in ("", encoding)], found
 
@@ -90,8 +90,8 @@ def test_the_fall_off_decides_dielectrics_right_and_metals_never_wrong(ball, enc
 def test_a_subject_that_faces_one_way_decides_nothing(ball):
     normals = oracles.unit(ball[0] * (0.15, 0.15, 0) + (0, 0, 1.0))
     for surface in (MATT["white"], OTHERS["metal 0.65"]):
-        assert told(surface, "linear", NARROW, normals, ball[1]) == ""
-        assert told(surface, "srgb", NARROW, normals, ball[1]) == ""
+        assert decided(surface, "linear", NARROW, normals, ball[1]) == ""
+        assert decided(surface, "srgb", NARROW, normals, ball[1]) == ""
 
 
 def test_unlabelled_linear_8_bit_files_are_read_as_linear_with_a_finding(tmp_path, ball):

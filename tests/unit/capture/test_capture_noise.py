@@ -149,8 +149,8 @@ def test_inspect_states_the_noise_of_8_bit_files(tmp_path):
         write_png(tmp_path / name, image[::-1])
     lines = [f"{name} {x} {y} {z}" for name, (x, y, z) in zip(names, lights(12), strict=True)]
     (tmp_path / "dirs.lp").write_text("\n".join(["12", *lines]) + "\n")
-    told = dict(inspect_capture(tmp_path, decode_png, "srgb").facts)["noise"]
-    assert told == "3.0 codes of 255"
+    fact = dict(inspect_capture(tmp_path, decode_png, "srgb").facts)["noise"]
+    assert fact == "3.0 codes of 255"
     assert "noise" not in dict(inspect_capture(tmp_path, decode_png, "linear").facts)
     domain = domain_from_card(read_capture(tmp_path, decode_png, "srgb"))
     assert 255 * domain.noise == pytest.approx(3.0)

@@ -126,8 +126,8 @@ POSE = "1 0 0 0 1 2 3"
 def test_a_broken_colmap_model_is_reported_in_one_line(tmp_path, given, words):
     with pytest.raises(CaptureError) as caught:
         read_poses(colmap(tmp_path, **given))
-    told = str(caught.value)
-    assert words in told and len(told.splitlines()) == 1 and str(tmp_path) in told
+    message = str(caught.value)
+    assert words in message and len(message.splitlines()) == 1 and str(tmp_path) in message
 
 
 def test_binary_models_and_missing_files_name_the_remedy(tmp_path):
@@ -449,16 +449,16 @@ def test_a_picture_shown_upright_has_the_camera_of_the_stored_one_turned_with_it
     camera = a_camera(tmp_path)
     # A picture as it is stored whose two channels say where its pixels' centres are; turned as any picture is.
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-    told = upright(np.stack([x, y], axis=-1), orientation)
-    height, width = (int(side * factor) for side in told.shape[:2])
+    turned = upright(np.stack([x, y], axis=-1), orientation)
+    height, width = (int(side * factor) for side in turned.shape[:2])
     shown = of_picture(camera, width, height, orientation, "here")
     assert (shown.width, shown.height) == (width, height)
     pixels, _ = shown.project(POINTS)
     stored, _ = camera.project(POINTS)
     # Between pixel centres, beyond the frame as well: the turn is affine.
     centres = (pixels / factor - 0.5)[:, None, :]
-    step = np.array([told[0, 1] - told[0, 0], told[1, 0] - told[0, 0]])
-    np.testing.assert_allclose((told[0, 0] + centres @ step)[:, 0], stored, atol=1e-9)
+    step = np.array([turned[0, 1] - turned[0, 0], turned[1, 0] - turned[0, 0]])
+    np.testing.assert_allclose((turned[0, 0] + centres @ step)[:, 0], stored, atol=1e-9)
 
 
 def test_a_size_already_turned_by_the_program_is_kept(tmp_path):

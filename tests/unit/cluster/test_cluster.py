@@ -193,9 +193,9 @@ def test_ranks_without_mpi4py_are_refused(name, monkeypatch):
 
 
 def test_ranks_with_another_capture_or_options_are_named(monkeypatch):
-    told = {"program": ("version 1", "a"), "options": ("9 of them", "x")}
-    monkeypatch.setattr(job, "_about", lambda options, capture: told)
-    for other, words in (({**told, "options": ("9 of them", "y")}, "options of rank 1"), (told, "")):
+    about = {"program": ("version 1", "a"), "options": ("9 of them", "x")}
+    monkeypatch.setattr(job, "_about", lambda options, capture: about)
+    for other, words in (({**about, "options": ("9 of them", "y")}, "options of rank 1"), (about, "")):
         ranks = Told([("rank 1 on b", other)])
         monkeypatch.setattr(ranks, "agreed", lambda work: work())
         if words:
@@ -215,8 +215,8 @@ def test_sent_messages_are_counted(monkeypatch):
     )  # fmt: skip
     mpi = SimpleNamespace(COMM_TYPE_SHARED=0, Request=SimpleNamespace(Waitall=lambda requests: None))
     ranks = Ranks(mpi, world)
-    told = {1: np.arange(25, dtype=np.float32), 2: np.zeros((2, 3), np.float32)}
-    assert ranks.exchanged(told, {1: (4, 2)})[1].shape == (4, 2)
+    sent_arrays = {1: np.arange(25, dtype=np.float32), 2: np.zeros((2, 3), np.float32)}
+    assert ranks.exchanged(sent_arrays, {1: (4, 2)})[1].shape == (4, 2)
     ranks.exchanged({1: np.zeros(1, np.float32)}, {})
     assert [(rank, len(part)) for rank, part in sent] == [(1, 40), (1, 40), (1, 20), (2, 24), (1, 4)]
-    assert b"".join(part for rank, part in sent[:3]) == told[1].tobytes() and ranks.sent == (5, 128)
+    assert b"".join(part for rank, part in sent[:3]) == sent_arrays[1].tobytes() and ranks.sent == (5, 128)

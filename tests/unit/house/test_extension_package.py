@@ -122,11 +122,11 @@ def test_every_system_has_a_zip_with_its_own_wheels_alone(wheels, tmp_path):
     for system, (package, pythons) in built.items():
         with zipfile.ZipFile(package) as archive:
             held = [name for name in archive.namelist() if name.startswith("wheels/")]
-            told = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
+            added = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
             contents = {archive.read(name) for name in held}
         assert [name.split("-")[2] for name in held] == [f"cp{python.replace('.', '')}" for python in pythons] * 2
         assert all(words[system] in name for name in held)
-        assert told == {"platforms": [system], "wheels": [f"./{name}" for name in held]}
+        assert added == {"platforms": [system], "wheels": [f"./{name}" for name in held]}
         assert contents == {b"made symbolic" if system == "linux-x64" else b"a wheel of OpenEXR", b"a wheel of Pillow"}
 
 

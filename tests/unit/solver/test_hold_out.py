@@ -17,7 +17,7 @@ def test_auto_holds_out_one_in_eight_evenly_spaced_and_at_most_six(count, chosen
 
 
 def test_of_four_observations_none_can_be_spared():
-    with pytest.raises(InputError, match="--hold-out auto: of 4 observations none can be spared; leave it out"):
+    with pytest.raises(InputError, match="--hold-out auto: of 4 observations none can be held out; omit the option"):
         held_out_list("auto", 4)
 
 

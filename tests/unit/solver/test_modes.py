@@ -21,8 +21,8 @@ def maps_of(worse, left=20, shape=SHAPE):
     values["base_color"][:] = (0.9, 0.1, 0.1)
     values["base_color"][:, :left] = (0.1, 0.1, 0.9)
     sigma = {p.name: np.zeros((*shape, 1 if p.is_normal else p.components), np.float32) for p in MODEL.parameters}
-    told = np.broadcast_to(np.float32(worse), shape)[..., None]
-    alternatives = {"roughness": told, "metallic": np.full_like(told, 9.0)}
+    worse_map = np.broadcast_to(np.float32(worse), shape)[..., None]
+    alternatives = {"roughness": worse_map, "metallic": np.full_like(worse_map, 9.0)}
     return Maps(MODEL, values, np.ones(shape, bool), np.zeros(shape, np.float32), sigma, alternatives=alternatives)
 
 
@@ -85,13 +85,13 @@ def test_unmeasured_maps_stay_unchanged(alternatives):
 
 
 def test_two_modes_are_unknown_in_the_report_and_warned_of_where_they_are_many():
-    told = with_modes(maps_of(of_halves(0.0, 5.0)))
-    report = build_report(told, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
+    marked = with_modes(maps_of(of_halves(0.0, 5.0)))
+    report = build_report(marked, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
     assert report["two_modes"] == {"roughness": 0.5, "metallic": 0.0}
     assert report["unknown"] == {"roughness": 0.5, "metallic": 0.0, "specular": 0.0}
-    (line,) = mode_warnings(told, True)
+    (line,) = mode_warnings(marked, True)
     assert line.startswith("roughness of 50% of the texels could as well be far from the map's value")
-    assert "the prior decided" in line and "the prior decided" not in mode_warnings(told, False)[0]
+    assert "the prior decided" in line and "the prior decided" not in mode_warnings(marked, False)[0]
     few = with_modes(maps_of(of_few(0.0), 1))
     assert 0 < few.two_modes["roughness"].mean() < 0.05 and mode_warnings(few, True) == []
     before = maps_of(0.0)

@@ -219,8 +219,8 @@ def test_unset_budgets_come_from_the_machine(monkeypatch):
 
 def test_free_memory_comes_from_the_system():
     with open("/proc/meminfo") as file:
-        told = next(int(line.split()[1]) for line in file if line.startswith("MemAvailable"))
-    assert free_memory() == pytest.approx(told * 1024, rel=0.2)
+        available = next(int(line.split()[1]) for line in file if line.startswith("MemAvailable"))
+    assert free_memory() == pytest.approx(available * 1024, rel=0.2)
 
 
 def test_an_array_in_a_scratch_file_leaves_no_name_behind_and_is_zero(tmp_path):
