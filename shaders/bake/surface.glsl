@@ -3,8 +3,8 @@
 //   u_position  xyz, u      u_normal  xyz, v      u_tangent  xyz, sign
 // Writes position and coverage, unit normal, unit tangent and sign, uv, unit face normal and number (from 1).
 //
-// The corners' weights are computed here, for the very centre of the pixel, rather than interpolated by the hardware,
-// which moves corners to a grid of 1/256 pixel first.
+// The corners' weights are computed for the exact centre of the pixel. Interpolation by the hardware first moves corners to
+// a grid of 1/256 pixel.
 
 vec4 corner(sampler2D corners, int number)
 {
@@ -27,7 +27,7 @@ float cross2(vec2 a, vec2 b)
 
 // Olano, Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates: right for perspective, and for
 // corners behind the camera. Where the hardware's rounding put a centre inside, it may lie outside by 1/256 pixel: the
-// triangle's plane goes on there, except for slivers, where it would lead far away.
+// triangle's plane is extended, except for slivers, where it would lead far away.
 vec3 corner_weights()
 {
     vec2 a = offset_from_pixel(0), b = offset_from_pixel(1), c = offset_from_pixel(2);
@@ -61,7 +61,7 @@ void main()
         across = vec3(0.0);
     }
     vec3 n = unit_or(normal.xyz, unit_or(across, vec3(0.0, 0.0, 1.0)));
-    // Winding does not tell the outside: a mirrored object's is reversed. The normals do.
+    // Normals determine the outside, not winding: a mirrored object's is reversed.
     vec3 face = unit_or(dot(across, n) < 0.0 ? -across : across, n);
     vec3 aside = abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0);
     vec3 t = unit_or(tangent.xyz - n * dot(n, tangent.xyz), normalize(cross(aside, n)));

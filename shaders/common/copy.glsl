@@ -1,4 +1,4 @@
-// Copies a texture texel by texel: what a compute dispatch has written is safe to read back after a fragment pass.
+// Copies a texture texel by texel: after a fragment pass, the output of a compute dispatch is safe to read back.
 
 bool texel_kernel(ivec2 texel)
 {

@@ -1,5 +1,5 @@
-// The material of a texel as it is known or estimated now: u_estimate holds the components of all parameters, in the
-// order of the model's table.
+// The current material of a texel, fixed or estimated: u_estimate holds the components of all parameters, in the order of
+// the model's table.
 
 #include "material.glsl"
 

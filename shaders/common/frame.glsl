@@ -1,4 +1,4 @@
-// The geometry of a texel: where it is, and the orthonormal frame in which its material is described.
+// The geometry of a texel: position, and the orthonormal frame of its material.
 // Reads u_geometry.
 
 #include "common/geometry.glsl"
@@ -20,7 +20,7 @@ int state_at(ivec2 texel)
     return int(geometry_at(GEOMETRY_POSITION, texel).w);
 }
 
-// Returns the radiance by which a robust fitness divides a texel's errors.
+// The texel's scale: a robust fitness divides errors by this radiance.
 float scale_at(ivec2 texel)
 {
     return geometry_at(GEOMETRY_NORMAL, texel).w;
@@ -31,7 +31,7 @@ Frame frame_at(ivec2 texel)
     Frame f;
     f.position = geometry_at(GEOMETRY_POSITION, texel).xyz;
 #ifdef CARD
-    // On a card the world's frame, the camera's and the texel's are one.
+    // On a card the frames of world, camera and texel coincide.
     f.tangent = vec3(1.0, 0.0, 0.0);
     f.bitangent = vec3(0.0, 1.0, 0.0);
     f.normal = vec3(0.0, 0.0, 1.0);

@@ -1,4 +1,4 @@
-// Light and view of an observation, at a texel, and what was seen there.
+// Light, view and sample of an observation at a texel.
 // Reads u_observation_table, K columns: row 0 light (xyz, 1 for a position), row 1 intensity, row 2 view likewise; and
 // u_stack, one layer an observation: RGB radiance, weight.
 
@@ -29,7 +29,7 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// A texel under observation. v: the direction toward the camera, where all observations share one; scale: scale_at().
+// A texel and its frame. v: direction toward the camera, if all observations share one; scale: scale_at().
 struct Texel {
     ivec2 at;
     Frame frame;
@@ -50,8 +50,8 @@ Texel observed_texel(ivec2 at)
     return t;
 }
 
-// What was seen of a texel under one light. weight: what it counts; l and v: the unit directions to light and camera in
-// the texel's frame; intensity: irradiance over π there; clipped: 1 in the channels whose radiance is a lower bound.
+// One sample of a texel. l, v: unit directions to light and camera in the texel's frame; intensity: irradiance over π
+// there; clipped: 1 in the channels whose radiance is a lower bound.
 struct Observation {
     float weight;
     vec3 l;
@@ -61,10 +61,10 @@ struct Observation {
     vec3 clipped;
 };
 
-// Reads observation k; false where it tells nothing of this texel.
+// Reads observation k; returns false if it has no weight at this texel.
 // In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1].
-// With GREY the radiance is that under a light of intensity 1, the mean of the channels that the light has; what is under
-// GREY_SHADOW of the texel's scale is taken for shadow; where one channel is a bound the mean is.
+// With GREY the radiance is normalised to a light of intensity 1 and averaged over the channels that the light has; below
+// GREY_SHADOW of the texel's scale it counts as shadow; one clipped channel makes the mean a bound.
 bool observe(Texel t, int k, out Observation o)
 {
     vec4 reference = texelFetch(u_stack, ivec3(t.at, k), 0);
@@ -95,7 +95,7 @@ bool observe(Texel t, int k, out Observation o)
     if (channels == 0.0) {
         return false;
     }
-    // A channel that the light lacks is divided by 1 and counts nothing.
+    // A channel that the light lacks has no weight: its divisor 1 is arbitrary.
     o.radiance = vec3(dot(has * o.radiance, 1.0 / mix(vec3(1.0), o.intensity, has)) / channels);
     o.intensity = vec3(1.0);
     if (o.radiance.r < GREY_SHADOW * t.scale) {
@@ -105,18 +105,18 @@ bool observe(Texel t, int k, out Observation o)
     return true;
 }
 
-// The loop over all observations k of a texel that tell something of it: a statement or block with o follows.
+// Loops over the observations of a texel that have a weight: a statement or block with o follows.
 #define EACH_OBSERVATION(t, o) for (int k = 0; k < u_observations; k++) if (observe(t, k, o))
 
-// What a render of reflectance ρ is off by; a bound is met by whatever is brighter.
+// The error of a render of reflectance ρ. A bound is met by any brighter render.
 vec3 error_of(Observation o, vec3 rho)
 {
     vec3 error = o.intensity * rho - o.radiance;
     return mix(error, min(error, vec3(0.0)), o.clipped);
 }
 
-// 1 in the channels that an error draws at, 0 in bounds that are met.
-vec3 draws(Observation o, vec3 error)
+// 1 in the channels that constrain the fit, 0 in bounds that are met.
+vec3 active_channels(Observation o, vec3 error)
 {
     return vec3(1.0) - o.clipped * vec3(greaterThanEqual(error, vec3(0.0)));
 }

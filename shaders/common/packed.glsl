@@ -1,5 +1,5 @@
-// Four numbers of a texel, between a texture and an array: what read_NAME and write_NAME of packed numbers are made of
-// (Packed of gpu/passes.py).
+// Copies numbers of a texel, four at a time, between textures and an array: read_NAME and write_NAME (Packed of
+// gpu/passes.py) use it.
 
 #define UNPACK(source, texel, c, i) { vec4 four = texelFetch(source, texel, 0); c[i] = four.x; c[i + 1] = four.y; c[i + 2] = four.z; c[i + 3] = four.w; }
 #define PACK(c, i) vec4(c[i], c[i + 1], c[i + 2], c[i + 3])

@@ -1,10 +1,10 @@
 // Solved texels lie densely packed in all textures of a recovery. Reads GEOMETRY_PLACE of u_geometry (the domain's texel
 // of a packed one) and u_packed (the packed texel of a domain's, −1 where none is solved).
 //
-// With SEAMS, the reach of a seam map (geometry/seams/seams.py), a place has in z the chart and in w the island of a texel, and
-// u_packed in z the chart that lies at a place, from SEAMS texels outside the domain on. What a chart sees elsewhere is
-// listed place by place: u_packed has in w the number of a place's first entry, −1 for none; the entries (packed x, y,
-// the chart that sees it there, next entry) fill the layers after GEOMETRY_PLACE, texel by texel.
+// With SEAMS, the reach of a seam map (geometry/seams/seams.py), a place holds in z the chart and in w the island of a
+// texel; u_packed, which then begins SEAMS texels outside the domain, holds in z the chart at a place. Across a seam a
+// chart sees other texels at a place: u_packed holds in w the number of the place's first entry, −1 for none; entries
+// (packed x, y, the chart that sees it, next entry) fill the layers after GEOMETRY_PLACE, texel by texel.
 
 #include "common/geometry.glsl"
 
@@ -13,7 +13,7 @@ ivec2 place_of(ivec2 packed_texel)
     return ivec2(geometry_at(GEOMETRY_PLACE, packed_texel).xy);
 }
 
-// Returns the packed texel, or (−1, −1) outside the domain and where nothing is solved.
+// Returns the packed texel, or (−1, −1) where no texel is solved.
 ivec2 packed_at(ivec2 place)
 {
 #ifdef SEAMS
@@ -25,7 +25,7 @@ ivec2 packed_at(ivec2 place)
     return ivec2(texelFetch(u_packed, place, 0).xy);
 }
 
-// Where a packed texel is on the surface: x, y, chart and island.
+// The place of a packed texel on the surface: x, y, chart, island.
 ivec4 surface_place_of(ivec2 packed_texel)
 {
 #ifdef SEAMS
@@ -35,7 +35,7 @@ ivec4 surface_place_of(ivec2 packed_texel)
 #endif
 }
 
-// Returns the packed texel that lies so far away on the surface, across UV seams, or (−1, −1) where none is solved.
+// Returns the packed texel at an offset on the surface, across UV seams, or (−1, −1) where none is solved.
 ivec2 neighbour_at(ivec4 from, ivec2 by)
 {
 #ifdef SEAMS

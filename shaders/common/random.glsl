@@ -17,7 +17,7 @@ uvec4 pcg4d(uvec4 key)
     return h;
 }
 
-// Purposes keep the streams apart.
+// One stream per purpose.
 #define RANDOM_CHOICE 0
 #define RANDOM_R1 1
 #define RANDOM_R2 3

@@ -1,5 +1,5 @@
-// The texels around one that a prior looks at: 5×5, and rings of 16 at twice, four times, … the distance; TAPS in all.
-// A few dozen looks reach as far as a window of a thousand texels (holes between them as in the algorithme à trous;
+// The neighbours that a prior reads: 5×5, and rings of 16 at twice, four times, … the distance; TAPS in all. A few dozen
+// taps reach as far as a window of a thousand texels (à trous, with holes between them;
 // Holschneider et al. 1989, A Real-Time Algorithm for Signal Analysis with the Help of the Wavelet Transform).
 
 ivec2 tap_at(int t)

@@ -1,6 +1,6 @@
-// Over W×H texels: how much worse the photographs are met by the best of the materials far from the estimate, for every
-// searched number without a normal prior. The number takes TRIALS values of its range; the linear weights are found anew
-// for each (fitness/linear.glsl), everything else is held.
+// Over W×H texels: how much worse the best alternative far from the estimate fits, for every searched number without a
+// normal prior. The number takes TRIALS values of its range; the linear weights are solved again for each
+// (fitness/linear.glsl); everything else is fixed.
 // Reads the estimates, the geometry, the sample stack and the observation table. Writes o_alternative, one each
 // for the ALTERNATIVES such numbers: −2 log of the ratio of the likelihoods, −MOST to MOST, below 0 where the alternative
 // fits better.
@@ -12,9 +12,9 @@
 #include "free_parameters.glsl"
 
 #define TRIALS 7
-// Of a number's range: what is nearer is the same optimum.
+// As a fraction of the range: a nearer value belongs to the same optimum.
 #define FAR 0.3
-// Three standard deviations of one texel: a single one that errs must not outvote its material (solver/engine/modes.py).
+// Three standard deviations of one texel: a single wrong one must not outvote its material (solver/engine/modes.py).
 #define MOST 9.0
 
 // Values to try, as fractions of the range: denser where lobes are narrow and differ more.
@@ -23,22 +23,22 @@ float trial_at(int i)
     return i < 4 ? (i < 2 ? (i == 0 ? 0.01 : 0.04) : (i == 2 ? 0.1 : 0.25)) : (i == 4 ? 0.5 : (i == 5 ? 0.75 : 1.0));
 }
 
-// How many independent samples are left when all unknowns are determined.
+// The number of independent samples beyond those that determine all parameters.
 float samples_left(Texel t, Material best)
 {
-    ErrorSums told;
-    clear_errors(told);
+    ErrorSums sums;
+    clear_errors(sums);
     Observation o;
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(best, o.l, o.v));
         float relative = relative_error(t, o);
-        vec3 counted = o.weight * draws(o, error);
-        add_error(told, error, relative * relative * counted, counted);
+        vec3 counted = o.weight * active_channels(o, error);
+        add_error(sums, error, relative * relative * counted, counted);
     }
-    return max(freedom_of(told), 0.0) / alike_of(told);
+    return max(freedom_of(sums), 0.0) / alike_of(sums);
 }
 
-// Gives s the linear weights that meet the samples best, weighted as the errors of ``best`` ask for.
+// Sets the linear weights of s to the best fit, with each sample's weight from the errors of ``best``.
 void refit(Texel t, Material best, inout Material s)
 {
 #if LINEAR_BLOCKS > 0

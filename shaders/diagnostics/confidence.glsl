@@ -1,8 +1,7 @@
-// Over W×H texels: the standard deviation of every parameter that was not given, from (JᵀJ)⁻¹ and the residual, over
-// all of them jointly. Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN
-// the variance of the noise in u_noise.z.
-// Writes o_deviation, packed as the estimates are: a number a component, in the parameter's own units; the first
-// component of a normal has the root of its two tangent variances, in radians, the others 0.
+// Over W×H texels: the standard deviation of every free parameter, from (JᵀJ)⁻¹ over all of them jointly and the residual.
+// Reads the estimates, the geometry, the sample stack and the observation table; with NOISE_GIVEN the variance of the noise
+// in u_noise.z. Writes o_deviation, packed like the estimates, in the parameters' units; the first component of a normal
+// holds the root of its two tangent variances, in radians, the others 0.
 
 #include "common/estimate.glsl"
 #include "model.glsl"
@@ -11,8 +10,8 @@
 #include "fitness/differences.glsl"
 #include "diagnostics/freedom.glsl"
 
-// The normal matrix squares the condition of J: after hundreds of samples in float32, what is left of a diagonal below
-// 2⁻¹⁸ of it is not told from nothing. Against float64, on random two-lobe and principled materials: at noise of 1e-3
+// The normal matrix squares the condition of J: after hundreds of samples in float32, a remainder below 2⁻¹⁸ of a diagonal
+// is rounding. Against float64, on random two-lobe and principled materials: at noise of 1e-3
 // of white σ is right to 1e-3 in the median and 1 in 200 is too large; at 1e-4 up to 1 in 20 is. Too small by a tenth
 // are fewer than 1 in 50.
 #define SINGULAR (1.0 / 262144.0)
@@ -29,14 +28,13 @@ vec2 steps_of(inout float c[12], int u)
     return x < STEP ? vec2(STEP, 2.0 * STEP) : x > 1.0 - STEP ? vec2(-STEP, -2.0 * STEP) : vec2(-STEP, STEP);
 }
 
-// Adds up JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met tells nothing of
-// them.
-void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums told, out float energy)
+// Sums JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met adds nothing.
+void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy)
 {
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
     }
-    clear_errors(told);
+    clear_errors(sums);
     energy = 0.0;
     vec2 steps[FREE_COUNT];
     for (int u = 0; u < FREE_COUNT; u++) {
@@ -50,9 +48,9 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
         vec3 render = o.intensity * rho;
         vec3 error = error_of(o, rho);
         float relative = relative_error(t, o);
-        vec3 counted = o.weight * draws(o, error);
+        vec3 counted = o.weight * active_channels(o, error);
         vec3 weight = relative * relative * counted;
-        add_error(told, error, weight, counted);
+        add_error(sums, error, weight, counted);
         energy += dot(weight, render * render);
         vec3 j[FREE_COUNT];
         for (int u = 0; u < FREE_COUNT; u++) {
@@ -71,7 +69,7 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
     }
 }
 
-// What the model's priors tell, as samples of that variance would: a width of its own for each unknown that has one.
+// Adds the precision of the model's priors, in samples of this variance.
 void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FREE_COUNT])
 {
 #if PRIORS > 0
@@ -84,7 +82,7 @@ void add_priors(inout float c[12], float variance, inout float a[FREE_COUNT * FR
 
 // Beaton's sweep of a symmetric matrix on unknown k (Goodnight 1979, A Tutorial on the SWEEP Operator). Once the set S
 // is swept, the matrix holds −A_SS⁻¹ there, the Schur complement A_UU − A_US A_SS⁻¹ A_SU in the rest U, and between them
-// A_SS⁻¹ A_SU: what S gives way when U is moved.
+// A_SS⁻¹ A_SU: how S follows a change of U.
 void sweep(inout float a[FREE_COUNT * FREE_COUNT], int k)
 {
     float pivot = a[k * FREE_COUNT + k];
@@ -104,8 +102,8 @@ void sweep(inout float a[FREE_COUNT * FREE_COUNT], int k)
     a[k * FREE_COUNT + k] = -1.0 / pivot;
 }
 
-// Turns JᵀJ into the deviations of the unknowns, as fractions of their ranges; 1 where the observations do not say.
-// An unknown that is left undetermined has the deviation 1 and passes it on to those that can be traded for it.
+// Turns JᵀJ into the deviations of the free parameters, as fractions of their ranges. An undetermined one has the deviation
+// 1 and passes it on to those that can be traded for it.
 void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, float energy, out float deviation[FREE_COUNT])
 {
     // Unit diagonal first: the pivots are then what is left of 1.
@@ -122,10 +120,10 @@ void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, flo
             a[m * FREE_COUNT + i] = a[i * FREE_COUNT + m];
         }
     }
-    // What changes the render by less than rounding does, or than noise over all of its range, is undetermined.
+    // A parameter is undetermined if its whole range changes the render by less than rounding or noise.
     float nothing = max(DIFFERENCE_ROUNDING * DIFFERENCE_ROUNDING * energy, variance);
     for (int round = 0; round < FREE_COUNT; round++) {
-        // What changes the render most goes first, so that what is left undetermined is what matters least.
+        // The parameter that changes the render most goes first: those that remain undetermined matter least.
         int chosen = -1;
         float most = nothing;
         for (int i = 0; i < FREE_COUNT; i++) {
@@ -150,24 +148,24 @@ void deviations_from(inout float a[FREE_COUNT * FREE_COUNT], float variance, flo
                 squared += traded * traded;
             }
             squared /= norm[i] * norm[i];
-            // Written so that NaN knows nothing.
+            // NaN is undetermined too.
             deviation[i] = squared < 1.0 ? sqrt(squared) : 1.0;
         }
     }
 }
 
-// The variance of the noise, below 0 where there are too few samples to tell.
-float variance_of(ivec2 texel, ErrorSums told)
+// The variance of the noise, below 0 with too few samples.
+float variance_of(ivec2 texel, ErrorSums sums)
 {
 #ifdef NOISE_GIVEN
     return texelFetch(u_noise, texel, 0).z;
 #else
-    float freedom = freedom_of(told);
+    float freedom = freedom_of(sums);
     float least = 0.0;
 #if FITNESS == FITNESS_ROBUST
     least = NOISE_FLOOR / (loss_scale(scale_at(texel)) * loss_scale(scale_at(texel)));
 #endif
-    return freedom > 0.0 ? alike_of(told) * told.errors / freedom + least : -1.0;
+    return freedom > 0.0 ? alike_of(sums) * sums.errors / freedom + least : -1.0;
 #endif
 }
 
@@ -181,11 +179,11 @@ bool texel_kernel(ivec2 texel)
         float c[12];
         material_to(estimate_at(texel), c);
         float a[FREE_COUNT * FREE_COUNT];
-        ErrorSums told;
+        ErrorSums sums;
         float energy;
-        accumulate(texel, c, a, told, energy);
+        accumulate(texel, c, a, sums, energy);
         float deviation[FREE_COUNT];
-        float variance = variance_of(texel, told);
+        float variance = variance_of(texel, sums);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
 #endif
@@ -195,7 +193,7 @@ bool texel_kernel(ivec2 texel)
         for (int u = 0; u < FREE_COUNT; u++) {
             FreeParameter free = free_at(u);
             float own = free.width * (variance >= 0.0 ? deviation[u] : 1.0);
-            // The two of a normal share a component: their variances add up, to its range at most.
+            // The normal's two numbers share a component: their variances add up, to its range at most.
             sigma[free.at] = min(free.width, length(vec2(sigma[free.at], own)));
         }
     }

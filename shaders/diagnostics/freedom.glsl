@@ -1,8 +1,8 @@
-// How many independent samples a texel has. What channels err together (shifts, shading, JPEG's luminance) is one error
-// and not three.
+// The number of independent samples of a texel. An error that channels share (shifts, shading, JPEG's luminance) is one,
+// not three.
 
-// Sums over the samples of a texel. errors: w e² of every channel; together: (Σ √w e)² of the three; channels: w of
-// those that draw.
+// Sums over the samples of a texel. errors: w e² of every channel; together: (Σ √w e)² of the three; channels: w of the
+// active ones.
 struct ErrorSums {
     float errors;
     float together;
@@ -16,7 +16,7 @@ void clear_errors(out ErrorSums t)
     t.channels = 0.0;
 }
 
-// Adds a sample of an error. weight: of each channel; counted: what the sample counts in each channel that draws.
+// Adds the error of a sample. weight: of each channel; counted: the sample's weight in each active channel.
 void add_error(inout ErrorSums t, vec3 error, vec3 weight, vec3 counted)
 {
     t.errors += dot(weight, error * error);
@@ -31,7 +31,7 @@ float alike_of(ErrorSums t)
     return t.errors > 0.0 ? clamp(t.together / t.errors, 1.0, 3.0) : 1.0;
 }
 
-// Channels less what the unknowns take, times ``alike_of``: what remains has to determine all but the colours. 0 or less
+// Channels less the free parameters, times ``alike_of``: the rest has to determine everything but the colours. 0 or less
 // with too few samples.
 float freedom_of(ErrorSums t)
 {

@@ -1,4 +1,4 @@
-// How far the render of a material lies from the references of a texel, whatever the fitness that was searched.
+// The mean absolute error of a material's render at a texel, independent of the fitness.
 
 #include "common/observation.glsl"
 #include "material.glsl"

@@ -1,5 +1,5 @@
-// Over W×H texels: mean absolute difference between the render of the estimates and the references, whatever the
-// fitness that was searched. Writes (residual, samples that counted, largest difference, 0).
+// Over W×H texels: mean absolute difference between the render of the estimates and the references, independent of the
+// fitness. Writes (residual, sum of the weights, largest difference, 0).
 
 #include "common/estimate.glsl"
 #include "diagnostics/mean_error.glsl"

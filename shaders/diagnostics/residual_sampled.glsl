@@ -1,4 +1,4 @@
-// Over a few texels, those that u_sampled names (−1: none): what diagnostics/residual.glsl writes for them.
+// diagnostics/residual.glsl over the few texels that u_sampled lists (−1: none).
 
 #include "common/estimate.glsl"
 #include "diagnostics/mean_error.glsl"

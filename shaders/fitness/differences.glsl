@@ -1,27 +1,27 @@
-// A material moved along one of its unknowns, for derivatives of whatever model by differences.
+// A material moved along one free parameter, for derivatives by differences.
 //
 // free_parameters.glsl is generated: solver/kernels/free_parameters.py says what it declares.
 
 #include "material.glsl"
 #include "free_parameters.glsl"
 
-// Steps of the differences, of a parameter's range. Rounding leaves about 2⁻²⁵ / 2⁻¹¹ = 2⁻¹⁴ of the radiance.
+// Steps, as fractions of a parameter's range. Rounding leaves an error of about 2⁻²⁵ / 2⁻¹¹ = 2⁻¹⁴ of the radiance.
 #define STEP (1.0 / 1024.0)
 #define DIFFERENCE_ROUNDING (1.0 / 16384.0)
 
-// A unit normal moved by two angles in its tangent plane. tan stands for the angle.
+// A unit normal turned by two angles in its tangent plane; tan approximates the angle.
 vec3 turned_normal(vec3 n, vec2 angles)
 {
-    // Any axes will do: nothing that is made of both depends on them.
+    // Any axes will do: no result that uses both depends on them.
     vec3 axis = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
     n += angles.x * axis + angles.y * cross(n, axis);
     return n * inversesqrt(1.0 + dot(angles, angles));
 }
 
-// The material, changed by moving unknown u by a fraction of its range; it stays inside, as everything that is tried.
+// The material with free parameter u moved by a fraction of its range, and clamped to it.
 Material moved(inout float given[12], int u, float by)
 {
-    // A copy: arrays go by reference everywhere in these shaders, since Metal has no arrays by value.
+    // A copy: these shaders pass arrays by reference, because Metal cannot pass them by value.
     float c[12];
     for (int i = 0; i < 12; i++) {
         c[i] = given[i];
@@ -42,7 +42,7 @@ Material moved(inout float given[12], int u, float by)
     return material_from(c);
 }
 
-// How far unknown u may go down and up, in fractions of its range; a normal may go anywhere.
+// How far free parameter u may go down and up, as fractions of its range; a normal is unbounded.
 vec2 room_of(inout float c[12], int u)
 {
     FreeParameter free = free_at(u);
@@ -53,7 +53,7 @@ vec2 room_of(inout float c[12], int u)
     return vec2(-x, 1.0 - x);
 }
 
-// How far a difference steps: away from the nearer end of the range.
+// The step of a difference: away from the nearer end of the range.
 float stride_of(inout float c[12], int u)
 {
     vec2 room = room_of(c, u);

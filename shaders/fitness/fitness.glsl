@@ -1,4 +1,4 @@
-// Eq. 1 of the paper: how far the render of a material lies from the reference, over all observations of a texel.
+// Eq. 1 of the paper: the mean loss between render and reference over all observations of a texel.
 // Reads u_stack (one layer an observation: RGB radiance, weight) and the observation table.
 
 #include "material.glsl"
@@ -7,7 +7,7 @@
 #include "fitness/unfit.glsl"
 #include "fitness/with_priors.glsl"
 
-// The fitness, and the weights of the samples together.
+// Returns the fitness; weights: the sum over the samples.
 float fitness_of(Texel t, Material s, out float weights)
 {
     float sum = 0.0;
@@ -17,13 +17,13 @@ float fitness_of(Texel t, Material s, out float weights)
     EACH_OBSERVATION(t, o) {
         vec3 error = error_of(o, reflectance(s, o.l, o.v));
 #ifdef GREY
-        // Of a model in colour it is the grey that is compared.
+        // A model in colour is compared in grey.
         error = vec3((error.r + error.g + error.b) / 3.0);
 #endif
         sum += o.weight * loss_of(scale * relative_error(t, o) * error);
         weights += o.weight;
     }
     float mean = sum / (3.0 * weights);
-    // Written so that NaN is unfit too: it must never become a best.
+    // NaN is unfit too: it must never become a best.
     return weights > 0.0 && mean < UNFIT ? mean : UNFIT;
 }

@@ -1,4 +1,4 @@
-// Closed form for what the radiance is linear in: weighted least squares over the observations, inside the ranges.
+// Linear parameters in closed form: weighted least squares over the observations, inside their ranges.
 // basis.glsl is generated: void basis_at(Material s, vec3 l, vec3 v, out vec3 colors[COLOR_ROOM], out vec3
 // numbers[NUMBER_ROOM], out vec3 rest): the bases of the COLORS weights of three components, of the NUMBERS weights of
 // one, and the radiance that belongs to none of them; void linear_range(…) and void linear_to(…) go with it.
@@ -6,7 +6,7 @@
 #include "basis.glsl"
 #include "common/observation.glsl"
 
-// What the normal equations are summed up in. A colour's channels do not meet, so its part is diagonal.
+// Sums of the normal equations. A colour's channels are independent, so its part is diagonal.
 struct Equations {
     vec3 color_color[COLOR_ROOM * COLOR_ROOM];
     vec3 color_number[COLOR_ROOM * NUMBER_ROOM];
@@ -34,7 +34,7 @@ void clear_equations(out Equations e)
     }
 }
 
-// Adds one observation: bases under its light, radiance left for them to explain, weight of each channel.
+// Adds one observation: bases under its light, remaining radiance, weight of each channel.
 void add_observation(inout Equations e, Material s, Observation o, vec3 weight)
 {
     vec3 colors[COLOR_ROOM];
@@ -61,14 +61,14 @@ void add_observation(inout Equations e, Material s, Observation o, vec3 weight)
     }
 }
 
-// Bases that resemble each other need a start: from 0, 24 sweeps of solve_linear left a tenth of the prefit's particles
-// with 16 % more error than their best weights have; from here, none with more than rounding.
+// Similar bases need a start: from 0, 24 sweeps of solve_linear left a tenth of the prefit's particles with 16 % more error
+// than the optimum; from here, none with more than rounding.
 #if COLORS + NUMBERS > 1
 #define LINEAR_SWEEPS 24
 #define WEIGHTS (3 * COLORS + NUMBERS)
 #define LINEAR_COLUMNS (WEIGHTS + 1)
 
-// The least squares with no ranges, by elimination (symmetric and not negative, so that it needs no pivoting).
+// Least squares without ranges, by elimination: symmetric and not negative, so without pivoting.
 void solve_unbounded(inout Equations e, inout Linear w)
 {
     // Row by row, the right side last; colours first, channel by channel.
@@ -103,7 +103,7 @@ void solve_unbounded(inout Equations e, inout Linear w)
     }
     for (int k = 0; k < WEIGHTS; k++) {
         float pivot = m[k * LINEAR_COLUMNS + k];
-        // 1e-6: what is left of a weight that the ones before it can stand for is rounding; it begins at 0.
+        // 1e-6: the rest of a weight that those before it can replace is rounding; it begins at 0.
         inverse[k] = pivot > max(1e-6 * inverse[k], 1e-20) ? 1.0 / pivot : 0.0;
         for (int i = k + 1; i < WEIGHTS; i++) {
             float part = m[i * LINEAR_COLUMNS + k] * inverse[k];
@@ -132,8 +132,8 @@ void solve_unbounded(inout Equations e, inout Linear w)
 #define LINEAR_SWEEPS 1
 #endif
 
-// One weight at a time to its own optimum inside its range (coordinate descent, which the box cannot mislead). One
-// sweep is exact for a single weight.
+// Coordinate descent: one weight at a time to its optimum inside its range, which converges in a box. One sweep is exact
+// for a single weight.
 void solve_linear(inout Equations e, inout Linear w)
 {
     vec2 color_range[COLOR_ROOM];
@@ -158,7 +158,7 @@ void solve_linear(inout Equations e, inout Linear w)
             for (int j = 0; j < NUMBERS; j++) {
                 right -= e.color_number[i * NUMBER_ROOM + j] * w.numbers[j];
             }
-            // 1e-20: a weight that no observation shows stays at its lowest.
+            // 1e-20: a weight without any observation stays at its lowest.
             vec3 found = right / max(e.color_color[i * COLOR_ROOM + i], vec3(1e-20));
             w.colors[i] = clamp(found, vec3(color_range[i].x), vec3(color_range[i].y));
         }

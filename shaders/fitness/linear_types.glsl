@@ -1,4 +1,4 @@
-// Linear weights as the closed form finds them: COLORS of three components, NUMBERS of one.
+// Linear weights: COLORS of three components, NUMBERS of one.
 
 struct Linear {
     vec3 colors[COLOR_ROOM];

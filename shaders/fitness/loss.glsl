@@ -1,4 +1,4 @@
-// What an error costs, and the weight by which least squares minimise that cost (iteratively reweighted least squares;
+// The loss of an error, and the weight with which least squares minimise it (iteratively reweighted least squares;
 // Holland & Welsch 1977, Robust Regression Using Iteratively Reweighted Least-Squares).
 
 #define FITNESS_L1 0
@@ -6,7 +6,7 @@
 #define FITNESS_ROBUST 2
 #define FITNESS_GEMAN_MCCLURE 3
 
-// Errors are multiplied by this first: a robust loss counts them in δ of the texel's own scale (scale_at).
+// The factor on errors before the loss: a robust loss counts them in δ of the texel's own scale (scale_at).
 float loss_scale(float scale)
 {
 #if FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE
@@ -24,10 +24,10 @@ float loss_of(vec3 error)
     error = error * error;
 #elif FITNESS == FITNESS_GEMAN_MCCLURE
     // Geman & McClure 1987, Statistical Methods for Tomographic Image Reconstruction: no sample costs more than 1, so
-    // that the mean tells how well the bulk is met.
+    // the mean measures the fit of the majority.
     error = error * error / (1.0 + error * error);
 #else
-    // Cauchy's loss: a sample in cast shadow or on a reflection costs little more however wrong it is.
+    // Cauchy's loss: the cost of a sample in cast shadow or on a reflection hardly grows with its error.
     error = log(1.0 + error * error);
 #endif
     return error.r + error.g + error.b;
@@ -37,7 +37,7 @@ float loss_of(vec3 error)
 vec3 loss_weight(vec3 error)
 {
 #if FITNESS == FITNESS_L1
-    // 1e-4 of white: below it an error weighs no more, where 1 / |e| would know no end.
+    // 1e-4 of white bounds the weight 1 / |e|.
     return 1.0 / max(abs(error), vec3(1e-4));
 #elif FITNESS == FITNESS_L2
     return vec3(1.0);

@@ -1,17 +1,17 @@
 #include "common/observation.glsl"
 #include "fitness/loss.glsl"
 
-// How radiance grows with an sRGB code (IEC 61966-2-1), at a radiance.
+// The derivative of radiance by the sRGB code (IEC 61966-2-1), at a radiance.
 float srgb_slope(float radiance)
 {
     return radiance > 0.0031308 ? 2.4 / 1.055 * pow(radiance, 1.4 / 2.4) : 1.0 / 12.92;
 }
 
-// What an error of a highlight counts, of one of the diffuse samples: a model is off in proportion to what it renders,
-// so that δ grows with a sample that is brighter than the texel's scale. With the δ of the diffuse part a highlight is an
-// outlier until it is met to a few percent, and the descent never comes there.
-// With NOISE, the standard deviation of the files' sRGB codes, δ is no less than what that is in radiance: in the dark a
-// code is far less than δ, in a dark texel that one lamp lights far more.
+// The factor on a sample's error: 1 for diffuse samples, less in highlights. A model's error is proportional to its render,
+// so δ grows with a sample that is brighter than the texel's scale. With the diffuse δ a highlight is an outlier until it
+// fits to a few percent, which the descent never reaches.
+// With NOISE, the standard deviation of the files' sRGB codes, δ is at least that noise in radiance: in a dark texel that
+// one lamp lights, it exceeds δ.
 float relative_error(Texel t, Observation o)
 {
 #if (FITNESS == FITNESS_ROBUST || FITNESS == FITNESS_GEMAN_MCCLURE)
@@ -29,8 +29,8 @@ float relative_error(Texel t, Observation o)
 #endif
 }
 
-// The weight of an error in least squares that minimise the loss (iteratively reweighted).
+// The weight of an error in iteratively reweighted least squares.
 vec3 reweighted(Texel t, Observation o, vec3 error, float relative)
 {
-    return o.weight * relative * relative * draws(o, error) * loss_weight(loss_scale(t.scale) * relative * error);
+    return o.weight * relative * relative * active_channels(o, error) * loss_weight(loss_scale(t.scale) * relative * error);
 }

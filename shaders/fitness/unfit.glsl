@@ -1,2 +1,2 @@
-// No render is this far off; also the fitness of a texel that no observation sees.
+// Above the fitness of any render; also the fitness of a texel without observations.
 #define UNFIT 1e30

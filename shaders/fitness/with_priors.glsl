@@ -1,17 +1,17 @@
-// The fitness of a material with what its model believes beforehand. For n samples of Gaussian noise of unknown variance
-// −2 log of the posterior is n log(F) + D, F the fitness and D that of the priors. No photograph is met better than to
-// NOISE_FLOOR, so it is n log(F + NOISE_FLOOR) + D: what orders materials like (F + NOISE_FLOOR) exp(D / n) − NOISE_FLOOR,
-// which is F where the priors say nothing. priors.glsl is generated (reflectance/glsl.py).
+// The fitness of a material with its model's priors. For n samples with Gaussian noise of unknown variance −2 log of the
+// posterior is n log(F) + D, with F the fitness and D the priors' part. No fit to a photograph is better than NOISE_FLOOR,
+// so it is n log(F + NOISE_FLOOR) + D, which orders materials like (F + NOISE_FLOOR) exp(D / n) − NOISE_FLOOR: F without
+// priors. priors.glsl is generated (reflectance/glsl.py).
 
 #include "material.glsl"
 #include "priors.glsl"
 
 // In squares of δ: 0.3 % of a texel's scale, about a step of eight bits.
 #define NOISE_FLOOR 0.01
-// D / n far beyond what is ever preferred, and no overflow.
+// D / n far beyond any preference, without overflow.
 #define MOST_BELIEF 30.0
 
-// n of samples that weigh so much together, of three channels each; a single one where there are none.
+// n of samples with this sum of weights, three channels each; at least that of one sample.
 float samples_of(float weights)
 {
     return max(3.0 * weights, 1.0);

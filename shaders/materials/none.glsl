@@ -1,4 +1,4 @@
-// In place of shared.glsl: neighbours alone have votes.
+// In place of shared.glsl: only neighbours have votes.
 
 float votes_of_materials(inout float c[12])
 {

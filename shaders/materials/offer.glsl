@@ -1,8 +1,8 @@
 // Over W×H texels: tries the materials that the surface shares (shared.glsl), with the texel's own normal or,
-// where u_mirror is 1, with the normal that mirrors its brightest sample: where the lobe was missed, so was the normal.
-// Of the materials that are worth refining (offers.glsl) the most probable one replaces the texel's own; where there is
-// none, the texel is calm.
-// Reads the best estimates so far, u_status, the materials and the samples.
+// where u_mirror is 1, with the normal that mirrors its brightest sample: if the lobe was missed, so was the normal. Of the
+// materials worth refining (offers.glsl) the most probable replaces the texel's; without one the texel is calm.
+// Reads the best estimates so far, u_status, u_materials, the geometry, the sample stack and the observation table; writes
+// o_estimate and o_status.
 
 #include "fitness/fitness.glsl"
 #include "refine/mirror.glsl"
@@ -33,7 +33,7 @@ bool texel_kernel(ivec2 texel)
         float weights;
         float fitness = with_priors(fitness_of(t, offer, weights), weights, offer);
         float freedom = freedom_of(weights);
-        // Written so that NaN is no offer.
+        // Also skips NaN.
         if (!(fitness < UNFIT)) {
             continue;
         }

@@ -1,10 +1,10 @@
-// The materials that the surface shares (solver/phases/mixture.py): Gaussians over the numbers of all unknowns but the normal.
-// Reads u_materials, a column each: means of 12 numbers in rows 0 to 2, their inverse variances in 3 to 5, in row 6 x how
-// much of the surface there is of it.
+// The materials that the surface shares (solver/phases/mixture.py): Gaussians over all free parameters but the normal.
+// Reads u_materials, one column per material: rows 0 to 2 the means of 12 numbers, rows 3 to 5 their inverse variances,
+// row 6 in x the material's share of the surface.
 
 #include "free_parameters.glsl"
 
-// Searched numbers are alike that differ by this fraction of their range; linear ones whose roots do.
+// Two searched numbers are alike if they differ by less than this fraction of their range; linear ones, if their roots do.
 #define ALIKE_SEARCHED 0.1
 #define ALIKE_LINEAR 0.15
 
@@ -13,7 +13,7 @@ float material_number(int row, int k, int u)
     return texelFetch(u_materials, ivec2(k, row + u / 4), 0)[u % 4];
 }
 
-// How much of the surface is of a material like this one, from 0 to 1.
+// The share of the surface with a material like this one, from 0 to 1.
 float share_of(inout float c[12])
 {
     float share = 0.0;
@@ -34,7 +34,7 @@ float share_of(inout float c[12])
     return share;
 }
 
-// Puts a material's numbers into c, all but the normal.
+// Puts a material's numbers into c, except the normal.
 void take_material(int k, inout float c[12])
 {
     for (int u = 0; u < FREE_COUNT; u++) {

@@ -1,7 +1,7 @@
-// Over W×H texels: what the refinement has made of a texel, unless its model explains the texel much worse than the prefit's
-// does. Then the refinement has turned the normal to make up for what the model cannot tell, and the texel keeps what it had:
-// the prefit's normal, and the rest fitted to it. Reads the estimates before the refinement, u_work: those after it, and
-// u_prefit_fitness: the prefit's own. Fitnesses are compared on the prefit's terms, of grey samples.
+// Over W×H texels: accepts the refined estimate unless its model fits the texel much worse than the prefit's model did. In
+// that case the refinement has turned the normal to compensate for the model's errors, and the texel keeps its former
+// estimate: the prefit's normal, and the rest fitted to it. Reads the estimates before the refinement, u_work (after it)
+// and u_prefit_fitness. All fitnesses are those of the prefit: on grey samples.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

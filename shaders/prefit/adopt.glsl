@@ -1,5 +1,5 @@
-// Over W×H texels: the estimates with the normal that the prefit has found, packed as the estimates are.
-// Reads the estimates and u_prefit_0: those of the prefit's own model, whose first three are its normal.
+// Over W×H texels: the estimates with the prefit's normal. Reads the estimates and u_prefit_0: those of the prefit's own
+// model, whose first three components are its normal.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"

@@ -1,6 +1,6 @@
-// What the prefit's refinement adds to the loss: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few or narrow
-// lights do not tell a fall-off from a tilt; their texels then keep near to Lambert's law.
-// Half a square in each of the three equal channels, in the units of Cauchy's loss; other losses know no such unit.
+// The penalty of the prefit's refinement: a Gaussian prior on the fall-off, N(1, FALLOFF_DEVIATION²). Few lights, or lights
+// close together, cannot separate a fall-off from a tilt; such texels then stay near Lambert's law.
+// Half a square in each of the three equal channels, in the units of Cauchy's loss; other losses have no such unit.
 
 #include "free_parameters.glsl"
 

@@ -1,6 +1,6 @@
-// Over W×H texels: where the fit with a prior begins, with every colour and scalar at the mean of what a texel's own samples
-// and the prior say, each weighed by its precision. A texel of which the prior would have less than LEAST_SHARE in every
-// number is left as it is. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
+// Over W×H texels: the start of the fit with a prior. Every colour and scalar is the mean of the texel's own estimate and
+// the prior, weighted by precision. A texel stays as it is if the prior's share would be less than LEAST_SHARE in every
+// number. Reads the estimates, their own deviations, the prior in u_mean and u_deviation, and u_noise.
 // Writes o_estimate, o_status (refine/status.glsl) and o_penalty: the penalty of the estimates as they were.
 
 #include "common/frame.glsl"

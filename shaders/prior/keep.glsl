@@ -1,6 +1,6 @@
-// Over W×H texels: the fit with the prior (u_work, u_work_status), where with its penalty it is better than what the
-// texel had and without it is not worse by more than TOLERANCE² in deviance; elsewhere the estimates as they were.
-// Reads u_noise (whose x are the losses of the estimates), u_penalty (theirs), the geometry and the sample stack.
+// Over W×H texels: keeps the fit with the prior (u_work, u_work_status) if it is better than the former estimate with the
+// penalty, and without it not worse by more than TOLERANCE² in deviance; else the estimate stays. Reads u_noise (x: loss of
+// the estimate), u_penalty (its penalty), the geometry and the sample stack.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"

@@ -1,5 +1,5 @@
-// The unit of losses: divided by it, a sum of them over channels is about n σ² for noise of variance σ² (for l1, n times
-// the mean absolute error b, of which the variance is 2 b² under the law that the loss stands for).
+// The unit of losses: a sum of losses over n channels, divided by it, is about n σ² for noise of variance σ². For l1 it is
+// n times the mean absolute error b; a Laplace distribution has the variance 2 b².
 
 #include "fitness/loss.glsl"
 
@@ -13,7 +13,7 @@ float loss_unit(ivec2 texel)
 #endif
 }
 
-// What a deviance, −2 log of a likelihood, is multiplied by to be counted in losses over loss_unit(); noise: o_noise.w.
+// Converts a deviance, −2 log of a likelihood, to losses over loss_unit(); noise: o_noise.w.
 float deviance_unit(float noise)
 {
 #if FITNESS == FITNESS_L1

@@ -1,5 +1,5 @@
-// Over W×H texels: what the fit leaves of the samples. Writes o_noise: (sum of the losses in loss_unit(), number of the
-// samples' channels, 0, 0), and o_mean: the estimates, as the neighbours are to see them.
+// Over W×H texels: the residual loss of the fit. Writes o_noise: (sum of the losses in loss_unit(), number of the samples'
+// channels, 0, 0), and o_mean: the estimates, for the neighbours to read.
 
 #include "common/estimate.glsl"
 #include "fitness/fitness.glsl"
@@ -17,7 +17,7 @@ bool texel_kernel(ivec2 texel)
         EACH_OBSERVATION(t, o) {
             vec3 error = error_of(o, reflectance(s, o.l, o.v));
             sum += o.weight * loss_of(scale * relative_error(t, o) * error);
-            channels += o.weight * dot(draws(o, error), vec3(1.0));
+            channels += o.weight * dot(active_channels(o, error), vec3(1.0));
         }
     }
     o_noise = vec4(sum / loss_unit(texel), channels, 0.0, 0.0);

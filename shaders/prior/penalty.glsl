@@ -1,5 +1,5 @@
-// What a Gaussian prior adds to the loss, per number (x − m)² / v, which is a deviance: in losses as loss_unit.glsl
-// says. Reads u_noise and the prior: u_mean, and u_deviation, which is 0 where it says nothing; over the unknowns of free_parameters.glsl.
+// The penalty of a Gaussian prior: per number (x − m)² / v, a deviance, converted to losses by loss_unit.glsl. Reads u_noise
+// and the prior: u_mean, and u_deviation, which is 0 without a prior; over the parameters of free_parameters.glsl.
 
 #include "prior/loss_unit.glsl"
 #include "free_parameters.glsl"

@@ -1,12 +1,12 @@
-// Over W×H texels: what the neighbours that are like a texel say of its colours and scalars. A neighbour weighs
-// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), over all of them: what is not told makes no
-// difference. Then the mean and the spread over neighbours, each of its own precision, by random effects (DerSimonian &
-// Laird 1986, Meta-analysis in Clinical Trials), with s for how often a neighbour counts:
+// Over W×H texels: pools the colours and scalars of similar neighbours. A neighbour has the weight
+// s = exp(−½ Σ (x − y)² / (h² + σx² + σy²)), summed over all numbers: an uncertain number makes no difference. Then mean and
+// spread over the neighbours, each with its own precision, by random effects (DerSimonian & Laird 1986, Meta-analysis in
+// Clinical Trials), with s as multiplicity:
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
-//   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  of the deviation √(t² + 1 / Σ s w).
-// Reads the estimates, their own deviations in u_own, what is believed of the neighbours in u_mean and u_deviation
-// (0: nothing), and the packing. Writes o_mean and o_deviation: m and its deviation where LAST, else what is believed next: a texel whose own
-// samples say nothing of a number passes on what its neighbours say.
+//   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  with the deviation √(t² + 1 / Σ s w).
+// Reads the estimates, their own deviations in u_own, the beliefs of the former round in u_mean and u_deviation (0: none),
+// and the packing. Writes o_mean and o_deviation: m and its deviation where LAST, else the beliefs for the next round, in
+// which a texel whose samples leave a number open passes on what its neighbours believe.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"
@@ -14,9 +14,9 @@
 #include "components.glsl"
 #include "common/taps.glsl"
 
-// A number that is uncertain by more than this fraction of its range is not told: noise is not linear that far.
+// A number that is uncertain by more than this fraction of its range is not used: noise is not linear that far.
 #define TOLD 0.25
-// A deviation counts as no less than this fraction of the range: the step of the differences it was found by.
+// The smallest deviation, as a fraction of the range: the step of the differences that it comes from.
 #define FINEST (1.0 / 1024.0)
 
 struct Pooled {
@@ -27,7 +27,7 @@ struct Pooled {
     float count[12];
 };
 
-// exp(−½ …) of the head of this file.
+// s of the head of this file.
 float likeness(inout float x[12], inout float own[12], inout float y[12], inout float theirs[12])
 {
     float apart = 0.0;
@@ -46,7 +46,7 @@ float likeness(inout float x[12], inout float own[12], inout float y[12], inout 
     return exp(-0.5 * apart);
 }
 
-// Adds up over the neighbours; t2: t² of each number.
+// Sums over the neighbours; t2: t² of each number.
 void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12], out Pooled p)
 {
     for (int i = 0; i < 12; i++) {
@@ -76,7 +76,7 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
             }
             float sigma = max(theirs[i], FINEST * width);
             float w = 1.0 / (sigma * sigma + t2[i]);
-            // From the texel's own number, so that little is lost in the difference of squares.
+            // Relative to the texel's own number, which preserves digits in the difference of squares.
             float d = y[i] - x[i];
             p.weight[i] += s * w;
             p.sum[i] += s * w * d;

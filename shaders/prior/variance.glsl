@@ -1,4 +1,4 @@
-// Over W×H texels: the noise of the samples, with that of the neighbours, since what a few samples leave tells little:
+// Over W×H texels: the variance of the samples' noise, pooled with the neighbours', because few samples determine it badly:
 // (S + ν N̄) / (n + ν), with S over n degrees of freedom and ν of the neighbours' mean N̄ (Smyth 2004, Linear Models and
 // Empirical Bayes Methods for Assessing Differential Expression in Microarray Experiments, its s̃²).
 // Reads u_noise (noise.glsl) and the packing. Writes o_noise: the same, variance in z, in losses in w.

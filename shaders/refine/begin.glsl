@@ -1,5 +1,5 @@
-// Over W×H texels: the estimates with the values of start u_start put in (−1: as they are), to be refined; a start may
-// turn the normal (mirror.glsl). Reads the estimates, u_status and the samples. What this tile does not solve stays as it is.
+// Over W×H texels: the estimates with the values of start u_start (−1: none), to be refined. A start may turn the normal
+// (mirror.glsl). Reads the estimates, u_status and the samples. Texels that this tile does not solve stay.
 
 #include "refine/mirror.glsl"
 #include "refine/status.glsl"

@@ -1,11 +1,10 @@
-// The normal that mirrors the brightest sample's light: there is the middle of a lobe that is most of what a texel
-// reflects. Reads the samples.
+// The normal that mirrors the light of the brightest sample: the centre of a dominant lobe. Reads the samples.
 
 #include "common/observation.glsl"
 
 #ifdef NORMAL_COMPONENT
-// Turns the normal in c to the half vector of the observation that is brightest for its light's intensity; leaves it where
-// there is none in front of the surface.
+// Turns the normal in c to the half vector of the sample that is brightest relative to its light's intensity. Without a
+// sample in front of the surface the normal stays.
 void turn_to_mirror(ivec2 texel, inout float c[12])
 {
     float most = 0.0;

@@ -1,4 +1,4 @@
-// A refinement on the samples alone: nothing is added to the loss.
+// A refinement on the samples alone: adds nothing to the loss.
 
 float penalty_of(ivec2 texel, inout float c[12])
 {

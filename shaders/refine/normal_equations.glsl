@@ -2,10 +2,10 @@
 // Marquardt 1963, An Algorithm for Least-Squares Estimation of Nonlinear Parameters; its scaling makes λ relative to the
 // diagonal. a holds JᵀWJ, of unit diagonal (upper triangle), slope JᵀWe likewise scaled.
 
-// A pivot under 2⁻²⁰ of the unit diagonal is rounding after hundreds of samples in float32: that unknown stays.
+// After hundreds of samples in float32, a pivot below 2⁻²⁰ of the unit diagonal is rounding: its parameter stays.
 #define PIVOT (1.0 / 1048576.0)
 
-// Solves (A + λ) y = −slope for the unknowns that are free; held ones keep their y. Cholesky: A + λ = L D Lᵀ.
+// Solves (A + λ) y = −slope for the parameters that are free to move; held ones keep their y. Cholesky: A + λ = L D Lᵀ.
 void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], float lambda,
                   inout bool held[FREE_COUNT], inout float y[FREE_COUNT])
 {
@@ -52,18 +52,18 @@ void solve_damped(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE
     }
 }
 
-// How often the set of unknowns that lie on an end of their range is found anew; what leaves it still is cut off.
+// How often the set of parameters at an end of their range is found again; after that, steps are cut off at the box.
 #define BOX_ROUNDS 3
 
-// The step inside the box, in fractions of the ranges: least and most are how far each unknown may go. An unknown whose
-// step would leave the box goes to its end, and the others are solved for again.
+// The step inside the box, in fractions of the ranges; least and most bound each parameter's step. A parameter whose step
+// would leave the box goes to its end, and the others are solved for again.
 void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT], inout float norm[FREE_COUNT],
                 float lambda, inout float least[FREE_COUNT], inout float most[FREE_COUNT], out float step_by[FREE_COUNT])
 {
     bool held[FREE_COUNT];
     float y[FREE_COUNT];
     for (int i = 0; i < FREE_COUNT; i++) {
-        // What the render does not depend on stays; so does what stands at an end and would go on.
+        // A parameter stays if the render does not depend on it, or if it is at an end and would go beyond.
         held[i] = norm[i] == 0.0 || (slope[i] > 0.0 && least[i] >= 0.0) || (slope[i] < 0.0 && most[i] <= 0.0);
         y[i] = 0.0;
     }
@@ -84,7 +84,7 @@ void boxed_step(inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_C
     }
     for (int i = 0; i < FREE_COUNT; i++) {
         float by = norm[i] > 0.0 ? y[i] / norm[i] : 0.0;
-        // Written so that NaN is no step.
+        // NaN is no step.
         step_by[i] = abs(by) <= 1e6 ? clamp(by, least[i], most[i]) : 0.0;
     }
 }

@@ -1,9 +1,9 @@
-// Over W×H texels: tries what the neighbours have found. The four texels beside this one offer their whole material, the
-// normal turned into this texel's frame; the four two away offer their searched numbers alone, with this texel's own
-// normal and linear weights. An offer is taken, to be refined, where its fitness is under CANDIDATE_RATIO times this texel's own,
-// or where it has more votes (votes.glsl) by the factor CROWD: before it is refined, its weights are another's, so that
-// its fitness tells little. Of several the most probable is taken; where there is none, nothing is left to be done.
-// Reads the best estimates so far, u_status and the packing.
+// Over W×H texels: tries the materials of neighbours. The four adjacent texels offer their whole material, with the normal
+// turned into this texel's frame. The four texels at distance two offer their searched numbers, with this texel's normal
+// and linear weights. Of the offers worth refining (offers.glsl) the most probable replaces the texel's material; without
+// one the texel is calm.
+// Reads the best estimates so far, u_status, the geometry with its packing, the sample stack and the observation table;
+// writes o_estimate and o_status.
 
 #include "common/packing.glsl"
 #include "fitness/fitness.glsl"
@@ -28,7 +28,7 @@ Material offer_of(ivec2 other, Frame f, int kind, inout float own[12])
     if (whole) {
         int at = NORMAL_COMPONENT;
         vec3 n = to_local(f, to_world(frame_at(other), vec3(theirs[at], theirs[at + 1], theirs[at + 2])));
-        // 1e-12: a neighbour's normal that points straight away from this texel's hemisphere.
+        // 1e-12: the neighbour's normal points straight away from this texel's hemisphere.
         n.z = max(n.z, 0.0);
         n = dot(n, n) > 1e-12 ? normalize(n) : vec3(0.0, 0.0, 1.0);
         c[at] = n.x;
@@ -83,7 +83,7 @@ bool texel_kernel(ivec2 texel)
     int chosen = -1;
     for (int p = 0; p < OFFERS; p++) {
         float fitness = with_priors(sum[p] / (3.0 * weights), weights, tried[p]);
-        // Written so that NaN is no offer.
+        // Also skips NaN.
         if (!(there[p] && fitness < UNFIT)) {
             continue;
         }

@@ -1,10 +1,10 @@
-// What the refinement remembers of a texel: its material, packed as the estimates are, and o_status: (fitness, damping λ,
-// iterations in a row that changed nothing, evaluations so far).
+// The refinement's state of a texel: its material, packed like the estimates, and o_status: (fitness, damping λ,
+// consecutive iterations without a change, evaluations so far).
 
 #include "common/estimate.glsl"
 #include "fitness/unfit.glsl"
 
-// A texel is done once so many iterations have changed nothing.
+// A texel is done after this many iterations without a change.
 #define CALM 2.0
 
 vec4 fresh_status(float evaluations)

@@ -1,10 +1,10 @@
-// Over W×H texels: one iteration of Levenberg and Marquardt, by iteratively reweighted least squares for the losses that
-// are not squares. Reads the working estimates, u_status, the geometry and the sample stack; writes both anew.
+// Over W×H texels: one iteration of Levenberg–Marquardt, by iteratively reweighted least squares unless the loss is the
+// square. Reads the working estimates, u_status, the geometry, the sample stack and what penalty.glsl reads; writes
+// o_estimate and o_status.
 //
-// The first loop over the observations adds up JᵀWJ and JᵀWe, the second renders the steps of CANDIDATES dampings, so
-// that an observation is read twice an iteration. Linear parameters have their basis for a derivative, the others a
-// difference: slopes.glsl is generated for both (solver/kernels/free_parameters.py).
-// penalty.glsl is what the loss is added to: no_penalty.glsl, or a prior's.
+// The first loop over the observations sums JᵀWJ and JᵀWe; the second renders the steps of CANDIDATES dampings. Linear
+// parameters have their basis as derivative, the others a difference: slopes.glsl, generated for both by
+// solver/kernels/free_parameters.py. penalty.glsl adds to the loss: no_penalty.glsl, or that of the prefit or a prior.
 
 #include "fitness/fitness.glsl"
 #include "refine/status.glsl"
@@ -14,17 +14,17 @@
 #include "penalty.glsl"
 #include "slopes.glsl"
 
-// The ratio of the dampings that are tried together, and their bounds: below 2⁻²⁰ damping is lost in rounding.
+// Ratio of the dampings of one iteration, and their bounds: below 2⁻²⁰ damping is lost in rounding.
 #define RATIO 8.0
 #define LEAST_DAMPING (1.0 / 1048576.0)
 #define MOST_DAMPING 1e6
 
-// How far one step may take a searched number, of its range: a longer one ends in a corner of the box, where a lobe
-// without strength has no width to be found. Of random principled materials in shadow 1 in 15 then misses its optimum
-// from one start, without a bound 1 in 10; two lobes do not mind.
+// The longest step of a searched number, as a fraction of its range. Longer steps end in a corner of the box, where a
+// lobe has no strength and so no gradient of its width. Random principled materials in shadow that miss their optimum from
+// one start: 1 in 15, without the bound 1 in 10; for two lobes no difference.
 #define FARTHEST 0.2
 
-// Adds up JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material as it is, and the weights.
+// Sums JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material, and the weights.
 vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
 {
     Material s = material_from(c);
@@ -54,7 +54,8 @@ vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT],
 }
 
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D is that of
-// n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR; JᵀWJ and JᵀWe are half the second and the first derivative of the loss over loss_scale², for l1 the whole.
+// n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and first derivative of the loss
+// over loss_scale²; for l1, the whole.
 void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FREE_COUNT * FREE_COUNT],
                 inout float slope[FREE_COUNT])
 {
@@ -76,7 +77,7 @@ void add_priors(ivec2 texel, inout float c[12], float fitness, inout float a[FRE
 #endif
 }
 
-// The components after a step of all unknowns; the normal stays on its hemisphere.
+// The components after a step of all free parameters; the normal stays on its hemisphere.
 void stepped(inout float given[12], inout float by[FREE_COUNT], out float c[12])
 {
     for (int i = 0; i < 12; i++) {
@@ -111,7 +112,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float before = with_priors(fitness, sums.y, material_from(c));
     add_priors(texel, c, fitness, a, slope);
     status.w += float(EVALUATIONS);
-    // Written so that NaN ends here too: nothing can be made better than what has no fitness.
+    // Also ends at NaN: a texel without a fitness cannot improve.
     if (!(sums.y > 0.0 && before < UNFIT)) {
         status.x = UNFIT;
         status.z = CALM;
@@ -173,7 +174,7 @@ void improve(ivec2 texel, inout float c[12], inout vec4 status)
     float gain = (before - best) / before;
     status.x = best;
     if (chosen < 0) {
-        // None was better: the damping jumps past all that were tried.
+        // No step was better: the damping jumps past all of them.
         status.y = min(lambda[CANDIDATES - 1] * RATIO * RATIO, MOST_DAMPING);
         status.z += 1.0;
         return;
@@ -195,7 +196,7 @@ bool texel_kernel(ivec2 texel)
     vec4 status = texelFetch(u_status, texel, 0);
     if (state_at(texel) == TEXEL_SOLVED && status.z < CALM) {
         improve(texel, c, status);
-        // What is done under another δ is not done.
+        // A texel that is done under another δ is not done.
         status.z = u_settles != 0 ? status.z : 0.0;
     }
     write_estimate(c);

@@ -1,6 +1,5 @@
-// Over W×H texels: the more probable of two materials by the samples and the votes of the texels around (votes.glsl).
-// Reads the best so far (u_estimate, u_status), what has been worked on (u_work, u_work_status), the samples' weights
-// and the packing.
+// Over W×H texels: keeps the more probable of two materials, by the samples and the votes (votes.glsl). Reads the best so
+// far (u_estimate, u_status), the refined one (u_work, u_work_status), the samples' weights and the packing.
 
 #include "common/frame.glsl"
 #include "refine/status.glsl"

@@ -1,6 +1,6 @@
-// How many of the texels around, and elsewhere on the surface, hold searched numbers like given ones, and what their votes
-// are worth: the next draw from a Pólya urn (Blackwell & MacQueen 1973, Ferguson Distributions via Pólya Urn Schemes)
-// repeats a value in proportion to how often it was drawn. Reads u_estimate of the neighbours, and the packing.
+// Votes for a material: the number of texels, around and elsewhere on the surface, with similar searched numbers. Their
+// worth: the next draw from a Pólya urn repeats a value in proportion to its draws so far (Blackwell & MacQueen 1973,
+// Ferguson Distributions via Pólya Urn Schemes). Reads u_estimate of the neighbours, and the packing.
 // materials.glsl is materials/shared.glsl or materials/none.glsl.
 
 #include "common/estimate.glsl"
@@ -9,12 +9,12 @@
 #include "free_parameters.glsl"
 #include "materials.glsl"
 
-// The 5×5 texels around, the first taps of common/taps.glsl.
+// The 5×5 texels around: the first taps of common/taps.glsl.
 #define VOTERS 24
-// Numbers are alike that differ by this fraction of their range.
+// Two numbers are alike if they differ by less than this fraction of their range.
 #define ALIKE 0.1
-// An offer that has so many times a texel's own votes is tried, whatever its fitness is before it is refined. On
-// rti_icon, near the mouth: 1 takes twice as many offers for a third fewer lone texels.
+// An offer with this many times the votes of a texel's own material is refined, whatever its fitness. On rti_icon, near
+// the mouth: 1 takes twice as many offers for a third fewer lone texels.
 #define CROWD 1.5
 
 float votes_for(ivec4 place, inout float c[12])
@@ -38,14 +38,14 @@ float votes_for(ivec4 place, inout float c[12])
     return votes;
 }
 
-// Degrees of freedom of the noise, of samples that weigh so much together: of three channels each.
+// Degrees of freedom of the noise. weights: the sum over the samples, which have three channels each.
 float freedom_of(float weights)
 {
     return max(3.0 * weights - float(FREE_COUNT), 0.0);
 }
 
-// −2 log of the posterior of a material, up to a constant. The samples' part is that of Gaussian noise of unknown
-// variance, of which the fitness is an estimate.
+// −2 log of the posterior of a material, up to a constant. The samples have Gaussian noise of unknown variance; the
+// fitness estimates it.
 float deviance_of(float freedom, float fitness, float votes)
 {
     return freedom * log(fitness) - 2.0 * VOTES * log(1.0 + votes);

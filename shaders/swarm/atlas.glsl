@@ -1,4 +1,4 @@
-// Where a particle's numbers lie. A swarm texture is an atlas of tiles of W×H texels, one tile for four dimensions of
+// The layout of particles. A swarm texture is an atlas of tiles of W×H texels, one tile for four dimensions of
 // one particle: particles 0 … m−1 with dimensions 0–3, then the same with dimensions 4–7.
 // BLOCKS is 1 up to four dimensions and 2 up to eight; TILES_X tiles stand side by side.
 
@@ -29,7 +29,7 @@ vec4 block_of(inout float x[8], int block)
     return vec4(x[4 * block], x[4 * block + 1], x[4 * block + 2], x[4 * block + 3]);
 }
 
-// Finds whose number an atlas texel is; returns false on tiles that belong to no particle.
+// Finds the particle of an atlas texel; returns false on tiles without a particle.
 bool atlas_owner(ivec2 place, out ivec2 texel, out int block, out int particle)
 {
     ivec2 size = ivec2(u_width, u_height);

@@ -27,8 +27,8 @@ vec2 hemisphere_from_normal(vec3 n)
     return clamp(0.5 * q + 0.5, 0.0, 1.0);
 }
 
-// What of a linear parameter's range is searched at a texel: radiance is proportional to it, so a texel's own brightness
-// bounds it. LINEAR_REACH times the brightness holds saturated colours under grazing light; 0 searches all.
+// The searched part of a linear parameter's range. Radiance is proportional to the parameter, so a texel's brightness
+// bounds it: LINEAR_REACH times the brightness includes saturated colours under grazing light; 0 searches the whole range.
 float reach_of(float scale)
 {
     return LINEAR_REACH > 0.0 ? min(1.0, LINEAR_REACH * scale) : 1.0;

@@ -14,7 +14,7 @@ void turn_normal(Frame from, Frame to, inout float g[8])
     g[NORMAL_AT] = turned.x;
     g[NORMAL_AT + 1] = turned.y;
 #elif NORMAL_SIZE == 3
-    // The three numbers keep their length: it is part of the particle's place.
+    // The vector keeps its length, which is part of the particle's place.
     vec3 n = 2.0 * vec3(g[NORMAL_AT], g[NORMAL_AT + 1], g[NORMAL_AT + 2]) - 1.0;
     n.z = abs(n.z);
     n = 0.5 * to_local(to, to_world(from, n)) + 0.5;
@@ -24,7 +24,7 @@ void turn_normal(Frame from, Frame to, inout float g[8])
 #endif
 }
 
-// Reads the global best of a packed texel as this texel sees it.
+// Reads the global best of a packed texel, in this texel's frame.
 void read_neighbour(ivec2 other, ivec2 texel, Frame f, out float g[8])
 {
     read_best(other, g);

@@ -1,4 +1,4 @@
-// Over W×H texels, in place: takes given bests at the texels that belong to a neighbouring tile.
+// Over W×H texels, in place: writes the bests of the halo, the texels of neighbouring tiles.
 
 #include "common/frame.glsl"
 

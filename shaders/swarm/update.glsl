@@ -1,4 +1,4 @@
-// How a particle comes to its place: placed at the start, moved by Eq. 2–3 of the paper, or taken to a neighbour's best.
+// The new place of a particle: its start, Eq. 2–3 of the paper, or a neighbour's best.
 // Reads the swarm atlas (u_particle_*), the global bests, the estimates and the packing.
 
 #include "common/estimate.glsl"
@@ -19,7 +19,7 @@ ivec2 global_texel(ivec2 texel)
 #ifdef START
 
 // Particle 0 of a seeded swarm stands on the estimate itself, further seeded ones around it, the rest anywhere.
-// u_seed_tells has a bit for every dimension that the seed knows something of; the others lie anywhere.
+// u_seeded_dimensions has a bit for every dimension that the seed determines; the others are random.
 void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
 {
     float seed[8];
@@ -31,7 +31,7 @@ void place_particle(ivec2 texel, int particle, out float x[8], out float v[8])
         for (int i = 0; i < 4; i++) {
             int d = 4 * block + i;
             float spread = particle == 0 ? 0.0 : u_seed_spread;
-            bool seeded = particle < u_seeded && (particle == 0 || ((u_seed_tells >> d) & 1) == 1);
+            bool seeded = particle < u_seeded && (particle == 0 || ((u_seeded_dimensions >> d) & 1) == 1);
             x[d] = seeded ? clamp(seed[d] + spread * (2.0 * place[i] - 1.0), 0.0, 1.0) : place[i];
             v[d] = u_start_speed * (2.0 * speed[i] - 1.0);
         }
@@ -71,8 +71,8 @@ void move_particle(ivec2 texel, int particle, inout float mean[8], out float x[8
     }
 }
 
-// Takes the particle to the global best of one of the eight texels around, if that one is solved: what a neighbour has
-// found is often right here too, and a swarm caught in a wrong optimum has no other way out.
+// Moves the particle to the global best of one of the eight texels around, if that one is solved: a neighbour's best is
+// often right here too, and a swarm in a wrong optimum has no other way out.
 void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 {
     direction += direction >= 4 ? 1 : 0;
@@ -84,7 +84,7 @@ void try_neighbour(ivec2 texel, Frame f, int direction, inout float x[8])
 
 #endif
 
-// Interchangeable lobes stay in rising order, so that a mean over neighbours means something.
+// Interchangeable lobes stay in rising order, so that means over neighbours are meaningful.
 void order_lobes(inout float x[8], inout float v[8])
 {
 #ifdef LOBE_FIRST

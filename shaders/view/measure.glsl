@@ -1,4 +1,4 @@
-// What was measured of a texel: u_measure, numbers that are negative where none has been measured yet.
+// Measures of a texel in u_measure; negative where none exists yet.
 
 float measure_at(ivec2 texel, int number)
 {

@@ -1,4 +1,4 @@
-// The swarm of the texel (u_column, u_row) of the domain, a particle a column: rows 0–2 the material that it stands for,
+// The swarm of the texel (u_column, u_row) of the domain, one particle per column: rows 0–2 its material,
 // rows 3–5 that of its personal best, row 6 its fitness; row 7 the material of the global best in columns 0–2.
 // Reads u_packed, the geometry, the estimates, the swarm atlas and the global bests.
 

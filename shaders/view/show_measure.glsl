@@ -1,6 +1,6 @@
 // Over the domain: a measure of every texel in false colours, u_ramp from 0 to u_limit.
-// Reads u_packed and what was measured. Shown is the largest of u_components numbers from u_at on. What is not a number
-// has the last colour of u_ramp, which is beyond its end.
+// Reads u_packed and the measures. Shows the largest of u_components numbers from u_at on; NaN has the last colour of
+// u_ramp, which is beyond its end.
 
 #include "common/packing.glsl"
 #include "view/measure.glsl"

@@ -29,7 +29,7 @@ bool texel_kernel(ivec2 texel)
         value = vec3(value.x);
     }
     if (u_encoding == ENCODING_NORMAL) {
-        // 1e-12: a direction that has no length has none to show.
+        // 1e-12: a vector without length has no direction.
         value = 0.5 * value * inversesqrt(max(dot(value, value), 1e-12)) + 0.5;
     }
     else if (u_encoding == ENCODING_COLOR) {

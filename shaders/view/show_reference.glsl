@@ -1,5 +1,5 @@
-// Over the domain: what u_observation saw, times u_exposure. Alpha is UNUSED where the sample has no weight (clipped, in
-// shadow), 0 where nothing was photographed. Reads u_packed and the sample stack.
+// Over the domain: the sample of u_observation, times u_exposure. Alpha is UNUSED where the sample has no weight (clipped, in
+// shadow), 0 where no pixel shows the texel. Reads u_packed and the sample stack.
 
 #include "common/packing.glsl"
 #include "view/encode.glsl"
@@ -13,7 +13,7 @@ bool texel_kernel(ivec2 texel)
     }
     vec4 reference = texelFetch(u_stack, ivec3(at, u_observation), 0);
 #ifndef CARD
-    // Radiance and weight of a texel that no pixel shows are 0. On a card every texel is a pixel, a black one too.
+    // Radiance and weight are 0 where no pixel shows a texel. On a card every texel is a pixel, black ones too.
     if (reference.a <= 0.0 && all(equal(reference.rgb, vec3(0.0)))) {
         return true;
     }

@@ -6,7 +6,7 @@ void main()
 {
     vec4 a = u_matrix * vec4(begin, 1.0);
     vec4 b = u_matrix * vec4(end, 1.0);
-    // What lies before the near plane is cut off here: behind the eye a line would turn round.
+    // Cuts off at the near plane: behind the eye a line would be reversed.
     float near_a = a.z + a.w;
     float near_b = b.z + b.w;
     vec4 from = near_a < 0.0 && near_b > 0.0 ? mix(a, b, near_a / (near_a - near_b)) : a;

@@ -1,5 +1,5 @@
-// Display values to what a window's frame buffer takes. Blender sets srgbTarget where the buffer encodes what is written
-// by itself, as those of the viewport and the image editor do: it is given the linear value there.
+// Display values to frame buffer values. Blender sets srgbTarget if the buffer encodes by itself, as those of viewport and
+// image editor do: it then takes linear values.
 // The curve: IEC 61966-2-1.
 
 vec4 on_screen(vec4 display)

@@ -25,7 +25,7 @@ MOVE = {
     **_SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
-    "u_seed_tells": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
+    "u_seeded_dimensions": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
 }  # fmt: skip
 LOSSES, _WALLS = defined("fitness/loss.glsl", "FITNESS_"), defined("swarm/update.glsl", "WALLS_")
 

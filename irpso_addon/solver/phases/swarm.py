@@ -179,7 +179,7 @@ def swarm_constants(
         "u_v_max": swarm.v_max,
         "u_threshold": schedule.threshold,
         **loss_constants(domain, schedule.fitness.delta),
-        "u_seed_tells": told,
+        "u_seeded_dimensions": told,
         "u_seed_spread": swarm.seed_spread,
         "u_start_speed": swarm.start_speed,
     }

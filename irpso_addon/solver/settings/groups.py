@@ -170,8 +170,8 @@ class Refinement:
         " more tries more materials and takes longer", 1.0, soft_max=10,
     )  # fmt: skip
     votes: float = setting(
-        "Votes", "What like neighbors count against a texel's own samples where these hardly decide; more leaves fewer"
-        " lone texels, 0 none of this", 0.0, soft_max=4,
+        "Votes", "Weight of agreeing neighbors against a texel's own samples; it matters where the samples are"
+        " ambiguous. More leaves fewer lone texels; 0 is off", 0.0, soft_max=4,
     )  # fmt: skip
     damping: float = setting(
         "Damping", "The first λ, as a part of the diagonal of JᵀJ", 0.01, above=True, soft_max=1, precision=4

@@ -1,5 +1,5 @@
-// Pass C, over W×H texels, in place: takes the candidate as global best where it is one. All swarms do so at once,
-// after all have moved, so that Eq. 4 always sees the bests of the iteration before.
+// Pass C, over W×H texels, in place: the candidate becomes the global best if it is better. All swarms do so at once, after
+// all have moved, so that Eq. 4 always reads the bests of the previous iteration.
 
 bool texel_kernel(ivec2 texel)
 {

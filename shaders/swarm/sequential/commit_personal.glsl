@@ -1,4 +1,4 @@
-// Pass B, continued, over the swarm atlas, in place: takes the candidate as personal best where it is one.
+// Pass B, continued, over the swarm atlas, in place: the candidate becomes the personal best if it is better.
 
 #include "swarm/atlas.glsl"
 

@@ -1,5 +1,5 @@
-// Pass B, over the swarm atlas, in place: takes the candidate's place and velocity where its own particle was moved.
-// Reads the candidate textures of pass A. A fragment cannot scatter, so every particle looks whether it was chosen.
+// Pass B, over the swarm atlas, in place: the moved particle takes the candidate's place and velocity. Reads the candidate
+// textures of pass A. A fragment cannot scatter, so every particle checks whether it was the one.
 
 #include "swarm/atlas.glsl"
 

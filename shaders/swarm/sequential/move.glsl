@@ -1,4 +1,4 @@
-// Pass A, over W×H texels: moves one particle of every swarm and evaluates it where it has come to.
+// Pass A, over W×H texels: moves one particle of every swarm and evaluates it.
 // Reads the swarm atlas (u_particle_*), the global bests, the estimates, the geometry and the sample stack.
 // Writes the candidate: its place, its velocity, and in o_verdict (fitness, 1 if a personal best, 1 if a global best,
 // which particle; −1 where nothing moved).
@@ -57,7 +57,7 @@ bool texel_kernel(ivec2 texel)
 
     write_position(x);
     write_velocity(v);
-    // A first personal best is taken whatever it is worth: the particle must have been somewhere.
+    // The first place is always a personal best.
 #ifdef START
     bool improved = true;
 #else

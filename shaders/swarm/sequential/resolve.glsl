@@ -1,5 +1,5 @@
-// Over W×H texels: the material that the global bests stand for, packed as estimates.
-// Reads the estimates (for what is not searched) and the global bests.
+// Over W×H texels: the material of the global bests, packed as estimates. Reads the global bests, and the estimates for the
+// parameters that are not searched.
 
 #include "common/estimate.glsl"
 #include "swarm/neighbours.glsl"

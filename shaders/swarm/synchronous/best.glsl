@@ -1,5 +1,5 @@
-// Pass C of a swarm that moves all its particles at once, over W×H texels: takes the best of the generation as global
-// best where it is better. Reads the old bests and what the generation found, u_fitness and u_linear; writes the new ones.
+// Pass C of the synchronous swarm, over W×H texels: the best of the generation becomes the global best if it is better.
+// Reads the old bests, and u_fitness and u_linear of the generation; writes the new bests.
 
 #include "fitness/unfit.glsl"
 #include "swarm/synchronous/moved.glsl"
@@ -13,7 +13,7 @@ bool texel_kernel(ivec2 texel)
     o_best_fitness = texelFetch(u_best_fitness, texel, 0).x;
     if (state_at(texel) == TEXEL_SOLVED && o_best_fitness > u_threshold) {
 #ifdef START
-        // Somebody must lead, even where no observation tells anything.
+        // A global best is needed even without any observation.
         float best = 2.0 * UNFIT;
 #else
         float best = o_best_fitness;

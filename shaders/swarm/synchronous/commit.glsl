@@ -1,5 +1,5 @@
-// Pass B of a swarm that moves all its particles at once, over the swarm atlas: every particle takes its new place and,
-// where that is its best so far, remembers it. Reads the old atlas, writes the new one.
+// Pass B of the synchronous swarm, over the swarm atlas: every particle takes its new place, and its personal best if that
+// is better. Reads the old atlas, writes the new one.
 
 #include "swarm/synchronous/moved.glsl"
 
@@ -15,7 +15,7 @@ bool texel_kernel(ivec2 place)
     o_velocity = texelFetch(u_particle_velocity, place, 0);
     o_best = texelFetch(u_particle_best, place, 0);
     o_fitness = texelFetch(u_particle_fitness, place, 0).x;
-    // The same condition as in pass A: what was not evaluated has not moved.
+    // The same condition as in pass A: a particle that was not evaluated has not moved.
     if (state_at(texel) != TEXEL_SOLVED || texelFetch(u_best_fitness, texel, 0).x <= u_threshold) {
         return true;
     }
@@ -26,7 +26,7 @@ bool texel_kernel(ivec2 place)
     o_velocity = block_of(v, block);
     float fitness[16];
     read_fitness(texel, fitness);
-    // A first personal best is taken whatever it is worth: the particle must have been somewhere.
+    // The first place is always a personal best.
 #ifdef START
     bool improved = true;
 #else

@@ -1,11 +1,11 @@
-// Pass A of a swarm that moves all its particles at once, over W×H texels: evaluates every particle where it comes to.
+// Pass A of the synchronous swarm, over W×H texels: evaluates every particle at its new place.
 // Reads the swarm atlas, the global bests with their linear weights, the estimates, the geometry and the sample stack.
 // Writes o_fitness, a number a particle, and in o_linear the linear weights of the best of them.
-// Where the particles come to is found again by the passes that commit: cheaper than writing it out, and six outputs
-// would not hold it. With START it evaluates the places at which particles begin.
+// The commit passes compute the new places again: cheaper than writing them, and six outputs would not suffice. With START
+// it evaluates the places at which particles begin.
 //
-// An observation is read once for CHUNK particles, and twice in all: for the linear weights, and for the residual.
-// In float32 the residual cannot be had from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at 5 % in roughness.
+// CHUNK particles share one read of an observation. There are two loops: linear weights, then residual. In float32 the
+// residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at 5 % in roughness.
 
 #include "fitness/fitness.glsl"
 #include "swarm/synchronous/incumbent.glsl"
@@ -75,7 +75,7 @@ bool texel_kernel(ivec2 texel)
             }
             for (int p = 0; p < CHUNK; p++) {
                 float mean = with_priors(sum[p] / (3.0 * weights), weights, s[p]);
-                // Written so that NaN is unfit too: it must never become a best.
+                // NaN is unfit too: it must never become a best.
                 float worth = weights > 0.0 && mean < UNFIT ? mean : UNFIT;
                 if (first + p < PARTICLES) {
                     fitness[first + p] = worth;

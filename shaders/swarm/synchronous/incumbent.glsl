@@ -1,5 +1,5 @@
-// The material that a texel's global best stands for, linear weights and all.
-// Reads u_best and u_best_linear; before the first generation there is only the estimate.
+// The material of a texel's global best, with its linear weights. Reads u_best and u_best_linear; before the first
+// generation, the estimate.
 
 #include "basis.glsl"
 #include "swarm/update.glsl"

@@ -1,4 +1,4 @@
-// Where a particle of a swarm that moves as a whole comes to in this iteration. Every pass that asks gets one answer.
+// The new place of a particle in this iteration: a pure function, so that every pass computes the same.
 // Reads u_mean: the neighbourhood means of Eq. 4.
 
 #include "swarm/update.glsl"
