@@ -16,7 +16,7 @@ import numpy as np
 
 from ..capture.inspect import three_images
 from ..capture.inspect.checks import edge_sizes, whitened
-from ..core.steps import run_steps
+from ..core.steps import at_once
 
 _REACH, _SMALLEST = 32, 32  # pixels searched on each side; least side of a frame, pixels
 _ROUNDS, _ALIGNED = 6, 0.02  # of correlation with the mean of the other frames; pixels: the change that ends them
@@ -47,17 +47,12 @@ class Shifts:
     trusted: np.ndarray
 
 
-def find_shifts(frames: np.ndarray, reference: int = 0) -> Shifts:
+def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None, Shifts]:
     """Return the shifts of frames (K, H, W), linear grey radiance, from the reference, or from the first trusted frame.
 
-    The search covers 32 pixels each way. Frames with a side below 32 pixels stay unmoved. Fewer than ten frames use
-    correlation alone.
+    Yields the fraction done, 0…1. The search covers 32 pixels each way. Frames with a side below 32 pixels stay
+    unmoved. Fewer than ten frames use correlation alone.
     """
-    return run_steps(shift_steps(frames, reference))
-
-
-def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None, Shifts]:
-    """Yield the fraction done, 0…1, and return the result of ``find_shifts``."""
     frames = np.asarray(frames, np.float32)
     count = len(frames)
     agreement = np.full(count, np.nan)
@@ -72,6 +67,9 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
     origin = reference if trusted[reference] or not trusted.any() else int(trusted.argmax())
     pixels = np.where(trusted[:, None], pixels - pixels[origin], 0.0)
     return Shifts(pixels, agreement, trusted)
+
+
+find_shifts = at_once(shift_steps)
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:

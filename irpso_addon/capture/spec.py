@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.steps import run_steps
+from ..core.steps import at_once
 from .camera import Camera
 from .errors import CaptureError, raise_all
 from .images.encoding import Encoding, LitImage, encoding_of
@@ -69,16 +69,11 @@ class CaptureSpec:
     left_out: tuple[LeftOut, ...] = ()
 
 
-def build_capture(spec: CaptureSpec, decoder: Decoder | None = None) -> Capture:
+def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
     """Return the Capture of a spec. Reads masks and all headers now, images at first use.
 
-    Raises CaptureError with the first fault, and the others in it.
+    Yields before each header and each mask. Raises CaptureError with the first fault, and the others in it.
     """
-    return run_steps(build_steps(spec, decoder))
-
-
-def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:
-    """Yield before each header and each mask; return the Capture. See ``build_capture``."""
     store = ImageStore(decoder)
     faults: list[CaptureError] = []
     lights = [_light(shot, faults) for shot in spec.observations]
@@ -117,6 +112,9 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         spec.name, observations, tuple(cameras), tuple(masks), spec.source, spec.card_distance, spec.left_out,
         encoding,
     )  # fmt: skip
+
+
+build_capture = at_once(build_steps)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Generator
-from typing import TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+P = ParamSpec("P")
 T = TypeVar("T")
 Step = TypeVar("Step")
 Other = TypeVar("Other")
@@ -18,6 +20,16 @@ def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = 
         except StopIteration as stop:
             return stop.value
         each(step)
+
+
+def at_once(steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
+    """Return the function that takes the arguments of ``steps``, makes them all and returns their result."""
+
+    @functools.wraps(steps)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        return run_steps(steps(*args, **kwargs))
+
+    return run
 
 
 def map_steps(steps: Generator[Step, None, T], function: Callable[[Step], Other]) -> Generator[Other, None, T]:

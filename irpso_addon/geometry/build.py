@@ -16,7 +16,7 @@ from ..capture.noise import images_read, noise_of
 from ..capture.places import card_depth
 from ..capture.types import Capture, Light, Observation, triple
 from ..core.errors import InputError
-from ..core.steps import run_steps
+from ..core.steps import at_once
 from .domain import Domain, GeometryBake, domain_of
 from .light.light_shape import unshaped
 from .light.shadows import ShadowCaster, texel_size
@@ -32,22 +32,17 @@ Surface = tuple[SurfaceBake, SeamMap]
 Bake = TypeVar("Bake", bound=GeometryBake)
 
 
-def domain_from_card(capture: Capture, scratch: Path | None = None, window: Window | None = None) -> Domain:
-    """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
-
-    The frame is the camera's, with the card's normal at (0, 0, 1); lights and view are rotated into it. The card lies
-    at the capture's ``card_distance``, which near lights need. scratch: folder for a temporary file with the sample
-    stack, None for memory. window: (x0, y0, width, height) of the texels to hold; values and origin equal those of
-    ``tile``. Raises InputError for several cameras, near lights without the card's distance, images of another size
-    or, without a window, no lit texel; ValueError where the window leaves the domain.
-    """
-    return run_steps(card_steps(capture, scratch, window))
-
-
 def card_steps(
     capture: Capture, scratch: Path | None = None, window: Window | None = None
 ) -> Generator[None, None, Domain]:
-    """Yield before each image is read; return the result of ``domain_from_card``."""
+    """Return the domain of a flat subject seen by one camera: its texels are the image's pixels.
+
+    Yields before each image. The frame is the camera's, with the card's normal at (0, 0, 1); lights and view are
+    rotated into it. The card lies at the capture's ``card_distance``, which near lights need. scratch: folder for a
+    temporary file with the sample stack, None for memory. window: (x0, y0, width, height) of the texels to hold; values
+    and origin equal those of ``tile``. Raises InputError for several cameras, near lights without the card's distance,
+    images of another size or, without a window, no lit texel; ValueError where the window leaves the domain.
+    """
     yield from _settling(capture)
     camera = capture.cameras[0]
     bake = card_bake(capture)
@@ -72,6 +67,9 @@ def card_steps(
     if window is None:
         _check_seen(capture, domain, "the card")
     return replace(domain, origin=(x0, y0))
+
+
+domain_from_card = at_once(card_steps)
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
@@ -109,50 +107,6 @@ def check_card(capture: Capture) -> np.ndarray:
     return mask
 
 
-def domain_from_mesh(
-    capture: Capture,
-    mesh: MeshData,
-    width: int,
-    height: int,
-    grazing: float = GRAZING,
-    allow_overlap: bool = False,
-    scratch: Path | None = None,
-    *,
-    shadows: bool = True,
-    falloff: bool = True,
-    areas: bool = True,
-    window: Window | None = None,
-    surface: Surface | None = None,
-) -> Domain:
-    """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
-
-    mesh: from ``extract_mesh``, in the capture's world. grazing: least cosine, 0…1, between face normal and view of a
-    visible texel. Observations are read one at a time, light by light. The domain's bake is a SurfaceBake, for
-    ``frames``. scratch: as for a card. shadows: lower the weight of samples that the mesh shades. falloff: lower the
-    weight of slanted samples. areas: a texel of several pixels is their mean; else images are read at texel centres.
-    window: (x0, y0, width, height) of the texels to hold; values and origin equal those of ``tile``; images that do not
-    show it are not read. surface: from ``mesh_surface``, computed where None. Raises InputError for overlapping UVs
-    (unless allowed), images of another size than their camera, or, without a window, no visible texel; ValueError where
-    the window leaves the domain.
-    """
-    return run_steps(
-        mesh_steps(
-            capture,
-            mesh,
-            width,
-            height,
-            grazing,
-            allow_overlap,
-            scratch,
-            shadows=shadows,
-            falloff=falloff,
-            areas=areas,
-            window=window,
-            surface=surface,
-        )  # fmt: skip
-    )
-
-
 def mesh_steps(
     capture: Capture,
     mesh: MeshData,
@@ -168,7 +122,17 @@ def mesh_steps(
     window: Window | None = None,
     surface: Surface | None = None,
 ) -> Generator[None, None, Domain]:
-    """Yield before each camera and each image; return the result of ``domain_from_mesh``."""
+    """Return the domain of a mesh's UV square, width × height texels, with the capture's images projected into it.
+
+    mesh: from ``extract_mesh``, in the capture's world. grazing: least cosine, 0…1, between face normal and view of a
+    visible texel. Yields before each camera and each image; observations are read light by light. The domain's bake is
+    a SurfaceBake, for ``frames``. scratch: as for a card. shadows: lower the weight of samples that the mesh shades.
+    falloff: lower the weight of slanted samples. areas: a texel of several pixels is their mean; else images are read
+    at texel centres. window: (x0, y0, width, height) of the texels to hold; values and origin equal those of ``tile``;
+    images that do not show it are not read. surface: from ``mesh_surface``, computed where None. Raises InputError for
+    overlapping UVs (unless allowed), images of another size than their camera, or, without a window, no visible texel;
+    ValueError where the window leaves the domain.
+    """
     _check_masks(capture)
     yield from _settling(capture)
     bake, seams = surface or mesh_surface(mesh, width, height, allow_overlap)
@@ -191,6 +155,9 @@ def mesh_steps(
     if window is None:
         _check_seen(capture, domain, f"mesh '{mesh.name}'")
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
+
+
+domain_from_mesh = at_once(mesh_steps)
 
 
 def mesh_surface(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> Surface:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ...core.steps import run_steps
+from ...core.steps import at_once
 from ..errors import CaptureError
 from ..images.image import ImageRef, ImageStore
 from ..images.linearise import Samples
@@ -32,16 +32,11 @@ def naming_remedy(skipping: bool) -> Iterator[None]:
         raise CaptureError(f"{error.message}; {_REMEDY}", error.code, error.others) from error
 
 
-def without_damaged(spec: CaptureSpec, store: ImageStore) -> CaptureSpec:
-    """Return a spec with damaged images moved to ``left_out``. Raises CaptureError if none is intact."""
-    return run_steps(sound_steps(spec, store))
-
-
 def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, CaptureSpec]:
-    """Yield before each image is decoded; return what ``without_damaged`` does.
+    """Return a spec with damaged images moved to ``left_out``. Raises CaptureError if none is intact.
 
-    A camera without intact images is removed. Faults of the list, such as an unknown EXR part, stay in for
-    ``build_capture`` to refuse.
+    Yields before each image is decoded. A camera without intact images is removed. Faults of the list, such as an
+    unknown EXR part, stay in for ``build_capture`` to refuse.
     """
     sizes: dict[int, tuple[int, int]] = {}
     why: dict[int, str] = {}
@@ -67,6 +62,9 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
     views = [index for index in range(len(spec.views)) if index not in gone]
     shots = tuple(replace(shot, camera=views.index(shot.camera)) for shot in kept)
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
+
+
+without_damaged = at_once(sound_steps)
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:

@@ -11,7 +11,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from ...core.steps import map_steps, run_steps
+from ...core.steps import at_once, map_steps
 from .. import places
 from ..errors import CaptureError
 from ..images.encoding import Encoding
@@ -58,23 +58,6 @@ class Report:
             yield "  nothing suspicious"
 
 
-def inspect_capture(
-    path: Path | str,
-    decoder: Decoder | None = None,
-    colour_space: str = "auto",
-    goals: Sequence[str] = ("normals",),
-    card_distance: float | None = None,
-    skip_damaged: bool = False,
-) -> Report:
-    """Check a capture, frame by frame; its faults become findings instead of errors. See read_capture.
-
-    goals: of sufficiency.GOALS, the purpose of the recovery: findings warn of lights too few or too narrow for it. The
-    facts have the other goals. card_distance: overrides the capture's own. skip_damaged: as for read_capture.
-    It takes at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
-    """
-    return run_steps(inspect_steps(path, decoder, colour_space, goals, card_distance, skip_damaged))
-
-
 def inspect_steps(
     path: Path | str,
     decoder: Decoder | None = None,
@@ -83,7 +66,13 @@ def inspect_steps(
     card_distance: float | None = None,
     skip_damaged: bool = False,
 ) -> Generator[str, None, Report]:
-    """Yield the name of each piece of the work before it starts; return the result of ``inspect_capture``."""
+    """Check a capture, frame by frame; its faults become findings instead of errors. See read_capture.
+    Yields the name of each piece of the work before it starts.
+
+    goals: of sufficiency.GOALS, the purpose of the recovery: findings warn of lights too few or too narrow for it. The
+    facts have the other goals. card_distance: overrides the capture's own. skip_damaged: as for read_capture.
+    It takes at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
+    """
     path = Path(path)
     try:
         spec = read_spec(path, colour_space)
@@ -117,6 +106,9 @@ def inspect_steps(
         facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
     yield from _image_steps(spec, capture, facts, findings)
     return Report(path, tuple(facts), tuple(findings))
+
+
+inspect_capture = at_once(inspect_steps)
 
 
 def _image_steps(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...capture.inspect.checks import NARROW, flatness
 from ...core.errors import InputError
-from ...core.steps import map_steps, run_steps
+from ...core.steps import at_once, map_steps, run_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
@@ -108,34 +108,6 @@ class Lights:
         return lines
 
 
-def estimate_lights(
-    domain: Domain,
-    model: ReflectanceModel,
-    schedule: Schedule | None = None,
-    seed: int = 0,
-    fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
-    *,
-    intensities: bool = True,
-    refine_degrees: float = 0.0,
-    fitted: Sequence[int] | None = None,
-    entry: EntryChoice = "auto",
-) -> Lights:
-    """Return the lights that best explain about a thousand texels of a domain.
-
-    The start is semi-calibrated photometric stereo (Cho et al. 2016). Then recoveries of the texels and Gauss–Newton
-    steps of the lights alternate until neither changes. Images determine intensities up to one scale per channel: the
-    mean logarithm stays as given, except for a common factor where the surface would be brighter than white.
-    schedule: of the texels' recovery, ``standard`` by default, without spatial phases. fixed: as for a Recovery.
-    intensities: estimate them, each channel by itself. refine_degrees: standard deviation of the error of the given
-    directions (for near lights as seen from the texels), 0…20; 0 keeps them. fitted: the observations in the fit, all
-    by default; the others get the intensity that matches their own image. Raises InputError; otherwise as a Recovery.
-    """
-    return run_steps(
-        light_steps(domain, model, schedule, seed, fixed, intensities=intensities, refine_degrees=refine_degrees,
-                    fitted=fitted, entry=entry)
-    )  # fmt: skip
-
-
 def light_steps(
     domain: Domain,
     model: ReflectanceModel,
@@ -149,9 +121,17 @@ def light_steps(
     entry: EntryChoice = "auto",
     sample: LightSample | None = None,
 ) -> Generator[float, None, Lights]:
-    """Yield the fraction done, 0…1; return the result of ``estimate_lights``.
+    """Return the lights that best explain about a thousand texels of a domain.
 
-    sample: from ``sample.draw`` with the same seed and observations, drawn here where None.
+    The start is semi-calibrated photometric stereo (Cho et al. 2016). Then recoveries of the texels and Gauss–Newton
+    steps of the lights alternate until neither changes. Images determine intensities up to one scale per channel: the
+    mean logarithm stays as given, except for a common factor where the surface would be brighter than white.
+    schedule: of the texels' recovery, ``standard`` by default, without spatial phases. fixed: as for a Recovery.
+    intensities: estimate them, each channel by itself. refine_degrees: standard deviation of the error of the given
+    directions (for near lights as seen from the texels), 0…20; 0 keeps them. fitted: the observations in the fit, all
+    by default; the others get the intensity that matches their own image. sample: from ``sample.draw`` with the same
+    seed and observations, drawn here by default. Yields the fraction done, 0…1. Raises InputError; otherwise as a
+    Recovery.
     """
     check(intensities, refine_degrees)
     chosen = _indices(domain, fitted)
@@ -166,6 +146,9 @@ def light_steps(
     )  # fmt: skip
     step = yield from search.rounds()
     return search.found(domain, step)
+
+
+estimate_lights = at_once(light_steps)
 
 
 def chosen_steps(
