@@ -69,7 +69,7 @@ def shift_steps(frames: np.ndarray, reference: int = 0) -> Generator[float, None
     return Shifts(pixels, agreement, trusted)
 
 
-find_shifts = at_once(shift_steps)
+find_shifts = at_once("find_shifts", shift_steps)
 
 
 def _correlated(frames: np.ndarray) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:

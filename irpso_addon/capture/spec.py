@@ -114,7 +114,7 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
     )  # fmt: skip
 
 
-build_capture = at_once(build_steps)
+build_capture = at_once("build_capture", build_steps)
 
 
 @dataclass(frozen=True)

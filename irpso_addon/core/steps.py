@@ -22,13 +22,14 @@ def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = 
         each(step)
 
 
-def at_once(steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
-    """Return the function that takes the arguments of ``steps``, makes them all and returns their result."""
+def at_once(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable[P, T]:
+    """Return the function ``name`` that takes the arguments of ``steps``, makes them all and returns their result."""
 
     @functools.wraps(steps)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
         return run_steps(steps(*args, **kwargs))
 
+    run.__name__ = run.__qualname__ = name
     return run
 
 

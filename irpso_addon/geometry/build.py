@@ -69,7 +69,7 @@ def card_steps(
     return replace(domain, origin=(x0, y0))
 
 
-domain_from_card = at_once(card_steps)
+domain_from_card = at_once("domain_from_card", card_steps)
 
 
 def loading_steps(capture: Capture, on_mesh: bool) -> int:
@@ -157,7 +157,7 @@ def mesh_steps(
     return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2])
 
 
-domain_from_mesh = at_once(mesh_steps)
+domain_from_mesh = at_once("domain_from_mesh", mesh_steps)
 
 
 def mesh_surface(mesh: MeshData, width: int, height: int, allow_overlap: bool = False) -> Surface:

@@ -64,7 +64,7 @@ def sound_steps(spec: CaptureSpec, store: ImageStore) -> Generator[None, None, C
     return replace(spec, observations=shots, views=tuple(spec.views[index] for index in views), left_out=left_out)
 
 
-without_damaged = at_once(sound_steps)
+without_damaged = at_once("without_damaged", sound_steps)
 
 
 def check_numbers(image: ImageRef | str, found: Samples) -> None:

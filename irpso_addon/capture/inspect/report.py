@@ -108,7 +108,7 @@ def inspect_steps(
     return Report(path, tuple(facts), tuple(findings))
 
 
-inspect_capture = at_once(inspect_steps)
+inspect_capture = at_once("inspect_capture", inspect_steps)
 
 
 def _image_steps(

@@ -148,7 +148,7 @@ def light_steps(
     return search.found(domain, step)
 
 
-estimate_lights = at_once(light_steps)
+estimate_lights = at_once("estimate_lights", light_steps)
 
 
 def chosen_steps(

@@ -274,13 +274,12 @@ def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[st
     """Return the pass that draws a kind of picture."""
     packed = kernels.packed(model)
     measured = Packed({"error": 1, "confidence": packed.textures, "unknown": packed.textures}.get(kind, 0))
-    samplers: dict[str, str | Packed]
-    samplers = {"u_estimate": packed, "u_measure": measured, "u_ramp": kernels.FLOAT_2D}
+    own = {"u_estimate": packed, "u_measure": measured}
+    samplers = {**own, "u_ramp": kernels.FLOAT_2D, **kernels.OBSERVATIONS, **kernels.PACKING}
     name, constants = f"show_{kind}", _OBSERVATION
     if kind in ("parameter", "unknown"):
         name, constants = "show_parameter", _PARAMETER
     elif measured.textures:
         name, constants = "show_measure", _MEASURE
-    samplers |= kernels.OBSERVATIONS | kernels.PACKING
     output, given = Output("o_picture", "RGBA16F"), kernels.model_includes(model)
     return Pass(Kernel(f"view/{name}.glsl", (output,), samplers, constants, domain_defines, given))
