@@ -140,7 +140,7 @@ class Run:
     def change(self, schedule: Schedule) -> None:
         """Continue with another schedule from the current state. Raises InputError; then nothing has changed."""
         if schedule.levels != self.job.schedule.levels:
-            raise InputError(f"Levels: a recovery under way keeps its {self.job.schedule.levels}; set that, or stop")
+            raise InputError(f"Levels: a running recovery keeps its {self.job.schedule.levels}; set that, or stop")
         before = present(self.recovery)
         self.recovery, self.job = before.reconfigure(schedule), replace(self.job, schedule=schedule)
         before.close()

@@ -134,7 +134,7 @@ class Pyramid(RecoveryEngine):
     def reconfigure(self, schedule: Schedule, seed: int | None = None) -> Pyramid:
         """Return a run that continues from here, as Recovery.reconfigure; the number of levels must stay."""
         if schedule.levels != self.schedule.levels:
-            raise InputError(f"levels = {schedule.levels}: a run under way has {self.schedule.levels}; begin another")
+            raise InputError(f"levels = {schedule.levels}: this run has {self.schedule.levels}; begin another")
         result = copy(self)
         result.schedule, result.seed = schedule, self.seed if seed is None else seed
         result._schedules = level_schedules(schedule)

@@ -1,4 +1,4 @@
-"""How far a recovery is, and how long it has left."""
+"""The progress of a recovery, and its time left."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from ..settings.resolve import Resolved
 
-_LEAST_FRACTION = 0.003  # of the work, before a pace is believed
-_LEAST_OF_STAGE = 0.02  # of the work, before a stage's own pace is
+_LEAST_FRACTION = 0.003  # of the work, for a pace of the run
+_LEAST_OF_STAGE = 0.02  # of the work, for a pace of the stage
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a recovery is. iteration counts from 0 in the stage, negative while swarms are being placed.
+    """The progress of a recovery. iteration counts from 0 in the stage, negative while swarms are being placed.
 
-    iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1; stage_end: what
-    that is where the stage ends. evaluations: renders of all observations at one texel, so far.
+    iteration_in_all, iterations_in_all: the same over all stages. fraction: of all the work, 0 to 1; stage_end: the
+    fraction at the end of the stage. evaluations: renders of all observations at one texel so far.
     """
 
     stage: int
@@ -35,7 +35,7 @@ class Progress:
 
 
 class Course:
-    """The stages of a recovery, and how much of all work is done at an iteration of one of them.
+    """The stages of a recovery and their shares of the work.
 
     works: for each stage the work of its iterations, those of its placing first.
     """
@@ -47,10 +47,7 @@ class Course:
         self._ends = np.cumsum([0.0, *(done[-1] for done in self._done)])
 
     def at(self, index: int, iteration: int | None, part: float, evaluations: int) -> Progress:
-        """Return the progress at an iteration of stage ``index``, None where all are done.
-
-        part: how much of the iteration under way is done, 0 to 1.
-        """
+        """Return the progress at an iteration of stage ``index``, None if all are done. part: of the iteration, 0…1."""
         stages, done = self._stages, iteration is None
         total = sum(stage.iterations for stage in stages)
         index = min(index, len(stages) - 1)
@@ -65,7 +62,7 @@ class Course:
         )
 
     def _fractions(self, index: int, iteration: int, part: float) -> tuple[float, float]:
-        """Return how much of all work is done, and will be with the stage."""
+        """Return the fractions of all work that are done, now and at the end of the stage."""
         done = self._done[index]
         made = min(len(done) - 1 - self._stages[index].iterations + iteration, len(done) - 1)
         step = part * (done[min(made + 1, len(done) - 1)] - done[made])
@@ -75,17 +72,17 @@ class Course:
 class TimeLeft:
     """The seconds that a run has left, from its progress at several times.
 
-    The stage under way goes on at its own pace, once that is known, all others go at the run's. A run that goes on from
-    a checkpoint is measured from where it was taken up.
+    The current stage has its own pace, once that is known, the others have the run's. A resumed run is measured from
+    its checkpoint on.
     """
 
     def __init__(self) -> None:
-        self._run: tuple[float, float] | None = None  # seconds and fraction where it began
+        self._run: tuple[float, float] | None = None  # seconds and fraction at its begin
         self._stage: tuple[float, float] = (0.0, 0.0)
         self._number = -1
 
     def after(self, seconds: float, progress: Progress) -> float | None:
-        """Return the seconds left after so many that were worked; None while there is too little to tell from."""
+        """Return the seconds left after ``seconds`` of work; None as long as the pace is unknown."""
         now = seconds, progress.fraction
         if self._run is None or now[0] < self._run[0]:
             self._run, self._number = now, -1
@@ -102,6 +99,6 @@ class TimeLeft:
 
 
 def _pace(since: tuple[float, float], now: tuple[float, float], least: float) -> float | None:
-    """Seconds for all of the work, None where less than ``least`` of it was made."""
+    """Return the seconds for all of the work, None if less than ``least`` of it is done."""
     made = now[1] - since[1]
     return (now[0] - since[0]) / made if made >= least else None

@@ -1,4 +1,4 @@
-"""What a schedule comes down to for one model: the phases that are to be gone through, one after the other."""
+"""The phases of a schedule for one model, in order."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _USUAL_STAGES = {"diffuse", "normal", "specular"}  # a model need not have all o
 
 @dataclass(frozen=True)
 class ResolvedSwarm:
-    """A stage for one model: the parameters that are searched, in the table's order, and for how long.
+    """A stage for one model: the searched parameters, in the table's order, and the number of iterations.
 
-    solved: those that are found in closed form for every particle instead.
+    solved: parameters in closed form for every particle.
     """
 
     parameters: tuple[Parameter, ...]
@@ -28,22 +28,22 @@ class ResolvedSwarm:
 
     @property
     def title(self) -> str:
-        """What is searched, for people."""
+        """The searched parameters, for people."""
         return " + ".join(p.name for p in (*self.parameters, *self.solved))
 
     def dimensions(self, normal: NormalSearch) -> int:
-        """Return n, the number of dimensions that a particle has."""
+        """Return n, the number of dimensions of a particle."""
         return sum(self.size(p, normal) for p in self.parameters)
 
     @staticmethod
     def size(parameter: Parameter, normal: NormalSearch) -> int:
-        """Return how many dimensions a parameter is searched in."""
+        """Return the number of dimensions of a parameter."""
         return (2 if normal == "hemisphere" else 3) if parameter.is_normal else parameter.components
 
 
 @dataclass(frozen=True)
 class ResolvedRefinement:
-    """The refinement for one model: the parameters that are found together, and where to begin besides the estimate."""
+    """The refinement for one model: its parameters, and the starts besides the estimate."""
 
     parameters: tuple[Parameter, ...]
     refinement: Refinement
@@ -52,7 +52,7 @@ class ResolvedRefinement:
 
     @property
     def iterations(self) -> int:
-        """How many steps are made in all."""
+        """The number of all steps."""
         settings = self.refinement
         from_starts = settings.start_iterations * (len(self.starts) + 1) if self.starts else 0
         return from_starts + settings.iterations + settings.rounds * settings.round_iterations
@@ -60,14 +60,14 @@ class ResolvedRefinement:
 
 @dataclass(frozen=True)
 class ResolvedMaterials(ResolvedRefinement):
-    """The phase of the materials that the surface shares: a refinement whose rounds begin with what those offer."""
+    """The phase of the surface's shared materials: a refinement whose rounds begin with their offers."""
 
     materials: Materials = Materials()
 
 
 @dataclass(frozen=True)
 class ResolvedPrefit:
-    """The prefit: what its swarms and its refinement search, all of its own model."""
+    """The prefit: its swarms and its refinement, of its own model."""
 
     stage: ResolvedSwarm
     refinement: ResolvedRefinement
@@ -76,7 +76,7 @@ class ResolvedPrefit:
 
     @property
     def iterations(self) -> int:
-        """How many iterations are made in all."""
+        """The number of all iterations."""
         return self.stage.iterations + self.refinement.iterations
 
 
@@ -84,7 +84,7 @@ class ResolvedPrefit:
 class ResolvedPrior:
     """The spatial prior for one model.
 
-    parameters: all that is found. pooled: the scalars among them; colours are pooled, too. step: what is then moved.
+    parameters: all of it. pooled: the scalars among them; colours are pooled, too. step: the parameters that then move.
     """
 
     parameters: tuple[Parameter, ...]
@@ -96,7 +96,7 @@ class ResolvedPrior:
 
     @property
     def iterations(self) -> int:
-        """How many there are: the noise, what the samples tell, the rounds, and the steps."""
+        """The number of iterations: the noise, the deviations, the rounds, and the steps."""
         return 2 + self.prior.rounds + self.prior.iterations
 
 
@@ -142,7 +142,7 @@ def _resolve_refinement_of_the_rest(
     at 5.5 % of the texels; with this refinement at 0.24 %. More iterations or rounds do not lower that.
     """
     rest = tuple(p for p in parameters if not p.is_normal)
-    if not any(p.kind == "search" for p in rest):  # what is linear the swarms have solved
+    if not any(p.kind == "search" for p in rest):  # the swarms have solved linear parameters
         return ()
     shorter = replace(
         refinement, starts=False, iterations=refinement.start_iterations, rounds=min(refinement.rounds, _ROUNDS)
@@ -155,7 +155,7 @@ def _resolve_materials(schedule: Schedule, parameters: tuple[Parameter, ...]) ->
     none = settings.rounds == 0 or schedule.refinement.iterations == 0
     if none or not any(p.kind == "search" and not p.is_normal for p in parameters):
         return ()
-    # One step first: what is offered is held against a fitness that has to be known.
+    # One step first: offers are compared with the estimate's fitness.
     rounds = replace(
         schedule.refinement, starts=False, iterations=1, rounds=settings.rounds, round_iterations=settings.iterations
     )
