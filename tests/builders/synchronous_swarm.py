@@ -116,16 +116,14 @@ class Bench:
 
     def found_fitness(self) -> np.ndarray:
         """Return (m, H, W): the fitness of every particle after the last iteration."""
-        stage = self.stage
-        fours = [stage.reader.read(t).astype(np.float64) for t in stage.textures.found[: -(-stage.particles // 4)]]
-        fits = np.moveaxis(np.concatenate(fours, axis=-1), -1, 0)[: stage.particles]
+        found = self.stage.read("found_fitness").astype(np.float64)
+        fits = np.moveaxis(found, -1, 0)[: self.stage.particles]
         return np.stack([self.packing.unpack(one, swarm.UNFIT) for one in fits])
 
     def found_weights(self) -> np.ndarray:
         """Return (H, W, L): the linear weights of the best particle of the last iteration."""
-        stage = self.stage
-        parts = [stage.reader.read(t).astype(np.float64) for t in stage.textures.found[-(-stage.particles // 4) :]]
-        return self.packing.unpack(np.concatenate(parts, axis=-1))[..., : len(self.problem.weights)]
+        found = self.stage.read("found_linear").astype(np.float64)
+        return self.packing.unpack(found)[..., : len(self.problem.weights)]
 
     def advance(self) -> None:
         """Make one iteration."""

@@ -22,7 +22,7 @@ from ..phases.begin import begin_phase, check_seed
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import AcceptanceTest, PrefitPhase
 from ..phases.swarm import SwarmPhase
-from ..planning.cost import particle_tiles, work_of
+from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from ..state import prepare
@@ -219,7 +219,7 @@ class Recovery(RecoveryEngine):
     @property
     def particle_tiles(self) -> int:
         """The number of W×H tiles in the atlas of the stage's particles; 1 where it has none."""
-        return particle_tiles(self._stages[self._index], self.schedule) if self._phase is not None else 1
+        return 1 if self._phase is None else phase_table(self._stages[self._index], self.model, self.schedule).tiles
 
     def memory(self) -> Checkpoint:
         """Return the contents of all textures that outlive an iteration, for ``remember``."""

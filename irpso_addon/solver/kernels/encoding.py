@@ -16,18 +16,18 @@ _ROOM = 8  # dimensions of a particle, at most
 class Encoding:
     """dimensions: n of 0 to 8. source: GLSL ``decode(x, reach, s)`` and ``encode(s, reach, x)``. defines: kernels'.
 
-    lambert_tells: a bit for every dimension of which a Lambertian seed knows something: the normal and the albedo.
+    lambert_dimensions: bit mask of the dimensions that a Lambertian seed sets: those of normal and albedo.
     """
 
     dimensions: int
     source: str
     defines: dict[str, int]
-    lambert_tells: int
+    lambert_dimensions: int
 
     @property
     def blocks(self) -> int:
-        """How many RGBA texels hold one particle."""
-        return 1 if self.dimensions <= 4 else 2
+        """Number of RGBA texels that hold a particle."""
+        return blocks_of(self.dimensions)
 
     @property
     def packed(self) -> Packed:
@@ -35,15 +35,20 @@ class Encoding:
         return Packed(self.blocks, _ROOM)
 
 
+def blocks_of(dimensions: int) -> int:
+    """Return the number of RGBA texels that hold a particle."""
+    return 1 if dimensions <= 4 else 2
+
+
 def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: NormalSearch) -> Encoding:
     """Return the encoding of a stage: its parameters one after the other, each component scaled to its range."""
     decode, encode, places = [], [], {}
     defines = {"NORMAL_SIZE": 0, "NORMAL_AT": 0}
-    at = tells = 0
+    at = mask = 0
     for p in stage.parameters:
         places[p.name] = at
         if p.is_normal or p.is_albedo:
-            tells |= (1 << stage.size(p, normal)) - 1 << at
+            mask |= (1 << stage.size(p, normal)) - 1 << at
         if p.is_normal:
             size = 2 if normal == "hemisphere" else 3
             arguments = ", ".join(f"x[{at + i}]" for i in range(size))
@@ -71,4 +76,4 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
          "void decode(inout float x[8], float reach, inout Material s) {", *decode, "}",
          "void encode(Material s, float reach, out float x[8]) {", clear, *encode, "}", ""]
     )  # fmt: skip
-    return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": 1 if at <= 4 else 2}, tells)
+    return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": blocks_of(at)}, mask)

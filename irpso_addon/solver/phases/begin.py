@@ -1,10 +1,11 @@
-"""The phase that a resolved stage asks for."""
+"""The phase of a resolved stage."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from ...core.errors import InputError
+from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
 from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement
 from ..settings.schedule import Schedule
@@ -22,7 +23,7 @@ _SEED_STEP = 0x9E3779B1  # between the seeds of stages: odd, so that no two of 2
 
 
 def check_seed(seed: int) -> None:
-    """Raise InputError where a seed is no whole number from −2³¹ to 2³¹ − 1."""
+    """Raise InputError unless a seed is a whole number from −2³¹ to 2³¹ − 1."""
     if not isinstance(seed, int) or not -_SEEDS <= seed < _SEEDS:
         raise InputError(f"seed: must be a whole number from {-_SEEDS} to {_SEEDS - 1}, not {seed!r}")
 
@@ -35,11 +36,11 @@ def begin_phase(
     seed: int,
     domain: DomainTextures,
     estimates: Estimates,
-    entry: str,
+    entry: Entry,
     acceptance: Callable[[], AcceptanceTest | None],
 ) -> Phase:
-    """Return the phase of stage ``index``. seed: of the recovery. acceptance: makes the test of what it finds."""
-    # Every stage draws numbers of its own: replaying the first one's would start each cycle at the same places.
+    """Return the phase of stage ``index``. seed: of the recovery. acceptance: makes the test of its result."""
+    # Every stage has its own random numbers: with the first one's each cycle would start at the same places.
     seed = (seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
     if isinstance(stage, ResolvedRefinement):
         test = acceptance() if any(p.is_normal for p in stage.parameters) else None
@@ -49,5 +50,5 @@ def begin_phase(
         return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
         return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry)
-    swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
-    return swarm(stage, model, schedule, seed, domain, estimates, entry)
+    kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
+    return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)

@@ -1,93 +1,182 @@
-"""What a recovery asks of each of its phases, whatever searches in it."""
+"""The contract of a phase, and what the phases with textures of their own share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from ...gpu.bands import Bands
+from ...gpu.passes import Entry
+from ...gpu.textures import Texture
+from ...reflectance.model import ReflectanceModel
+from ..settings.resolve import Resolved
+from ..settings.schedule import Schedule
+from ..state.phase_textures import PhaseTextures
+from ..state.reader import Reader
+from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
-BACKGROUND_BAND_SECONDS = 0.25  # well under the two seconds at which drivers kill a draw
-_BANDS = 8  # that a long time budget is cut into
-_SHARE = 0.5  # of a time budget that one band takes: the last one begins before the budget is spent
+BACKGROUND_BAND_SECONDS = 0.25  # drivers kill a draw after two seconds
+_BANDS = 8  # in a long time budget
+_SHARE = 0.5  # of a time budget, for one band: the last one begins before the budget is spent
 
 
 def band_seconds(time_budget_s: float | None) -> float:
-    """Return how long a band of a step takes, by the time budget of the step, None for none."""
+    """Return the seconds of a band in a step with a time budget; None: without."""
     if time_budget_s is None:
         return BACKGROUND_BAND_SECONDS
     return min(max(BAND_SECONDS, time_budget_s / _BANDS), _SHARE * time_budget_s)
 
 
 class Phase(Protocol):
-    """One phase under way: it reads the current estimates and puts what it finds into the resolved ones.
+    """A sequence of iterations. It reads the current estimates and writes the resolved ones.
 
-    title: what is searched, for people. iteration: how many were made, negative while swarms are being placed.
-    iterations: how many there will be. done: whether all were made. evaluations: renders of all observations that the
-    iteration that is next makes at each texel. reach: how many texels away it reads what others have found (0: none),
-    which is the halo that tiles must have exchanged before it. placed: whether it has found anything to look at; until
-    then the current estimates are what there is.
-
-    Its textures and shaders are made where they are first needed, in the slices of ``advance``.
+    title: of what is searched, for display. iterations: their number. Textures and shaders are made at first use, in
+    slices of ``advance``.
     """
 
     title: str
-    iteration: int
     iterations: int
 
     @property
-    def done(self) -> bool: ...  # noqa: D102
+    def iteration(self) -> int:
+        """Number of finished iterations; negative while swarms are placed."""
 
     @property
-    def evaluations(self) -> int: ...  # noqa: D102
+    def done(self) -> bool:
+        """Whether all iterations are finished."""
+        return self.iteration >= self.iterations
 
     @property
-    def reach(self) -> int: ...  # noqa: D102
+    def evaluations(self) -> int:
+        """Renders of all observations that the next iteration makes at a texel that has not converged."""
 
     @property
-    def placed(self) -> bool: ...  # noqa: D102
+    def reach(self) -> int:
+        """Distance, in texels, at which the next iteration reads neighbours; 0 if it reads none."""
+
+    @property
+    def placed(self) -> bool:
+        """Whether there is a result to show; until then the current estimates are shown."""
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Make one iteration in bands of rows of about ``seconds``; yield after each. Counts up when it is whole."""
+        """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Put what has been found so far into the resolved estimates, in bands; yield after each. Changes no search."""
+        """Write the result so far into the resolved estimates, in bands. The search itself does not change."""
 
-    def preview(self, targets: list[Any]) -> None:
-        """Put what has been found so far, if something is placed, into other textures: cheap, without the last word."""
+    def preview(self, targets: Sequence[Texture]) -> None:
+        """Write the result so far into other textures, before any acceptance test."""
+        return None
 
     def resolve(self) -> None:
-        """Put what has been found so far into the resolved estimates, at once."""
+        """Do what ``conclude`` does, at once."""
         for _ in self.conclude(Bands(), BACKGROUND_BAND_SECONDS):
             pass
 
     def reached(self, threshold: float) -> bool:
-        """Return whether the fitness of every texel that is solved here is at or under ``threshold``."""
+        """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
+        return False
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: what neighbours read of each texel; NaN where none is solved."""
+        """Return (H, W, n) float32 over the domain: what neighbours read of a texel; NaN where none is solved."""
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles; the tile's own stay."""
+        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
 
     def sample(self) -> np.ndarray | None:
-        """Return this tile's part of the sample of the whole domain (mixture.py) that the next iteration needs.
+        """Return this tile's part of the domain's sample (mixture.py) that the next iteration needs; None if none.
 
-        None where it needs none. An iteration that needs one has a ``reach`` too.
+        An iteration that needs a sample also has a ``reach``.
         """
         return None
 
     def take_sample(self, sample: np.ndarray) -> None:
         """Take the sample of the whole domain."""
+        return None
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration, by name."""
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        """Go on from what ``state`` returned at an iteration."""
+        """Continue from the ``state`` of an iteration."""
 
     def close(self) -> None:
         """Free shaders and textures."""
+
+
+class Acceptance(Protocol):
+    """A test that decides which resolved estimates are accepted."""
+
+    def deciding(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Replace the resolved estimates by the accepted ones, in bands; takes effect after the last one."""
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+
+
+class Passes(Protocol):
+    """The compiled passes of a phase."""
+
+    def close(self) -> None:
+        """Free the shaders."""
+
+
+class TexturePhase(Phase):
+    """A phase whose textures a table declares. A subclass sets ``textures`` and ``passes``.
+
+    acceptance: test of what it resolves, if there is one.
+    """
+
+    iteration = 0
+    textures: PhaseTextures
+    passes: Passes
+
+    def __init__(
+        self,
+        resolved: Resolved,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+        acceptance: Acceptance | None = None,
+    ):
+        self.title, self.iterations = resolved.title, resolved.iterations
+        self.model, self.schedule, self.domain, self.estimates = model, schedule, domain, estimates
+        self.acceptance = acceptance
+        self.reader = Reader(entry)
+
+    def read(self, *names: str) -> np.ndarray:
+        """Return (h, w, channels) of the current textures of some groups, channels side by side."""
+        self.textures.ensure()
+        return np.concatenate([self.reader.read(texture) for texture in self.textures.of(*names)], axis=-1)
+
+    def fitness(self) -> np.ndarray:
+        """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved."""
+        raise NotImplementedError
+
+    def reached(self, threshold: float) -> bool:
+        """Return whether the fitness of each of the tile's own texels is at most ``threshold``."""
+        solved = texel_states(self.domain.domain) == SOLVED
+        return bool((self.fitness()[solved] <= threshold).all())
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that outlives an iteration, by name."""
+        self.textures.ensure()
+        return {name: self.reader.read(texture) for name, texture in self.textures.remembered.items()}
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Continue from the ``state`` of an iteration."""
+        self.textures.restore(arrays)
+        self.iteration = iteration
+
+    def close(self) -> None:
+        """Free shaders and textures."""
+        if self.acceptance is not None:
+            self.acceptance.close()
+        self.passes.close()
+        self.reader.close()
+        self.textures.close()

@@ -1,4 +1,4 @@
-"""Swarms of which one random particle moves an iteration, in lock step: the paper's."""
+"""Sequential swarms, the paper's: an iteration moves one random particle of every swarm."""
 
 from __future__ import annotations
 
@@ -6,22 +6,24 @@ from collections.abc import Iterator
 
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry
-from ...reflectance.model import ReflectanceModel
-from ..kernels.kernels import build_sequential_swarm_passes
-from ..state.textures import DomainTextures, SwarmTextures
+from ..kernels.kernels import SequentialSwarmPasses, build_sequential_swarm_passes
+from ..state.phase_textures import PhaseTextures, sequential_swarm_table
 from .swarm import SwarmPhase
 
 
 class SequentialSwarmPhase(SwarmPhase):
-    """The swarms of a stage, a Phase. ``iteration`` counts from −particles, while it places one particle of each."""
+    """A Phase. ``iteration`` counts from −particles: each of these iterations places one particle of every swarm."""
 
-    evaluations = 1  # one particle of each swarm moves
+    evaluations = 1
+    passes: SequentialSwarmPasses
 
-    def _build(self, model: ReflectanceModel, domain: DomainTextures, entry: Entry) -> None:
-        self.textures = SwarmTextures(self.width, self.height, self.particles, self.encoding)
+    def _build(self, entry: Entry) -> None:
+        table = sequential_swarm_table(self.particles, self.encoding.blocks)
+        self.textures = PhaseTextures(table, self.width, self.height)
         self.passes = build_sequential_swarm_passes(
-            model, self.encoding, self.schedule, self.particles, self.textures.atlas.across, domain.defines, entry
-        )
+            self.model, self.encoding, self.schedule, self.particles, self.textures.atlas.across, self.domain.defines,
+            entry,
+        )  # fmt: skip
         self.iteration = -self.particles
 
     @property
@@ -30,16 +32,16 @@ class SequentialSwarmPhase(SwarmPhase):
         return self.iteration > -self.particles
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.textures.make()
-        held, passes, constants = self.textures, self.passes, self.constants()
+        passes, constants, inputs = self.passes, self.constants(), self._inputs()
         name, move = ("place", passes.start) if self.iteration < 0 else ("move", passes.move)
-        candidates = [*held.candidates, held.verdict]
-        yield from move.in_bands(name, bands, seconds, candidates, self._inputs(), constants, counted=True)
-        for name, work, targets in (
-            ("state", passes.commit_state, [held.position, held.velocity]),
-            ("personal", passes.commit_personal, [held.best, held.fitness]),
-            ("global", passes.commit_global, [*held.best_places, held.best_fitness]),
+        candidates = self.textures.of("candidates", "verdict")
+        yield from move.in_bands(name, bands, seconds, candidates, inputs, constants, counted=True)
+        for name, commit, groups in (
+            ("state", passes.commit_state, ("position", "velocity")),
+            ("personal", passes.commit_personal, ("best", "fitness")),
+            ("global", passes.commit_global, ("global_best", "global_fitness")),
         ):
-            yield from work.in_bands(name, bands, seconds, targets, held.candidate_bindings(), constants)
+            yield from commit.in_bands(name, bands, seconds, self.textures.of(*groups), inputs, constants)
         self.iteration += 1

@@ -1,15 +1,16 @@
-"""The materials that the surface shares, under way: every texel tries what texels elsewhere are of."""
+"""Shared materials: every texel tries the means of a mixture over all texels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.bands import Bands
+from ...gpu.textures import Texture
 from ..kernels.refinement import SPREAD_REACH
+from ..settings.resolve import ResolvedMaterials
 from ..state.textures import SOLVED, texel_states
 from .mixture import features_of, material_table, sampled
 from .refinement import BEST, SPREAD, RefinementPhase, Track
@@ -18,32 +19,33 @@ _TABLE = "materials"  # in a state
 
 
 class SharedMaterialsPhase(RefinementPhase):
-    """A Phase: a refinement whose rounds begin with the materials of a sample of the whole surface (mixture.py).
+    """A Phase: a refinement whose rounds begin with the materials of a sample of the whole domain (mixture.py).
 
-    Each round finds them anew. A tile or a rank is given the sample of all before an iteration whose ``reach`` is not
-    0; without, its own stands for the whole.
+    Each round estimates the mixture again. A tile or a rank takes the whole domain's sample before an iteration whose
+    ``reach`` is not 0; without it, its own sample stands for the whole.
     """
 
-    _table: Any = None
+    resolved: ResolvedMaterials
+    _table: Texture | None = None
 
     @property
     def reach(self) -> int:
-        """SPREAD_REACH where the next iteration needs the halo's estimates and everyone's sample."""
+        """SPREAD_REACH if the next iteration needs the halo's estimates and the whole domain's sample."""
         return SPREAD_REACH if self._in_round and self._table is None and not self.done else 0
 
     def sample(self) -> np.ndarray:
         """Return this tile's part of the sample, as ``mixture.sampled`` does."""
         self._ensure()
-        packed = np.concatenate([self._reader.read(texture) for texture in self.best[:-1]], axis=-1)
-        values = self._domain.packing.unpack(packed[..., : self._components])
-        domain = self._domain.domain
+        packed = np.concatenate([self.reader.read(texture) for texture in self.best[:-1]], axis=-1)
+        values = self.domain.packing.unpack(packed[..., : self.model.components])
+        domain = self.domain.domain
         rows, columns = np.nonzero(texel_states(domain) == SOLVED)
         return sampled(rows + domain.origin[1], columns + domain.origin[0], values[rows, columns])
 
     def take_sample(self, sample: np.ndarray) -> None:
-        """Find the materials of this round. sample: of the whole domain."""
-        features = features_of(self._model, self._resolved.parameters, sample)
-        self._table = textures.upload(material_table(features, self._resolved.materials.count))
+        """Estimate the materials of this round. sample: of the whole domain."""
+        features = features_of(self.model, self.resolved.parameters, sample)
+        self._table = textures.upload(material_table(features, self.resolved.materials.count))
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration, as RefinementPhase does."""
@@ -52,16 +54,16 @@ class SharedMaterialsPhase(RefinementPhase):
             self.take_sample(self.sample())
             yield
         yield from super().advance(bands, seconds)
-        if self._track()[1] == 0:
+        if self.track[1] == 0:
             self._table = None
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration; in a round its materials too, which are no texel's."""
-        table = {} if self._table is None else {_TABLE: self._reader.read(self._table)}
+        """Return all that outlives an iteration; in a round also its materials, which belong to no texel."""
+        table = {} if self._table is None else {_TABLE: self.reader.read(self._table)}
         return super().state() | table
 
     def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        """Go on from what ``state`` returned at an iteration; without its materials they are found again."""
+        """Continue from the ``state`` of an iteration; without the materials the round estimates them again."""
         super().restore(arrays, iteration)
         self._table = textures.upload(arrays[_TABLE]) if _TABLE in arrays else None
 
@@ -72,16 +74,16 @@ class SharedMaterialsPhase(RefinementPhase):
 
     @property
     def _in_round(self) -> bool:
-        return self._track()[0].start == SPREAD
+        return self.track[0].start == SPREAD
 
     def _widening(self, track: Track, made: int) -> float:
         last = track.iterations - 1
-        return 1.0 if track.start == BEST or last == 0 else self._refinement.widening ** (1 - made / last)
+        return 1.0 if track.start == BEST or last == 0 else self.refinement.widening ** (1 - made / last)
 
-    def _bindings(self, held: list[Any]) -> dict[str, Any]:
+    def _material(self, held: list[Texture]) -> dict[str, Texture]:
         table = {} if self._table is None else {"u_materials": self._table}
-        return {**super()._bindings(held), **table}
+        return {**super()._material(held), **table}
 
     def _constants(self, start: int = BEST, widening: float = 1.0) -> dict[str, int | float]:
-        first = self.iteration < 1 + self._refinement.round_iterations
+        first = self.iteration < 1 + self.refinement.round_iterations
         return {**super()._constants(start, widening), "u_mirror": int(not first)}

@@ -1,86 +1,43 @@
-"""The spatial prior under way: what neighbours say of the numbers that a texel's own samples do not tell."""
+"""The spatial prior: neighbours of similar material improve parameters that a texel's own samples leave uncertain."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ...gpu import textures
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry, Pass
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels.spatial_prior import DEVIATION, FIRST_ROUND, NOISE, build_prior_passes, evaluations_of, reach_of
+from ..kernels.spatial_prior import (
+    DEVIATION,
+    FIRST_ROUND,
+    NOISE,
+    PriorPasses,
+    build_prior_passes,
+    evaluations_of,
+    reach_of,
+)
 from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
-from ..state.reader import Reader
-from ..state.textures import HALO, DomainTextures, Estimates, IncrementalAllocation, loss_constants, packed_states
-from .phase import Phase
-from .refinement import AcceptanceTest
+from ..state.phase_textures import PhaseTextures, prior_table
+from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
+from .phase import Acceptance, TexturePhase
+
+_HALO = ("noise", "mean", "deviation")  # the groups that neighbours read
 
 
-class PriorTextures(IncrementalAllocation):
-    """What a prior remembers of every texel.
+class SpatialPriorPhase(TexturePhase):
+    """A Phase: empirical Bayes over similar neighbours, then a fit to the samples and to that prior.
 
-    noise: of the samples (shaders/prior/variance.glsl). belief: means, then deviations, of the numbers: what
-    neighbours look at, and after the last round the prior itself. own: how well the texel's own samples tell them.
-    work: the estimates that are fitted to both, and their status. penalty: of the estimates as they were.
+    Iteration 0 measures the noise of the samples, iteration 1 the deviation of each parameter. Each round pools the
+    neighbours' parameters; the remaining iterations step to the most probable material. A texel keeps its estimates if
+    that material fits significantly worse, or if the acceptance test rejects it.
     """
 
-    def __init__(self, width: int, height: int, count: int):
-        super().__init__()
-        self._size, self.count = (width, height), count
-
-    def _make(self) -> Iterator[None]:
-        def several(number: int) -> list[Any]:
-            return [textures.empty(*self._size, value=0.0) for _ in range(number)]
-
-        count = self.count
-        self.noise, self.spare_noise = several(2)
-        yield
-        self.belief = several(2 * count)
-        yield
-        self.spare_belief = several(2 * count)
-        yield
-        self.own = several(count)
-        yield
-        self.work = several(count + 1)
-        yield
-        self.spare_work = several(count + 1)
-        self.penalty = textures.empty(*self._size, "R32F", value=0.0)
-        yield
-
-    @property
-    def remembered(self) -> dict[str, Any]:
-        """The textures that outlive an iteration, by name: what a checkpoint holds."""
-        groups = {"belief": self.belief, "own": self.own, "work": self.work}
-        several = {f"{name}_{i}": texture for name, group in groups.items() for i, texture in enumerate(group)}
-        return {"noise": self.noise, "penalty": self.penalty, **several}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Take the contents that ``remembered`` had, from arrays of the same names."""
-        self.ensure()
-        self.noise, self.penalty = textures.upload(arrays["noise"]), textures.upload(arrays["penalty"])
-        self.belief = [textures.upload(arrays[f"belief_{i}"]) for i in range(2 * self.count)]
-        self.own = [textures.upload(arrays[f"own_{i}"]) for i in range(self.count)]
-        self.work = [textures.upload(arrays[f"work_{i}"]) for i in range(self.count + 1)]
-
-    def bindings(self) -> dict[str, Any]:
-        """Return by sampler name what is remembered."""
-        means, deviations = self.belief[: self.count], self.belief[self.count :]
-        groups = {"mean": means, "deviation": deviations, "own": self.own, "work": self.work[:-1]}
-        several = {f"u_{name}_{i}": texture for name, group in groups.items() for i, texture in enumerate(group)}
-        return {"u_noise": self.noise, "u_penalty": self.penalty, "u_work_status": self.work[-1], **several}
-
-
-class SpatialPriorPhase(Phase):
-    """The prior of a recovery, a Phase: empirical Bayes over neighbours that are alike, then a fit to both.
-
-    Iteration 0 asks what the fit leaves of the samples, iteration 1 how well they tell each number, the rounds what
-    neighbours say of them; the steps that follow look for the most probable material. A texel keeps what it had where
-    that fits significantly worse, and where the acceptance test says so.
-    """
+    placed = False  # the most probable material shows at the end, after its comparison with the samples
+    passes: PriorPasses
 
     def __init__(
         self,
@@ -90,134 +47,92 @@ class SpatialPriorPhase(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
-        acceptance: AcceptanceTest | None = None,
+        acceptance: Acceptance | None = None,
     ):
-        self._acceptance = acceptance
-        self.title, self.iterations = resolved.title, resolved.iterations
-        self.iteration = 0
-        self._resolved, self._model, self._schedule = resolved, model, schedule
-        self._domain, self._estimates = domain, estimates
+        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+        self.resolved = resolved
         self.passes = build_prior_passes(model, resolved, schedule, domain.defines, entry)
-        self.textures = PriorTextures(*estimates.size, estimates.count)
-        self._reader = Reader(entry)
+        self.textures = PhaseTextures(prior_table(estimates.count), *estimates.size)
         self._first_step = FIRST_ROUND + resolved.prior.rounds
 
     @property
-    def done(self) -> bool:
-        """Whether all iterations have been made."""
-        return self.iteration >= self.iterations
-
-    @property
     def evaluations(self) -> int:
-        """Renders of all observations that the next iteration makes at a texel, unless that is left alone."""
-        return evaluations_of(self._resolved, self._model, self.iteration)
+        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        return evaluations_of(self.resolved, self.model, self.iteration)
 
     @property
     def reach(self) -> int:
-        """How many texels away the next iteration looks at neighbours."""
-        return reach_of(self._resolved.prior) if NOISE < self.iteration < self._first_step else 0
-
-    placed = False  # what is most probable shows at the end, where it is held against the samples
+        """Distance, in texels, at which the next iteration reads neighbours."""
+        return reach_of(self.resolved.prior) if NOISE < self.iteration < self._first_step else 0
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Make one iteration in bands of rows of about ``seconds``; yields after each. Counts up when it is whole."""
+        """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
         yield from self.textures.make()
-        held, passes, count = self.textures, self.passes, self._estimates.count
+        held, passes = self.textures, self.passes
         if self.iteration == NOISE:
-            yield from self._banded("noise", passes.noise, [held.noise, *held.belief[:count]], bands, seconds)
+            yield from self._banded("noise", passes.noise, held.of("noise", "mean"), bands, seconds)
         elif self.iteration == DEVIATION:
-            yield from self._banded("variance", passes.variance, [held.spare_noise], bands, seconds)
-            held.noise, held.spare_noise = held.spare_noise, held.noise
-            yield from self._banded("deviation", passes.deviation, held.own, bands, seconds)
-            yield from self._copies(bands, held.own, held.belief[count:])
+            yield from self._banded("variance", passes.variance, held.spares("noise"), bands, seconds)
+            held.swap("noise")
+            yield from self._banded("deviation", passes.deviation, held.of("own"), bands, seconds)
+            yield from self._copy(bands, held.of("own"), held.of("deviation"))
         elif self.iteration < self._first_step:
             last = self.iteration == self._first_step - 1
-            work = passes.pool_last if last else passes.pool
-            yield from self._banded("pool last" if last else "pool", work, held.spare_belief, bands, seconds)
-            held.belief, held.spare_belief = held.spare_belief, held.belief
+            work, name = (passes.pool_last, "pool last") if last else (passes.pool, "pool")
+            yield from self._banded(name, work, held.spares("mean", "deviation"), bands, seconds)
+            held.swap("mean", "deviation")
         else:
-            yield from self._step(bands, seconds)
+            if self.iteration == self._first_step:
+                targets = held.of("work", "status", "penalty")
+                yield from self._banded("prior begin", passes.begin, targets, bands, seconds)
+            material = {f"u_estimate_{i}": texture for i, texture in enumerate(held.of("work"))}
+            material["u_status"] = held.of("status")[0]
+            targets = held.spares("work", "status")
+            yield from self._banded("prior step", passes.step, targets, bands, seconds, material)
+            held.swap("work", "status")
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Put what is most probable into the resolved estimates once it is found; until then what was there."""
+        """Write the most probable materials into the resolved estimates; the current ones before the last iteration."""
         if not self.done:
-            yield from self._copies(bands, self._estimates.current, self._estimates.resolved)
+            yield from self._copy(bands, self.estimates.current, self.estimates.resolved)
             return
-        yield from self._banded("prior keep", self.passes.keep, self._estimates.resolved, bands, seconds)
-        if self._acceptance is not None:
-            yield from self._acceptance.deciding(bands, seconds)
+        yield from self._banded("prior keep", self.passes.keep, self.estimates.resolved, bands, seconds)
+        if self.acceptance is not None:
+            yield from self.acceptance.deciding(bands, seconds)
 
     def reached(self, threshold: float) -> bool:
-        """Return False: a prior is not there to make the fitness better."""
+        """Return False: a prior does not lower the fitness."""
         return False
 
     def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: the noise of every texel and what is believed of it."""
-        self.textures.ensure()
-        packed = [self._reader.read(texture) for texture in (self.textures.noise, *self.textures.belief)]
-        return self._domain.packing.unpack(np.concatenate(packed, axis=-1), np.nan)
+        """Return (H, W, n) float32 over the domain: noise, means and deviations; NaN where none is solved."""
+        return self.domain.packing.unpack(self.read(*_HALO), np.nan)
 
     def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n), for the texels that belong to other tiles; others are left alone."""
-        self.textures.ensure()
-        packing, held = self._domain.packing, self.textures
-        theirs = packed_states(self._domain.domain, packing)[..., None] == HALO
-        given = packing.pack(values, ghosts)
-        merged = [
-            textures.upload(np.where(theirs, given[..., 4 * i : 4 * i + 4], self._reader.read(texture)))
-            for i, texture in enumerate((held.noise, *held.belief))
-        ]
-        held.noise, held.belief = merged[0], merged[1:]
+        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
+        packing = self.domain.packing
+        theirs = packed_states(self.domain.domain, packing)[..., None] == HALO
+        merged = np.where(theirs, packing.pack(values, ghosts), self.read(*_HALO))
+        parts = iter(np.split(merged, merged.shape[-1] // 4, axis=-1))
+        for name in _HALO:
+            self.textures.upload(name, [next(parts) for _ in self.textures.of(name)])
 
-    def state(self) -> dict[str, np.ndarray]:
-        """Return all that outlives an iteration."""
-        self.textures.ensure()
-        return {name: self._reader.read(texture) for name, texture in self.textures.remembered.items()}
-
-    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
-        """Go on from what ``state`` returned at an iteration."""
-        self.textures.restore(arrays)
-        self.iteration = iteration
-
-    def close(self) -> None:
-        """Free shaders and textures."""
-        if self._acceptance is not None:
-            self._acceptance.close()
-        self.passes.close()
-        self._reader.close()
-        if self.textures is not None:
-            self.textures.stop()
-        self.textures = None
-
-    def _step(self, bands: Bands, seconds: float) -> Iterator[None]:
-        held = self.textures
-        if self.iteration == self._first_step:
-            yield from self._banded("prior begin", self.passes.begin, [*held.work, held.penalty], bands, seconds)
-        estimates = {f"u_estimate_{i}": texture for i, texture in enumerate(held.work[:-1])}
-        given = {**estimates, "u_status": held.work[-1]}
-        yield from self._banded("prior step", self.passes.step, held.spare_work, bands, seconds, given)
-        held.work, held.spare_work = held.spare_work, held.work
-
-    def _copies(self, bands: Bands, sources: list[Any], targets: list[Any]) -> Iterator[None]:
+    def _copy(self, bands: Bands, sources: Sequence[Texture], targets: Sequence[Texture]) -> Iterator[None]:
         for source, target in zip(sources, targets, strict=True):
             yield from self.passes.copy.at_once(bands, [target], {"u_source": source})
-
-    def _inputs(self) -> dict[str, Any]:
-        return {**self._estimates.bindings(), **self.textures.bindings(), **self._domain.textures}
-
-    def _constants(self) -> dict[str, int | float]:
-        return {**loss_constants(self._domain, self._schedule.fitness.delta), "u_settles": 1}
 
     def _banded(
         self,
         name: str,
         work: Pass,
-        targets: list[Any],
+        targets: Sequence[Texture],
         bands: Bands,
         seconds: float,
-        given: dict[str, Any] | None = None,
+        material: Mapping[str, Texture] = {},
     ) -> Iterator[None]:
-        inputs, constants, passes = {**self._inputs(), **(given or {})}, self._constants(), self.passes
+        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures, **material}
+        constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_settles": 1}
+        passes = self.passes
         counted = work in (passes.noise, passes.deviation, passes.pool, passes.pool_last, passes.step)
         return work.in_bands(name, bands, seconds, targets, inputs, constants, counted)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
 from ..engine.alternatives import varied
+from ..kernels.encoding import blocks_of
 from ..kernels.refinement import SPREAD_REACH, renders
 from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_of
 from ..phases.swarm import particle_count, reach_at
@@ -20,17 +21,19 @@ from ..settings.resolve import (
     resolve,
 )
 from ..settings.schedule import Schedule
-from ..state.textures import plan_atlas
+from ..state.phase_textures import (
+    TextureTable,
+    prior_table,
+    refinement_table,
+    sequential_swarm_table,
+    synchronous_swarm_table,
+)
 
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 # Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
-MOVING, CALM = (
-    0.75,
-    0.2,
-)  # of a refinement step: cost relative to the previous step, and its lower limit
+MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 LOOKS = 10.0  # of a prior, per neighbour
-_SIDE = 16384  # of a texture: the layout of an atlas depends on it only where it does not fit at all
 
 
 @dataclass(frozen=True)
@@ -117,19 +120,34 @@ def recovery_cost(
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:
     """Return the cost of one resolved phase."""
-    if isinstance(resolved, ResolvedSwarm):
-        return _swarm_cost(resolved, schedule)
     if isinstance(resolved, ResolvedPrefit):
         return _prefit_cost(resolved, schedule)
-    if isinstance(resolved, ResolvedPrior):
-        return _prior_cost(resolved, model)
-    return _refinement_cost(resolved, model)
+    table = phase_table(resolved, model, schedule)
+    return PhaseCost(
+        table.atlas_tiles, table.bytes_per_texel(), table.bytes_per_texel(kept=True),
+        *_neighbour_reads(resolved, schedule), evaluations=_evaluations(resolved, model, schedule),
+    )  # fmt: skip
+
+
+def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> TextureTable:
+    """Return the textures of a phase; of a prefit those of its swarms."""
+    if isinstance(resolved, ResolvedPrefit):
+        resolved, schedule = resolved.stage, schedule.replaced(update="all")
+    if isinstance(resolved, ResolvedSwarm):
+        dimensions = resolved.dimensions(schedule.swarm.normal)
+        particles, blocks = particle_count(schedule, dimensions), blocks_of(dimensions)
+        if schedule.swarm.update == "all":
+            linear = -(-sum(p.components for p in resolved.solved) // 4)
+            return synchronous_swarm_table(particles, blocks, linear)
+        return sequential_swarm_table(particles, blocks)
+    kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
+    return kind(-(-model.components // 4))
 
 
 def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, observations: int) -> tuple[float, ...]:
     """Return the work of each iteration of a phase at a texel, in renders of a sample; placing swarms comes first.
 
-    Progress counts it: it is roughly proportional to time, and known in advance.
+    Progress counts it: it is roughly proportional to time.
     """
     if isinstance(resolved, ResolvedPrefit):
         own = prefit_model()
@@ -163,20 +181,11 @@ def _refinement_work(
     return (*[step] * starts, *from_best, *after_offers * settings.rounds)
 
 
-def particle_tiles(resolved: Resolved, schedule: Schedule) -> int:
-    """Return the number of W×H tiles in the atlas of a phase's particles; 1 without particles."""
-    if isinstance(resolved, ResolvedPrefit):
-        resolved = resolved.stage
-    if not isinstance(resolved, ResolvedSwarm):
-        return 1
-    dimensions = resolved.dimensions(schedule.swarm.normal)
-    return particle_count(schedule, dimensions) * (1 if dimensions <= 4 else 2)
-
-
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     """Return the cost of a prefit: of the larger of its two phases, and of its own model's estimates."""
     model = prefit_model()
-    swarm, refinement = _swarm_cost(resolved.stage, schedule), _refinement_cost(resolved.refinement, model)
+    swarm = phase_cost(resolved.stage, model, schedule.replaced(update="all"))
+    refinement = phase_cost(resolved.refinement, model, schedule)
     own = FLOAT4 * -(-model.components // 4)
     return PhaseCost(
         max(swarm.atlas, refinement.atlas),
@@ -188,38 +197,24 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     )
 
 
-def _refinement_cost(resolved: ResolvedRefinement, model: ReflectanceModel) -> PhaseCost:
-    """Return the cost of a refinement: RefinementPhase has three sets of textures and keeps two."""
-    settings, held = resolved.refinement, FLOAT4 * (-(-model.components // 4) + 1)
+def _neighbour_reads(
+    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior, schedule: Schedule
+) -> tuple[int, int]:
+    """Return the largest distance of neighbour reads, and the number of iterations that make them."""
+    if isinstance(resolved, ResolvedSwarm):
+        reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
+        return max(reaches), sum(reach > 0 for reach in reaches)
+    if isinstance(resolved, ResolvedPrior):
+        return reach_of(resolved.prior), 1 + resolved.prior.rounds
+    return SPREAD_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
+
+
+def _evaluations(
+    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior, model: ReflectanceModel, schedule: Schedule
+) -> int:
+    if isinstance(resolved, ResolvedSwarm):
+        return int(sum(_swarm_work(resolved, schedule, 1)))
+    if isinstance(resolved, ResolvedPrior):
+        return sum(evaluations_of(resolved, model, i) for i in range(resolved.iterations))
     step, spread = renders(model, resolved)
-    evaluations = resolved.iterations * step + settings.rounds * spread
-    textures = 3 * held + 2 * FLOAT4  # one for display, one for the start
-    return PhaseCost(1, textures, 2 * held, SPREAD_REACH * int(settings.rounds > 0), settings.rounds, evaluations)
-
-
-def _prior_cost(resolved: ResolvedPrior, model: ReflectanceModel) -> PhaseCost:
-    """Return the cost of a prior, with the textures of PriorTextures."""
-    held = -(-model.components // 4)
-    textures = FLOAT4 * (2 + 5 * held + 2 * (held + 1)) + FLOAT
-    kept = FLOAT4 * (1 + 3 * held + held + 1) + FLOAT
-    evaluations = sum(evaluations_of(resolved, model, i) for i in range(resolved.iterations))
-    return PhaseCost(1, textures, kept, reach_of(resolved.prior), 1 + resolved.prior.rounds, evaluations)
-
-
-def _swarm_cost(stage: ResolvedSwarm, schedule: Schedule) -> PhaseCost:
-    """Return the cost of a swarm phase, with the textures of SwarmTextures or SynchronousSwarmTextures."""
-    particles = particle_count(schedule, dimensions := stage.dimensions(schedule.swarm.normal))
-    blocks = 1 if dimensions <= 4 else 2
-    linear = -(-sum(p.components for p in stage.solved) // 4)
-    atlas = plan_atlas(1, 1, particle_tiles(stage, schedule), _SIDE)
-    tiles = atlas.across * atlas.down  # including empty ones
-    state = (3 * FLOAT4 + FLOAT) * tiles  # position, velocity, best; fitness
-    bests = FLOAT4 * (blocks + linear) + FLOAT
-    reaches = [reach_at(schedule, i, stage.iterations) for i in range(stage.iterations)]
-    neighbour_reads = max(reaches), sum(reach > 0 for reach in reaches)
-    if schedule.swarm.update == "all":
-        found = FLOAT4 * (-(-particles // 4) + linear + blocks)  # fitnesses, weights, means
-        renders = (1 + stage.iterations) * particles * (2 if linear else 1)
-        return PhaseCost(tiles, 2 * (state + bests) + found, state + bests, *neighbour_reads, renders)
-    candidates = FLOAT4 * (2 * blocks + 1)
-    return PhaseCost(tiles, state + bests + candidates, state + bests, *neighbour_reads, particles + stage.iterations)
+    return resolved.iterations * step + resolved.refinement.rounds * spread

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.seams.seams import LOOKED_FOR, SEAM_REACH
-from ..state.textures import plan_atlas
+from ..state.phase_textures import plan_atlas
 from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...geometry.domain import Domain
 from .packing import Packing
-from .textures import SOLVED, Atlas, packed_states, plan_atlas
+from .phase_textures import Atlas, plan_atlas
+from .textures import SOLVED, packed_states
 
 _FLAT = frozenset({"prefit_fitness"})  # arrays without channels
 _TABLE = "phase_materials"  # not of texels: who goes on without it finds it again

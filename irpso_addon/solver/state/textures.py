@@ -1,19 +1,14 @@
-"""The textures of a recovery: the domain as shaders read it, the estimates, and the swarms of one stage."""
+"""Textures of a recovery: the domain and the estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
-from ...core.errors import InputError
 from ...geometry.domain import Domain
-from ...gpu import context, textures
+from ...gpu import textures
 from ...gpu.library import defined
+from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
-from ..kernels.encoding import Encoding
 from .packing import Packing
 
 UNFIT = defined("fitness/unfit.glsl")["UNFIT"]  # the fitness of what was never evaluated
@@ -84,7 +79,7 @@ def geometry_layers(
     return np.stack([np.concatenate(parts, axis=-1, dtype=np.float32) for parts in layers])
 
 
-def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Any:
+def upload_observations(lights: np.ndarray, intensities: np.ndarray, views: np.ndarray) -> Texture:
     """Return the table of shaders/common/observation.glsl: K columns of light, intensity and view."""
     return textures.upload(np.stack([lights, np.pad(intensities, ((0, 0), (0, 1))), views]).astype(np.float32))
 
@@ -134,16 +129,16 @@ class Estimates:
         self.size = packed.shape[1], packed.shape[0]
         self.current = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(self.count)]
         self.resolved = [textures.empty(*self.size) for _ in range(self.count)]
-        self._shown: list[Any] = []
+        self._shown: list[Texture] = []
 
     @property
-    def shown(self) -> list[Any]:
+    def shown(self) -> list[Texture]:
         """Textures for what a display shows of the estimates, apart from those that a run works with."""
         if not self._shown:
             self._shown = [textures.empty(*self.size) for _ in range(self.count)]
         return self._shown
 
-    def bindings(self, resolved: bool = False) -> dict[str, Any]:
+    def bindings(self, resolved: bool = False) -> dict[str, Texture]:
         """Return the textures by sampler name: the estimates that the stage holds to, or with its bests put in."""
         chosen = self.resolved if resolved else self.current
         return {f"u_estimate_{i}": texture for i, texture in enumerate(chosen)}
@@ -160,102 +155,6 @@ class Estimates:
             for p in self.model.parameters
         }
 
-
-@dataclass(frozen=True)
-class Atlas:
-    """How the tiles of a swarm lie side by side: tiles across and down, of W×H texels each."""
-
-    across: int
-    down: int
-
-
-def plan_atlas(width: int, height: int, tiles: int, limit: int) -> Atlas:
-    """Return the squarest atlas of ``tiles`` that no side of takes more than ``limit`` texels. Raises InputError."""
-    most = limit // max(width, 1)
-    fitting = [Atlas(a, -(-tiles // a)) for a in range(1, min(most, tiles) + 1) if -(-tiles // a) * height <= limit]
-    if not fitting:
-        raise InputError(
-            f"resolution: {tiles} tiles of {width}×{height} texels exceed this GPU's textures of {limit}×{limit};"
-            " lower the resolution or the number of particles"
-        )
-    return min(fitting, key=lambda a: max(a.across * width, a.down * height))
-
-
-class IncrementalAllocation:
-    """Textures that are made one after the other: a large one alone can take a software renderer 0.1 s."""
-
-    def __init__(self) -> None:
-        self._steps = self._make()
-
-    def make(self) -> Iterator[None]:
-        """Make those that are not there yet; yields after each."""
-        for _ in self._steps:  # not yield from: who leaves off here must not end the making
-            yield
-
-    def ensure(self) -> None:
-        """Make all that are not there yet."""
-        for _ in self._steps:
-            pass
-
-    def stop(self) -> None:
-        """Make no more of them: a generator that waits keeps all alive that it was to fill."""
-        self._steps.close()
-
-    def _make(self) -> Iterator[None]:
-        raise NotImplementedError
-
-
-class SwarmTextures(IncrementalAllocation):
-    """All that the swarms of one stage remember: particles in atlases, candidates and global bests over W×H."""
-
-    def __init__(self, width: int, height: int, particles: int, encoding: Encoding):
-        super().__init__()
-        self.atlas = plan_atlas(width, height, particles * encoding.blocks, context.max_texture_size())
-        self.blocks = encoding.blocks
-        self._small = width, height
-
-    def _make(self) -> Iterator[None]:
-        small = self._small
-        large = small[0] * self.atlas.across, small[1] * self.atlas.down
-        self.position = textures.empty(*large, value=0.5)
-        yield
-        self.velocity = textures.empty(*large, value=0.0)
-        yield
-        self.best = textures.empty(*large, value=0.5)
-        yield
-        self.fitness = textures.empty(*large, "R32F", value=UNFIT)
-        yield
-        self.candidates = [textures.empty(*small, value=0.0) for _ in range(2 * self.blocks)]
-        yield
-        self.verdict = textures.empty(*small, value=-1.0)
-        self.best_places = [textures.empty(*small, value=0.5) for _ in range(self.blocks)]
-        self.best_fitness = textures.empty(*small, "R32F", value=UNFIT)
-        yield
-
-    @property
-    def remembered(self) -> dict[str, Any]:
-        """The textures that outlive an iteration, by name: what a checkpoint holds."""
-        bests = {f"global_best_{i}": texture for i, texture in enumerate(self.best_places)}
-        held = {name: getattr(self, name) for name in ("position", "velocity", "best", "fitness")}
-        return {**held, "global_fitness": self.best_fitness, **bests}
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Take the contents that ``remembered`` had, from arrays of the same names."""
-        self.ensure()
-        for name in ("position", "velocity", "best", "fitness"):
-            setattr(self, name, textures.upload(arrays[name]))
-        self.best_fitness = textures.upload(arrays["global_fitness"])
-        self.best_places = [textures.upload(arrays[f"global_best_{i}"]) for i in range(self.blocks)]
-
-    def read_bindings(self) -> dict[str, Any]:
-        """Return by sampler name what pass A reads."""
-        return {
-            **{f"u_particle_{name}": getattr(self, name) for name in ("position", "velocity", "best", "fitness")},
-            **{f"u_best_{i}": texture for i, texture in enumerate(self.best_places)},
-            "u_best_fitness": self.best_fitness,
-        }
-
-    def candidate_bindings(self) -> dict[str, Any]:
-        """Return the candidates by sampler name: what the commit passes read."""
-        names = [f"u_candidate_{kind}_{block}" for kind in ("position", "velocity") for block in range(self.blocks)]
-        return {**dict(zip(names, self.candidates, strict=True)), "u_verdict": self.verdict}
+    def close(self) -> None:
+        """Free the textures."""
+        self.current, self.resolved, self._shown = [], [], []

@@ -135,9 +135,9 @@ def running_swarm(recovery: RecoveryEngine) -> tuple[SwarmPhase, ReflectanceMode
     """Return the phase with searching swarms and their model, or None."""
     phase, model = recovery.phase, recovery.model
     if isinstance(phase, PrefitPhase):
-        phase, model = phase._inner, prefit_model()
+        phase, model = phase.inner, prefit_model()
     # Between two phases the textures of the first one are already freed.
-    if not isinstance(phase, SwarmPhase) or phase.encoding.dimensions == 0 or phase.textures is None:
+    if not isinstance(phase, SwarmPhase) or phase.encoding.dimensions == 0 or not phase.textures.current:
         return None
     return phase, model
 
@@ -168,7 +168,7 @@ class _SwarmProbe:
     def read(self, lent: Mapping[str, Texture], at: dict[str, int]) -> Particles:
         """Return the swarm of a solved texel."""
         phase = self.phase
-        inputs = {**lent, **self._held.read_bindings(), **phase._estimates.bindings()}
+        inputs = {**lent, **self._held.bindings(), **phase.estimates.bindings()}
         self._pass.run([self._target], inputs, {**at, "u_width": phase.width, "u_height": phase.height})
         numbers = textures.download(self._target)
         chosen, names = _searched(phase, self._model)

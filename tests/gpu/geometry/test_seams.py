@@ -10,7 +10,7 @@ from irpso_addon.blender.materials.tangent_frames import from_blender
 from irpso_addon.geometry.domain import domain_of, with_samples
 from irpso_addon.geometry.seams.seams import seams_of
 from irpso_addon.geometry.surface.bake import bake_uv
-from irpso_addon.gpu import context, textures
+from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.map_tables import map_tables, map_values
 from irpso_addon.results.maps import Maps
@@ -69,10 +69,10 @@ def test_the_mean_of_equation_4_goes_over_the_surface_with_normals_turned_betwee
     g = np.random.default_rng(5).uniform(0.2, 0.8, (*domain.shape, 4))
     phase = SynchronousSwarmPhase(stage, LAMBERT, schedule, 1, held, estimates, "fragment")
     phase.textures.ensure()
-    phase.textures.bests[0] = textures.upload(packing.pack(g))
-    inputs = {**phase.textures.read_bindings(), **estimates.bindings(), **held.textures}
-    phase.passes.mean.run(phase.textures.mean, inputs, phase.constants())
-    found = packing.unpack(textures.download(phase.textures.mean[0]))
+    phase.textures.upload("global_best", [packing.pack(g)])
+    inputs = {**phase.textures.bindings(), **estimates.bindings(), **held.textures}
+    phase.passes.mean.run(phase.textures.of("mean"), inputs, phase.constants())
+    found = packing.unpack(phase.read("mean"))
     phase.close()
 
     frame, solvable = oracle.frames(domain.bake), domain.solvable

@@ -158,7 +158,7 @@ def choices(request):
         for _ in range(24):
             for _ in stage.advance(Bands(), 1.0):
                 pass
-            moved.append(textures.download(stage.textures.verdict)[..., 3])
+            moved.append(stage.read("verdict")[..., 3])
         stage.close()
         found.append(np.array(moved).astype(int))
     return request.param, *found

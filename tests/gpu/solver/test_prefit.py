@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 from irpso_addon.blender.images import decode
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.bounds import bounded, weight_and_clipped
+from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.gpu import context, textures
@@ -21,8 +22,8 @@ from irpso_addon.solver.phases import prefit as prefit
 from irpso_addon.solver.phases.prefit import AcceptanceTest, grey
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
-from irpso_addon.solver.state.prepare import texel_scale
-from irpso_addon.solver.state.textures import DomainTextures
+from irpso_addon.solver.state.prepare import prepare, texel_scale
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of, make_domain, masked, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
@@ -232,15 +233,16 @@ def test_the_acceptance_test_takes_the_refinement_or_keeps_the_prefits_normal(re
     domain, truth = half
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
-    theirs = recovery._packing.unpack(recovery._prefit_fitness)
+    pack = Packing(domain.solvable)
+    theirs = pack.unpack(recovery.memory().arrays["prefit_fitness"])
     while recovery.progress.title != "refinement":
         recovery.step(iterations=1)
-    before = {n: recovery._packing.unpack(v) for n, v in recovery._estimates.values(resolved=False).items()}
+    before = {n: pack.unpack(v) for n, v in recovery.phase.estimates.values(resolved=False).items()}
     recovery.step(iterations=recovery.progress.iterations - 1)
-    phase = recovery._phase
-    phase._acceptance, acceptance = None, phase._acceptance
+    phase = recovery.phase
+    phase.acceptance, acceptance = None, phase.acceptance
     refined = recovery.maps(confidence=False).values
-    phase._acceptance = acceptance
+    phase.acceptance = acceptance
     recovery.step(iterations=1)
     found = recovery.maps(confidence=False).values
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
@@ -288,23 +290,22 @@ def test_with_a_kept_normal_the_other_parameters_are_optimal(recover, half):
     assert np.quantile(found_cost, 0.9) < 1.01 and (accepted_cost > 1.02).mean() > 0.3, (accepted_cost, found_cost)
 
 
-def test_the_acceptance_test_matches_float64(recover):
+def test_the_acceptance_test_matches_float64():
     domain, truth = card("principled", shape=(7, 9), noise=0.01, colors=np.tile((1.0, 2.0, 0.5), (DIRECTIONS, 1)))
-    recovery = recover(domain, PRINCIPLED, STANDARD)
-    recovery.step(iterations=0)
-    scale = texel_scale(domain, STANDARD.fitness.percentile)
+    context.ensure()
+    made = prepare(domain, PRINCIPLED, STANDARD)
+    pack, scale = made.packing, made.scale
+    uploaded = DomainTextures(domain, pack, made.stack, pack.pack(scale), made.brightness)
+    estimates = Estimates(PRINCIPLED, {name: pack.pack(value) for name, value in made.guess.items()})
     off = {n: np.float32(truth[n]) for n in ("normal", "base_color", "roughness", "specular")}
     off["base_color"] = off["base_color"] * np.linspace(0.9, 1.1, 9, dtype=np.float32)[:, None]
-    pack, estimates = recovery._packing, recovery._estimates
     misfit, _ = bounded_misfit(domain, "principled", off, STANDARD.prefit, scale.astype(np.float64))
     flat = np.concatenate([pack.pack(off[p.name]) for p in PRINCIPLED.parameters], axis=-1)
     estimates.resolved = [textures.upload(np.ascontiguousarray(flat[..., 4 * i : 4 * i + 4])) for i in range(2)]
     limit = (misfit - 0.005) / STANDARD.prefit.acceptance_ratio
     for factor, taken in ((1.001, True), (0.999, False)):
         work = list(estimates.resolved)
-        acceptance = AcceptanceTest(
-            PRINCIPLED, STANDARD, recovery._textures, estimates, pack.pack(np.float32(limit * factor))
-        )
+        acceptance = AcceptanceTest(PRINCIPLED, STANDARD, uploaded, estimates, pack.pack(np.float32(limit * factor)))
         for _ in acceptance.deciding(Bands(), 1.0):
             pass
         result = pack.unpack(estimates.values()["base_color"])
@@ -328,7 +329,7 @@ def test_the_acceptance_test_skips_texels_with_too_few_samples(recover, uneven):
     domain = with_samples(domain, stack)
     recovery = recover(domain, PRINCIPLED, STANDARD)
     prefit = prefit_fitness(recovery).values["normal"]
-    fitness = recovery._packing.unpack(recovery._prefit_fitness)
+    fitness = Packing(domain.solvable).unpack(recovery.memory().arrays["prefit_fitness"])
     assert (fitness[few] >= 1e29).all() and (fitness[~few] < 1).all()
     recovery.step()
     kept = (recovery.maps(confidence=False).values["normal"] == prefit).all(axis=-1)
@@ -340,9 +341,10 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
     recovery = recover(domain, PRINCIPLED, STANDARD)
     while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
         recovery.step(iterations=1)
-    phase = recovery._phase
-    fitness = recovery._packing.unpack(phase.fitness())
-    own = {n: recovery._packing.unpack(v) for n, v in phase._own.values().items()}
+    phase, pack = recovery.phase, Packing(domain.solvable)
+    phase.resolve()
+    fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)))
+    own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
     wanted, samples = bounded_misfit(domain, "falloff_lobe", own, STANDARD.prefit, scale)
     assert (samples >= 10).all()

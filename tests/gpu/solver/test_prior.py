@@ -7,7 +7,7 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import with_samples
-from irpso_addon.gpu import context, textures
+from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.tiled import TiledRecovery
@@ -76,28 +76,20 @@ class Bench:
         values = self.estimates.values()
         return {name: self.pack.unpack(v, np.nan).astype(np.float64) for name, v in values.items()}
 
-    def read(self, held):
-        """(H, W, 4 n) of n textures."""
-        packed = np.concatenate([self.prior._reader.read(texture) for texture in held], axis=-1)
-        return self.pack.unpack(packed, np.nan).astype(np.float64)
-
-    def belief(self):
-        """Means and deviations, (H, W, C) each."""
-        both = self.read(self.prior.textures.belief)
-        half = both.shape[-1] // 2
-        return both[..., : self.model.components], both[..., half : half + self.model.components]
+    def read(self, group):
+        """(H, W, 4 n) of a group of n textures."""
+        return self.pack.unpack(self.prior.read(group), np.nan).astype(np.float64)
 
     def tell(self, **deviations):
         """Say how well the samples tell numbers: name → (H, W)."""
-        own = self.read(self.prior.textures.own)
+        own = self.read("own")
         components = {p.name: p.components for p in self.model.parameters}
         for name, value in deviations.items():
             at = self.model.offset(name)
             own[..., at : at + components[name]] = value[..., None]
-        held = self.prior.textures
         packed = self.pack.pack(own.astype(np.float32))
-        held.own = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
-        held.belief[held.count :] = [textures.upload(packed[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
+        for group in ("own", "deviation"):
+            self.prior.textures.upload(group, np.split(packed, packed.shape[-1] // 4, axis=-1))
 
 
 @pytest.fixture
@@ -156,9 +148,9 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
     bench.run(2)
     deviations = {name: 10 ** rng.uniform(-4, 0, shape) for name in ("r1", "r2", "w")}
     bench.tell(**{name: np.minimum(d, 0.75) for name, d in deviations.items()})
-    own = bench.read(bench.prior.textures.own)[..., : TWO_LOBES.components]
+    own = bench.read("own")[..., : TWO_LOBES.components]
     bench.run(2 + rounds)
-    mean, deviation = bench.belief()
+    mean, deviation = bench.read("mean"), bench.read("deviation")
     estimates, covered = components(TWO_LOBES, values), domain.solvable
     wanted, spread = prior_oracle.pooled(Prior(rounds=rounds, scales=3), TWO_LOBES, covered, estimates, own)
     pooled = [c for c, _ in prior_oracle.components(TWO_LOBES)]
@@ -176,7 +168,7 @@ def test_the_noise_combines_samples_and_neighbours(prior):
     domain.stack.values[2:, 4, 4, 3] = 0  # two samples tell less than the model has unknowns
     bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
     bench.run(2)
-    noise = bench.read([bench.prior.textures.noise])
+    noise = bench.read("noise")
     clean = with_radiance(domain, TWO_LOBES.name, truth).stack.values.astype(np.float64)
     error = np.where(domain.stack.values[..., 3:] > 0, domain.stack.values[..., :3] - clean[..., :3], 0)
     errors = (domain.stack.values[..., 3:] * error**2).sum(axis=(0, 3))
@@ -199,7 +191,7 @@ def test_own_deviations_come_from_the_inverse_normal_matrix(prior):
     domain, truth, _ = smooth(6, 7)
     bench = prior(TWO_LOBES, domain, truth, schedule_of(loss="l2"))
     bench.run(2)
-    own, noise = bench.read(bench.prior.textures.own), bench.read([bench.prior.textures.noise])
+    own, noise = bench.read("own"), bench.read("noise")
     j = confidence_oracle.jacobian(domain, TWO_LOBES, {name: v.astype(np.float64) for name, v in truth.items()})
     weighted = j * domain.stack.values[None, ..., 3:]
     gram = np.einsum("akyxc,bkyxc->yxab", weighted, j)
@@ -228,7 +220,7 @@ def test_certain_texels_stay_and_uncertain_ones_follow_alike_texels(prior, entry
     everywhere = np.where(ignorant, 0.75, 1e-3)
     bench.tell(r1=everywhere, r2=everywhere, w=everywhere, base_color=everywhere / 100)
     bench.run(4)
-    mean, _ = bench.belief()
+    mean = bench.read("mean")
     bench.run()
     found = bench.found()
     for name, value in truth.items():
@@ -250,19 +242,18 @@ def test_a_texel_keeps_its_estimate_if_its_samples_contradict_its_neighbours(pri
     low = np.full(domain.shape, 1e-3)
     low[3, 3] = 0.75  # told to know nothing, while its samples are as good as all
     bench.tell(r1=low, r2=low, w=low)
-    held = bench.prior.textures
-    moved = bench.pack.pack(bench.read(held.belief[: held.count]).astype(np.float32))
+    moved = bench.prior.read("mean")
     for name, wrong in (("r1", 0.5), ("r2", 0.75), ("w", 0.05)):
         moved[..., TWO_LOBES.offset(name)] = np.where(np.arange(64).reshape(8, 8) == 27, 0.5, wrong)
-    held.belief[: held.count] = [textures.upload(moved[..., 4 * i : 4 * i + 4]) for i in range(held.count)]
+    bench.prior.textures.upload("mean", np.split(moved, moved.shape[-1] // 4, axis=-1))
     bench.run()
     found = bench.found()
-    assert bench.belief()[1][3, 3, TWO_LOBES.offset("w")] > 0  # there is a prior
+    assert bench.read("deviation")[3, 3, TWO_LOBES.offset("w")] > 0  # there is a prior
     before, after = (
         confidence_oracle.radiance(domain, TWO_LOBES.name, {name: v.astype(np.float64) for name, v in what.items()})
         for what in (values, found)
     )
-    noise = bench.read([held.noise])[3, 3, 2]
+    noise = bench.read("noise")[3, 3, 2]
     samples = domain.stack.values[..., :3].astype(np.float64)
     weight = domain.stack.values[:, 3, 3, 3:]
     deviances = [(weight * (render - samples)[:, 3, 3] ** 2).sum() / noise for render in (before, after)]
@@ -382,37 +373,17 @@ def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, 
         assert (maps.values[first] <= maps.values[second])[maps.covered].all()
 
 
-def test_a_prior_takes_the_planned_bytes(monkeypatch, recover):
+def test_a_prior_reads_and_renders_as_planned(prior):
     schedule = schedule_of().replaced(iterations=0)
     cost = recovery_cost(TWO_LOBES, schedule, (), 12).phases[-1]
     domain, truth, _ = smooth(9, 11, 12)
-    taken = []
-    original = textures._texture
-
-    def counted(width, height, layers=0, **properties):
-        taken.append(width * height * max(1, layers) * 4 * textures.CHANNELS[properties["format"]])
-        return original(width, height, layers, **properties)
-
-    bench = Bench(TWO_LOBES, domain, truth, schedule)
-    monkeypatch.setattr(textures, "_texture", counted)
-    prior = resolve(schedule, TWO_LOBES, set())[-1]
-    again = SpatialPriorPhase(prior, TWO_LOBES, schedule, bench.uploaded, bench.estimates, "fragment")
-    again.textures.ensure()
-    assert sum(taken) == 99 * cost.textures
-    assert sum(array.nbytes for array in again.state().values()) == 99 * cost.kept
-    reaches, renders = [], 0
-    while not again.done:
-        reaches.append(again.reach)
-        renders += again.evaluations
-        for _ in again.advance(Bands(), 0.25):
-            pass
-    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == (
-        cost.reach,
-        cost.exchanges,
-        cost.evaluations,
-    )
-    again.close()
-    bench.prior.close()
+    bench, reaches, renders = prior(TWO_LOBES, domain, truth, schedule), [], 0
+    while not bench.prior.done:
+        reaches.append(bench.prior.reach)
+        renders += bench.prior.evaluations
+        bench.run(bench.prior.iteration + 1)
+    wanted = cost.reach, cost.exchanges, cost.evaluations
+    assert (max(reaches), sum(reach > 0 for reach in reaches), renders) == wanted
 
 
 @pytest.mark.parametrize("setting, value", [("rounds", -1), ("scales", 0), ("scales", 7), ("iterations", 0),

@@ -7,7 +7,9 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import tile, with_samples
+from irpso_addon.gpu.textures import CHANNELS
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
 from tests.builders.domains import SHORT, bits_of, recoveries, subject
@@ -76,12 +78,11 @@ def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
     domain.stack.values[3, 6, 7, 1] = np.inf
     recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
     recovery.step(iterations=8)
-    stage = recovery._phase
-    fitness = stage.fitness()
+    fitness = recovery.phase.fitness()
     bad = np.zeros(domain.shape, bool)
     bad[4, 5] = bad[6, 7] = True
     assert (fitness[bad] >= 1e29).all() and (fitness[~bad] < 1e29).all()
-    assert all(np.isfinite(stage.reader.read(texture)).all() for texture in stage.textures.remembered.values())
+    assert all(np.isfinite(array).all() for array in recovery.phase.state().values())
     recovery.step()
     assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
 
@@ -94,6 +95,28 @@ def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
     assert recovery.step().evaluations == 0
     maps = recovery.maps()
     assert not maps.covered.any() and (maps.values["normal"] == (0, 0, 1)).all()
+
+
+# ---- textures ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preset", ["paper", "standard"])
+def test_every_phase_takes_and_keeps_the_bytes_of_the_plan(recover, preset):
+    schedule = load_schedule(preset).replaced(
+        iterations=1, cycles=1, prefit_iterations=0, refinement_iterations=1, refinement_start_iterations=1
+    )
+    domain, _ = subject(9, 11, TWO_LOBES.name, holes=False, observations=12)
+    recovery = recover(domain, TWO_LOBES, schedule)
+    for cost in recovery_cost(TWO_LOBES, schedule, (), 12).phases:
+        phase = recovery.phase
+        phase.textures.ensure()
+        sets = [*phase.textures.current.values(), *phase.textures.spare.values()]
+        taken = sum(t.width * t.height * 4 * CHANNELS[t.format] for held in sets for t in held)
+        kept = sum(array.nbytes for array in phase.state().values())
+        assert (taken, kept) == (99 * cost.textures, 99 * cost.kept), phase.title
+        while recovery.phase is phase:
+            recovery.step(iterations=1)
+    assert recovery.progress.done
 
 
 # ---- stages ------------------------------------------------------------------------------------------------------
@@ -156,11 +179,11 @@ def test_swarms_stop_at_the_threshold_and_then_the_run(recover):
     schedule = SHORT.replaced(iterations=1000, loss="l1", threshold=0.08, search=["diffuse"])
     recovery = recover(domain, schedule=schedule, fixed={"normal": np.array([0, 0, 1.0])})
     recovery.step(iterations=60)
-    before = recovery._phase.fitness(), recovery.halo()
+    before = recovery.phase.fitness(), recovery.halo()
     reached = before[0] <= 0.08
     assert 0 < reached.sum() < reached.size
     recovery.step(iterations=20)
-    np.testing.assert_array_equal(recovery._phase.fitness()[reached], before[0][reached])
+    np.testing.assert_array_equal(recovery.phase.fitness()[reached], before[0][reached])
     np.testing.assert_array_equal(recovery.halo()[reached], before[1][reached])
     easy = recover(domain, schedule=schedule.replaced(threshold=0.5))
     progress = easy.step()
@@ -221,11 +244,11 @@ def test_reading_maps_often_keeps_no_memory(recover):
 def test_lobes_are_in_rising_order_in_every_particle_at_any_time(recover, search):
     domain, _ = subject(7, 5, "cook_torrance_two_lobe", observations=12)
     recovery = recover(domain, TWO_LOBES, SHORT.replaced(search=search, iterations=60, walls="reflect", v_max=1.0))
-    at = recovery._phase.encoding.defines
+    at = recovery.phase.encoding.defines
     for steps in (0, 1, 1, 5, 40):
         recovery.step(iterations=steps)
-        stage = recovery._phase
-        tiles = {name: stage.reader.read(texture) for name, texture in stage.textures.remembered.items()}
+        stage = recovery.phase
+        tiles = stage.state()
         sizes = (stage.particles, stage.height, stage.width)
         for name in ("position", "best"):
             x = numbers.from_atlas(tiles[name], *sizes, 4 * stage.encoding.blocks)

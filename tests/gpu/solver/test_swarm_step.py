@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from irpso_addon.gpu import context, textures
+from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
@@ -215,7 +215,7 @@ def test_a_swarm_step_matches_the_oracle(case, bench):
         step = oracle.move(b.problem, before, iteration)
         turned = not b.domain.card and "normal" in b.stage.stage.title
         assert_equal_states(b.read(), step, rounding_of(step), TURNED_TOLERANCE if turned else PLACE_TOLERANCE)
-        verdict = b.packing.unpack(b.stage.reader.read(b.stage.textures.verdict), -1)
+        verdict = b.packing.unpack(b.stage.read("verdict"), -1)
         np.testing.assert_array_equal(verdict[..., 3], step.particle)
 
 
@@ -244,10 +244,9 @@ def test_fragment_and_compute_agree_within_four_ulp(case, bench):
         compute.give(fragment.read())
         fragment.advance()
         compute.advance()
-        for name, texture in fragment.stage.textures.remembered.items():
-            one = fragment.stage.reader.read(texture)
-            other = compute.stage.reader.read(compute.stage.textures.remembered[name])
-            np.testing.assert_array_max_ulp(one, other, maxulp=4)
+        other = compute.stage.state()
+        for name, array in fragment.stage.state().items():
+            np.testing.assert_array_max_ulp(array, other[name], maxulp=4)
 
 
 def test_fragment_and_compute_end_with_equal_error_quantiles():
@@ -275,5 +274,4 @@ def test_an_atlas_is_cut_into_tiles_that_hold_every_particle_once(bench):
     marks = np.arange(b.problem.particles * 15 * 8, dtype=np.float64).reshape(-1, 5, 3, 8)
     packed = numbers.to_atlas(marks, atlas.across, atlas.down)
     np.testing.assert_array_equal(numbers.from_atlas(packed, b.problem.particles, 5, 3, 8), marks)
-    b.stage.textures.ensure()
-    assert textures.download(b.stage.textures.position).shape == packed.shape
+    assert b.stage.read("position").shape == packed.shape

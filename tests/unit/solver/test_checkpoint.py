@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state import checkpoint
 from irpso_addon.solver.state.layout import TexelLayout, digest_of_texels, joined, numbered
 from irpso_addon.solver.state.packing import Packing
-from irpso_addon.solver.state.textures import plan_atlas
+from irpso_addon.solver.state.phase_textures import plan_atlas
 from tests.builders.domains import make_domain
 
 WHO = {"seed": 3, "model": "lambert"}
