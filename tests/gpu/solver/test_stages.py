@@ -101,7 +101,7 @@ def test_a_domain_where_nothing_is_to_be_solved_ends_with_the_defaults(recover):
 
 
 @pytest.mark.parametrize("preset", ["paper", "standard"])
-def test_every_phase_takes_and_keeps_the_bytes_of_the_plan(recover, preset):
+def test_every_phase_takes_the_planned_bytes(recover, preset):
     schedule = load_schedule(preset).replaced(
         iterations=1, cycles=1, prefit_iterations=0, refinement_iterations=1, refinement_start_iterations=1
     )
