@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from ..core.errors import ShaderError
@@ -22,7 +23,7 @@ _PADDING = "\n" * 8  # Blender does not echo rows near the end of the source
 _WRONG = "irpso_first_row;\n"
 
 
-def compile_shader(name: str, make_info: Callable[[], Any], sources: Mapping[str, str]) -> Any:
+def compile_shader(name: str | Path, make_info: Callable[[], Any], sources: Mapping[str, str]) -> Any:
     """Return the GPUShader of a create info and its sources. Raises ShaderError with file and line.
 
     make_info: returns a new GPUShaderCreateInfo without sources. sources: stage (vertex, fragment, compute) → GLSL text
@@ -85,8 +86,8 @@ def _mapped(make_info: Callable[[], Any], sources: Mapping[str, str]) -> str:
     for stage, row, said in rows_of(_attempt(make_info, texts)[1]):
         if stage in places and stage not in before:
             before[stage] = _rows_before(make_info, texts, stage)
-        if stage in places and row is not None and before[stage] is not None:
-            index = min(max(row - before[stage], 1), len(places[stage])) - 1
+        if stage is not None and row is not None and (offset := before.get(stage)) is not None:
+            index = min(max(row - offset, 1), len(places[stage])) - 1
             said = "{}:{}: {}".format(*places[stage][index], said)
         lines.append(said)
     return _errors(lines)

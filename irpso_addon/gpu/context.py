@@ -115,12 +115,12 @@ def _render_once() -> None:
     """Render an empty scene with an engine that requests a GPU context, which stays current (before 5.2)."""
     import bpy
 
-    class ContextEngine(bpy.types.RenderEngine):
+    class ContextEngine(bpy.types.RenderEngine):  # type: ignore[misc]
         bl_idname = "IRPSO_CONTEXT"
         bl_label = "IRPSO GPU context"
         bl_use_gpu_context = True
 
-        def render(self, depsgraph):
+        def render(self, depsgraph: object) -> None:
             """Draw nothing: only the context is needed."""
 
     bpy.utils.register_class(ContextEngine)

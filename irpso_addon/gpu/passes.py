@@ -13,14 +13,13 @@ from . import context, context_guard
 from .bands import Bands
 from .compiler import compile_shader
 from .library import read_source
-from .textures import Texture
+from .textures import CHANNELS, Texture
 
 Entry = Literal["fragment", "compute"]
 EntryChoice = Entry | Literal["auto"]  # auto: whichever the probe finds faster
 MAX_OUTPUTS = 6  # colour attachments that every supported device and version has
 _GROUP = (8, 8)  # texels of a compute work group
 _GLSL = {1: ("float", "FLOAT"), 4: ("vec4", "VEC4")}
-_OUTPUT_CHANNELS = {"R32F": 1, "RGBA32F": 4, "RGBA16F": 4}
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,11 @@ class Output:
     format: str | Packed = "RGBA32F"
 
 
+Samplers = Mapping[str, str | Packed]
+Defines = Mapping[str, str | int | float]
+Includes = Mapping[str, str | Path]
+
+
 @dataclass(frozen=True)
 class Kernel:
     """A kernel: the file with ``bool texel_kernel(ivec2 texel)``, which returns false to leave a texel as it was.
@@ -55,19 +59,15 @@ class Kernel:
 
     source: str | Path
     outputs: tuple[Output, ...]
-    samplers: Mapping[str, str | Packed]
+    samplers: Samplers
     constants: Mapping[str, str]
-    defines: Mapping[str, str | int | float]
-    given: Mapping[str, str | Path] = field(default_factory=dict)
+    defines: Defines
+    given: Includes = field(default_factory=dict)
 
     @property
-    def targets(self) -> list[Output]:
-        """The textures that are written, one by one."""
-        return [
-            Output(name, kind)
-            for output in self.outputs
-            for name, kind in _textures(output.name, output.format, "RGBA32F")
-        ]
+    def targets(self) -> list[tuple[str, str]]:
+        """Name and format of each texture that is written."""
+        return [pair for output in self.outputs for pair in _textures(output.name, output.format, "RGBA32F")]
 
     def declared(self, source: str) -> dict[str, str]:
         """Return the textures that the source of this kernel reads, with their kinds: kernels share their tables."""
@@ -214,8 +214,8 @@ class Pass:
 
     def _fragment_info(self, declared: Mapping[str, str]) -> Any:
         info = self._info(declared)
-        for slot, output in enumerate(self.kernel.targets):
-            info.fragment_out(slot, _GLSL[_OUTPUT_CHANNELS[output.format]][1], output.name)
+        for slot, (name, texture_format) in enumerate(self.kernel.targets):
+            info.fragment_out(slot, _GLSL[CHANNELS[texture_format]][1], name)
         info.vertex_in(0, "VEC2", "position")
         return info
 
@@ -226,10 +226,10 @@ class Pass:
 
     def _compute_info(self, declared: Mapping[str, str]) -> Any:
         info = self._info(declared)
-        for slot, output in enumerate(self.kernel.targets):
-            info.image(slot, output.format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
-            info.define(f"OUTPUT_{slot}", output.name)
-            info.define(f"OUTPUT_{slot}_TYPE", _GLSL[_OUTPUT_CHANNELS[output.format]][0])
+        for slot, (name, texture_format) in enumerate(self.kernel.targets):
+            info.image(slot, texture_format, "FLOAT_2D", f"u_image_{slot}", qualifiers={"WRITE"})
+            info.define(f"OUTPUT_{slot}", name)
+            info.define(f"OUTPUT_{slot}_TYPE", _GLSL[CHANNELS[texture_format]][0])
         for name in ("u_first_row", "u_last_row", "u_columns"):
             info.push_constant("INT", name)
         info.local_group_size(*_GROUP, 1)

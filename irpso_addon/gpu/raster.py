@@ -9,6 +9,7 @@ import numpy as np
 from . import context, textures
 from .compiler import compile_shader
 from .library import read_source
+from .textures import Texture
 
 SURFACE = ("position", "normal", "tangent", "uv", "face")
 _TRIANGLES_A_ROW = 1024  # 3072 texels: below every device's limit, and 16 million triangles fit 16384 rows
@@ -116,7 +117,7 @@ def _shader(source: str, outputs: list[tuple[str, str]], samplers: list[str]) ->
     return compile_shader(source, info, sources)
 
 
-def _draw(shader: Any, batch: Any, targets: list[Any], nearest: bool, bound: dict[str, Any]) -> None:
+def _draw(shader: Any, batch: Any, targets: list[Texture], nearest: bool, bound: dict[str, Texture]) -> None:
     """Draw the batch into cleared targets, without culling, and restore Blender's drawing state."""
     import gpu
 

@@ -11,6 +11,7 @@ import numpy as np
 from . import context
 from .compiler import compile_shader
 from .library import read_source
+from .textures import Texture
 
 Color = Sequence[float] | np.ndarray  # (4,) or (N, 4) display values and alpha
 Size = tuple[float, float]
@@ -34,10 +35,10 @@ class Surface:
 
     def draw(
         self,
-        picture: Any,
+        picture: Texture,
         view_projection: np.ndarray,
         model: np.ndarray,
-        second: Any = None,
+        second: Texture | None = None,
         split: float = 0.5,
         region_size: Size | None = None,
         opacity: float = 1.0,
@@ -82,10 +83,10 @@ class Drawing:
 
     def draw_flat(
         self,
-        picture: Any,
+        picture: Texture,
         lower_left_px: Size,
         size_px: Size,
-        second: Any = None,
+        second: Texture | None = None,
         split: float = 0.5,
         opacity: float = 1.0,
         part: tuple[float, float] = (0.0, 1.0),
@@ -118,8 +119,8 @@ class Drawing:
         """
         points, colors = _points(points), _colors(colors, len(points))
         step = 1 if strip else 2
-        ends = slice(0, len(points) - 1, step), slice(1, None, step)
-        self._draw_strokes(*(points[part] for part in ends), *(colors[part] for part in ends), width, matrix, depth)
+        starts, stops = slice(0, len(points) - 1, step), slice(1, None, step)
+        self._draw_strokes(points[starts], points[stops], colors[starts], colors[stops], width, matrix, depth)
 
     def draw_points(
         self, points: np.ndarray, colors: Color, size: float, matrix: np.ndarray | None = None, depth: bool = False
@@ -175,7 +176,8 @@ def viewport_size() -> Size:
     """Return the width and height of the target in pixels."""
     import gpu
 
-    return tuple(float(side) for side in gpu.state.viewport_get()[2:])
+    _, _, width, height = gpu.state.viewport_get()
+    return float(width), float(height)
 
 
 def toward_viewer(view_projection: np.ndarray) -> float:
@@ -280,7 +282,7 @@ def _draw(
     batch: Any,
     matrix: np.ndarray,
     constants: dict[str, Any],
-    bound: dict[str, Any],
+    bound: dict[str, Texture],
     depth: bool,
     write: bool = False,
 ) -> None:

@@ -64,7 +64,8 @@ def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool)
     arrays at every observation, which took half of a step's time.
     """
     free = build_free_parameters(model, fixed)
-    stepped, channels = [], []
+    stepped: list[int] = []
+    channels: list[str] = []
     lines = ["vec3 basis = vec3(0.0);"]
     for p in _free(model, fixed):
         u, count = len(channels), 2 if p.is_normal else p.components

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...gpu.library import defined
-from ...gpu.passes import Entry, Kernel, Output, Packed, Pass
+from ...gpu.passes import Defines, Entry, Includes, Kernel, Output, Packed, Pass, Samplers
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -16,9 +17,9 @@ from .linear_weights import LinearWeights
 
 FLOAT_2D = "FLOAT_2D"
 LAYERS = "FLOAT_2D_ARRAY"
-GEOMETRY = {"u_geometry": LAYERS}
-PACKING = {**GEOMETRY, "u_packed": FLOAT_2D}
-OBSERVATIONS = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
+GEOMETRY: Samplers = {"u_geometry": LAYERS}
+PACKING: Samplers = {**GEOMETRY, "u_packed": FLOAT_2D}
+OBSERVATIONS: Samplers = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
 _SIZE = {"u_width": "INT", "u_height": "INT"}
 FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
@@ -54,26 +55,25 @@ def build_sequential_swarm_passes(
     schedule: Schedule,
     particles: int,
     across: int,
-    domain_defines: dict[str, int],
+    domain_defines: Defines,
     entry: Entry,
 ) -> SequentialSwarmPasses:
     """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
     estimates = packed(model)
     given = {**model_includes(model), "particle_encoding.glsl": encoding.source}
-    tiling = {"PARTICLES": particles, "TILES_X": across}
     defines = {
-        **domain_defines,
-        **encoding.defines,
-        **tiling,
-        **schedule_defines(schedule),
-    }
+        **domain_defines, **encoding.defines, **schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across
+    }  # fmt: skip
     fixed = {"u_best": encoding.packed, "u_estimate": estimates, **PACKING}
     particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
     candidate = {f"u_candidate_{name}": encoding.packed for name in ("position", "velocity")} | {"u_verdict": FLOAT_2D}
     moved = (*(Output(f"o_{name}", encoding.packed) for name in ("position", "velocity")), Output("o_verdict"))
     fitness = Output("o_fitness", "R32F")
 
-    def make(source: str, outputs: tuple, samplers: dict, constants: dict, how: Entry = entry, **more: int) -> Pass:
+    def make(
+        source: str, outputs: tuple[Output, ...], samplers: Samplers, constants: Mapping[str, str],
+        how: Entry = entry, **more: int,
+    ) -> Pass:  # fmt: skip
         kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
         return Pass(kernel, how)
 
@@ -89,13 +89,13 @@ def build_sequential_swarm_passes(
     )
 
 
-def take_halo_pass(encoding: Encoding, defines: dict[str, int]) -> Pass:
+def take_halo_pass(encoding: Encoding, defines: Defines) -> Pass:
     """Compile the pass that takes given bests at the texels of neighbouring tiles."""
     outputs, samplers = (Output("o_best", encoding.packed),), {"u_given": encoding.packed, **GEOMETRY}
     return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
 
 
-def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
+def schedule_defines(schedule: Schedule) -> Defines:
     """Return the constants of a schedule that are compiled in."""
     swarm = schedule.swarm
     return {
@@ -107,17 +107,17 @@ def schedule_defines(schedule: Schedule) -> dict[str, str | int]:
     }
 
 
-def fitness_defines(fitness: Fitness, loss: str = "") -> dict[str, str | int]:
+def fitness_defines(fitness: Fitness, loss: str = "") -> Defines:
     """Return the constants of a fitness that are compiled in, or of another loss in its place."""
     return {"FITNESS": LOSSES[(loss or fitness.loss).upper()], "HIGHLIGHT_POWER": f"{fitness.highlight_power:.9f}"}
 
 
-def residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+def residual_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     """Compile the pass that compares the render of the estimates with the references."""
     return _model_pass(model, "diagnostics/residual.glsl", "o_residual", {"u_observations": "INT"}, domain_defines)
 
 
-def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+def sampled_residual_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     """Return the same pass over the texels that u_sampled names, in places of its own."""
     samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_sampled": FLOAT_2D}
     outputs = (Output("o_residual"),)
@@ -129,12 +129,12 @@ def sampled_residual_pass(model: ReflectanceModel, domain_defines: dict[str, int
     )
 
 
-def render_pass(model: ReflectanceModel, domain_defines: dict[str, int]) -> Pass:
+def render_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     """Compile the pass that renders the estimates under one observation's light."""
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
-def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: dict[str, int]) -> Pass:
+def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: Defines) -> Pass:
     """Compile the pass of standard deviations; ``free``: the source of free_parameters.glsl."""
     outputs, samplers = (Output("o_deviation", packed(model)),), {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free}
@@ -149,8 +149,8 @@ def alternatives_pass(
     outputs = (Output("o_alternative", Packed(-(-defines["ALTERNATIVES"] // 4))),)
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
-    defines = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
+    every = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
+    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, every, given))
 
 
 def copy_pass() -> Pass:
@@ -158,12 +158,14 @@ def copy_pass() -> Pass:
     return Pass(Kernel("common/copy.glsl", (Output("o_copy"),), {"u_source": FLOAT_2D}, {}, {}))
 
 
-def _model_pass(model: ReflectanceModel, source: str, output: str, constants: dict, defines: dict[str, int]) -> Pass:
+def _model_pass(
+    model: ReflectanceModel, source: str, output: str, constants: Mapping[str, str], defines: Defines
+) -> Pass:
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     return Pass(Kernel(source, (Output(output),), samplers, constants, defines, model_includes(model)))
 
 
-def model_includes(model: ReflectanceModel) -> dict:
+def model_includes(model: ReflectanceModel) -> Includes:
     """Return what a kernel's includes of material.glsl, model.glsl and priors.glsl bring."""
     return {
         "material.glsl": material_declaration(model),

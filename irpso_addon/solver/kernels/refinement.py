@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...core.paths import SHADERS
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
@@ -63,7 +64,7 @@ def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int,
     return evaluations, _OFFERS[free.defines["SEARCHED"] > 0]
 
 
-def step_defines(settings: Refinement) -> dict[str, str | int]:
+def step_defines(settings: Refinement) -> Defines:
     """Return the constants of a step that are compiled in."""
     return {
         "CANDIDATES": CANDIDATES, "DAMPING": f"{settings.damping:.9f}", "FTOL": f"{settings.ftol:.9f}",
@@ -76,7 +77,7 @@ def build_refinement_passes(
     model: ReflectanceModel,
     resolved: ResolvedRefinement,
     fitness: Fitness,
-    domain_defines: dict[str, int],
+    domain_defines: Defines,
     entry: Entry,
     penalty: Path = NO_PENALTY,
 ) -> RefinementPasses:
@@ -88,7 +89,8 @@ def build_refinement_passes(
         **domain_defines, **free.defines, **fitness_defines(fitness), **step_defines(settings),
         "EVALUATIONS": evaluations, "OFFERS": offers,
     }  # fmt: skip
-    spread, materials = "refine/spread", {}
+    spread: str = "refine/spread"
+    materials: Samplers = {}
     if isinstance(resolved, ResolvedMaterials):
         spread, materials = "materials/offer", {"u_materials": FLOAT_2D}
         defines["MATERIALS_WEIGHT"] = f"{resolved.materials.weight:.9f}"
@@ -99,12 +101,12 @@ def build_refinement_passes(
         "materials.glsl": SHADERS / "materials" / f"{'shared' if materials else 'none'}.glsl",
     }  # fmt: skip
     outputs = Output("o_estimate", packed(model)), Output("o_status")
-    held = {"u_estimate": packed(model), "u_status": FLOAT_2D}
-    work = {"u_work": packed(model), "u_work_status": FLOAT_2D}
+    held: Samplers = {"u_estimate": packed(model), "u_status": FLOAT_2D}
+    work: Samplers = {"u_work": packed(model), "u_work_status": FLOAT_2D}
 
     voted = settings.votes > 0 and free.defines["SEARCHED"] > 0
 
-    def make(name: str, samplers: dict, constants: dict, how: Entry = entry) -> Pass:
+    def make(name: str, samplers: Samplers, constants: Mapping[str, str], how: Entry = entry) -> Pass:
         return Pass(Kernel(f"{name}.glsl", outputs, {**held, **samplers}, constants, defines, given), how)
 
     return RefinementPasses(

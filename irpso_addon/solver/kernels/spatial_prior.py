@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...core.paths import SHADERS
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Defines, Entry, Includes, Kernel, Output, Pass, Samplers
 from ...reflectance.model import Parameter, ReflectanceModel
 from ..settings.groups import Prior, Refinement
 from ..settings.resolve import ResolvedPrior
@@ -64,7 +64,7 @@ def taps_of(prior: Prior) -> int:
 
 
 def build_prior_passes(
-    model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: dict[str, int], entry: Entry
+    model: ReflectanceModel, resolved: ResolvedPrior, schedule: Schedule, domain_defines: Defines, entry: Entry
 ) -> PriorPasses:
     """Compile the passes of a prior."""
     prior, held = resolved.prior, _held(model, resolved.parameters)
@@ -82,7 +82,7 @@ def build_prior_passes(
         "free_parameters.glsl": free.source,
     }  # fmt: skip
 
-    def make(source: str, outputs: tuple, samplers: dict, how: Entry = entry, **more: int) -> Pass:
+    def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"{source}.glsl"
         return Pass(Kernel(name, outputs, samplers, FITNESS, {**common, **more}, includes), how)
 
@@ -138,7 +138,12 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
 
 
 def _step_pass(
-    model: ReflectanceModel, resolved: ResolvedPrior, common: dict, samplers: dict, includes: dict, entry: Entry
+    model: ReflectanceModel,
+    resolved: ResolvedPrior,
+    common: Defines,
+    samplers: Samplers,
+    includes: Includes,
+    entry: Entry,
 ) -> Pass:
     free, slopes_source = resolved_slopes(model, resolved.step)
     # Lobes are put in order at the end: what a prior says is said of the one or of the other.
@@ -156,7 +161,7 @@ def _step_pass(
     )  # fmt: skip
 
 
-def _settings(prior: Prior, refinement: Refinement) -> dict[str, str | int]:
+def _settings(prior: Prior, refinement: Refinement) -> Defines:
     numbers = {
         "NOISE_FREEDOM": prior.noise_freedom, "LIKENESS": prior.likeness, "LIKENESS_COLOR": prior.likeness_color,
         "SPREAD": prior.spread, "LEAST_SHARE": prior.share, "TOLERANCE": prior.tolerance,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...gpu.passes import Entry, Kernel, Output, Packed, Pass
+from ...gpu.passes import Defines, Entry, Kernel, Output, Packed, Pass, Samplers
 from ...reflectance.model import ReflectanceModel
 from ..settings.schedule import Schedule
 from . import kernels
@@ -42,13 +42,13 @@ def build_synchronous_swarm_passes(
     schedule: Schedule,
     particles: int,
     across: int,
-    domain_defines: dict[str, int],
+    domain_defines: Defines,
     entry: Entry,
 ) -> SynchronousSwarmPasses:
     """Compile the passes for ``particles`` in an atlas ``across`` tiles wide."""
     estimates, fitness = kernels.packed(model), Packed(-(-particles // 4), MAX_PARTICLES)
     state = {f"u_particle_{name}": kernels.FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
-    best_so_far = {
+    best_so_far: Samplers = {
         "u_best": encoding.packed, "u_best_linear": linear.packed, "u_best_fitness": kernels.FLOAT_2D, **kernels.PACKING
     }  # fmt: skip
     found = {"u_fitness": fitness, "u_linear": linear.packed}
@@ -62,7 +62,7 @@ def build_synchronous_swarm_passes(
     }  # fmt: skip
     given = {**kernels.model_includes(model), "particle_encoding.glsl": encoding.source, "basis.glsl": linear.source}
 
-    def make(source: str, outputs: tuple[Output, ...], samplers: dict, how: Entry = entry, **more: int) -> Pass:
+    def make(source: str, outputs: tuple[Output, ...], samplers: Samplers, how: Entry = entry, **more: int) -> Pass:
         name = f"swarm/synchronous/{source}.glsl"
         return Pass(Kernel(name, outputs, samplers, kernels.MOVE, {**defines, **more}, given), how)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from copy import copy
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from ...capture.inspect.checks import NARROW, flatness
 from ...core.paths import SHADERS
 from ...gpu import textures
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
@@ -211,7 +210,10 @@ def _first_estimates(
     normal = next(p.name for p in model.parameters if p.is_normal)
     packed = np.concatenate([textures.download(t) for t in estimates.current], axis=-1)
     at = model.offset(normal)
-    values = {p.name: np.broadcast_to(np.float32(p.default), (*packed.shape[:2], p.components)) for p in own.parameters}
+    values = {
+        p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*packed.shape[:2], p.components))
+        for p in own.parameters
+    }
     return Estimates(own, values | {"normal": packed[..., at : at + 3], "base": domain.scale[..., None]})
 
 
@@ -220,18 +222,18 @@ def _narrow(lights: np.ndarray) -> bool:
     return not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
 
 
-def _adopt_pass(model: ReflectanceModel, defines: dict[str, Any]) -> Pass:
+def _adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     normal = next(p.name for p in model.parameters if p.is_normal)
     packed = kernels.packed(model)
-    samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
+    samplers: Samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}
     defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}
     outputs, given = (Output("o_estimate", packed),), kernels.model_includes(model)
     return Pass(Kernel("prefit/adopt.glsl", outputs, samplers, {}, defines, given))
 
 
-def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
+def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     packed = kernels.packed(model)
-    samplers = {
+    samplers: Samplers = {
         "u_estimate": packed, "u_work": packed, "u_prefit_fitness": kernels.FLOAT_2D, **kernels.OBSERVATIONS
     }  # fmt: skip
     defines = {
@@ -242,8 +244,8 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[
     return Pass(Kernel("prefit/acceptance.glsl", outputs, samplers, kernels.FITNESS, defines, given))
 
 
-def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: dict[str, Any]) -> Pass:
-    samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
+    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
     free = build_free_parameters(model, ()).count
     defines = {
         **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),

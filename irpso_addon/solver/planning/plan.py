@@ -157,8 +157,9 @@ def plan_recovery(
     device = sum(sorted(tile.device for tile in tiles)[-on_device:]) + (0 if resident else restored)
     texels = _texels(coverage)
     return Plan(
-        coverage.shape, texels, cost.observations, tiles, 0 if boxes == [whole] else cost.reach, on_device, stack_on,
-        state_on, 1 if resident else 1 + cost.exchanges, device, host, scratch, texels * cost.evaluations, memory,
+        (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
+        0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, 1 if resident else 1 + cost.exchanges,
+        device, host, scratch, texels * cost.evaluations, memory,
     )  # fmt: skip
 
 
@@ -189,7 +190,7 @@ def _texels(coverage: np.ndarray) -> int:
     return int(np.count_nonzero(coverage))
 
 
-def _around(box: Box, halo: int, shape: tuple[int, int]) -> tuple[slice, slice]:
+def _around(box: Box, halo: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
     x0, y0, width, height = box
     rows = slice(max(0, y0 - halo), min(shape[0], y0 + height + halo))
     return rows, slice(max(0, x0 - halo), min(shape[1], x0 + width + halo))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def make_plan(
     return plan
 
 
-def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
+def uv_borders(mesh: MeshData, shape: tuple[int, ...]) -> Borders:
     """Return the border edges of a mesh's UV islands on (H, W) texels."""
     edges, _ = seam_edges(mesh, shape[1], shape[0])
     edges = edges.some(edges.other >= 0)
@@ -70,12 +71,9 @@ def uv_borders(mesh: MeshData, shape: tuple[int, int]) -> Borders:
 
 def scratch_folder(output: Path) -> Path:
     """Return the folder of scratch files: TMPDIR where it is set, else beside the output folder."""
-    if folder := os.environ.get("TMPDIR"):
-        return Path(folder)
-    folder = output.resolve().parent
-    while not folder.is_dir():
-        folder = folder.parent
-    return folder
+    if temporary := os.environ.get("TMPDIR"):
+        return Path(temporary)
+    return next(folder for folder in output.resolve().parents if folder.is_dir())
 
 
 def planned_recovery(
@@ -85,7 +83,7 @@ def planned_recovery(
     schedule: Schedule,
     seed: int,
     fixed: Mapping[str, np.ndarray],
-    entry: str,
+    entry: Literal["auto", "fragment", "compute"],
     scratch: Path,
     prepared: Prepared | None = None,
 ) -> RecoveryEngine:
@@ -98,8 +96,9 @@ def planned_recovery(
     if untiled(plan):
         return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
     folder = scratch if plan.state_on == "scratch" else None
-    options = {"halo": plan.halo, "on_device": plan.on_device, "scratch": folder, "prepared": prepared}
-    return TiledRecovery(*settings, boxes=plan.boxes, **options)
+    return TiledRecovery(
+        *settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder, prepared=prepared
+    )
 
 
 def untiled(plan: Plan) -> bool:

@@ -25,15 +25,15 @@ from ..settings.schedule import Schedule
 from .layout import digest_of_texels
 
 _VERSION = 5
-_NOTE = "note_"  # before the names of arrays in the file that are the caller's
+_NOTE = "note_"  # prefix of the caller's own arrays in the file
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The state of a recovery, and what its caller wants to find again.
+    """The state of a recovery, with arrays of its caller.
 
-    stage: index of the running stage. iteration: as the phase counts. arrays: by name rows of all solvable texels
-    (layout.py), or textures of a recovery that goes on in the same process. notes: arrays of the caller's own by name.
+    stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels (layout.py),
+    or textures for the same process. notes: the caller's arrays by name.
     """
 
     stage: int
@@ -52,15 +52,15 @@ def identity(
     fixed: Mapping[str, np.ndarray] = MappingProxyType({}),
     samples: int | None = None,
 ) -> dict[str, Any]:
-    """Return what must be equal for a checkpoint to be gone on from, as plain data.
+    """Return, as plain data, what must be equal to resume a checkpoint.
 
-    samples: of ``digest_of_texels``, where the domain's own stack does not hold them.
+    samples: from ``digest_of_texels``, if the domain's own stack does not hold them.
     """
     bake = domain.bake
     samples = digest_of_texels(domain) if samples is None else samples
-    shape = (bake.position, bake.normal, bake.tangent, bake.coverage)
+    shape = [bake.position, bake.normal, bake.tangent, bake.coverage]
     if domain.seams is not None:
-        shape += (domain.seams.place, domain.seams.of, domain.seams.target)
+        shape += [domain.seams.place, domain.seams.of, domain.seams.target]
     return {
         "model": model.name,
         "preset": dataclasses.asdict(schedule),
@@ -78,7 +78,7 @@ def identity(
 def _digest(arrays: Iterable[np.ndarray]) -> str:
     digest = hashlib.sha256()
     for array in arrays:
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 
@@ -103,8 +103,8 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
-    """Read a checkpoint. Raises CheckpointError where it is missing, damaged, or another's, naming what differs."""
-    with _said_of(path):
+    """Read a checkpoint. Raises CheckpointError if it is missing, damaged or of another recovery, with the differences."""
+    with _reading(path):
         with np.load(path) as file:
             arrays = {name: file[name] for name in file.files}
         about = json.loads(bytes(arrays.pop("about")))
@@ -117,11 +117,11 @@ def read(path: Path, who: dict[str, Any]) -> Checkpoint:
 
 
 def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a checkpoint says of itself, before anything slow is done to go on from it.
+    """Return a checkpoint's identity without its arrays.
 
-    who: what is known already of the recovery's ``identity``. Raises CheckpointError as ``read`` does.
+    who: the known part of the recovery's ``identity``. Raises CheckpointError as ``read`` does.
     """
-    with _said_of(path):
+    with _reading(path):
         with np.load(path) as file:
             about = json.loads(bytes(file["about"]))
         _check(path, about, who)
@@ -129,18 +129,18 @@ def glance(path: Path, who: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_note(path: Path, name: str) -> np.ndarray:
-    """Return one of a checkpoint's notes, without the rest. Raises CheckpointError where it is not there."""
-    with _said_of(path), np.load(path) as file:
+    """Return one of a checkpoint's notes. Raises CheckpointError if it is missing."""
+    with _reading(path), np.load(path) as file:
         return file[_NOTE + name]
 
 
-# What numpy, zipfile and json were seen to raise when single bytes of a checkpoint were changed.
+# Raised by numpy, zipfile and json when single bytes of a checkpoint were changed.
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError)
 
 
 @contextmanager
-def _said_of(path: Path) -> Iterator[None]:
-    """Raise CheckpointError for what reading a file raises."""
+def _reading(path: Path) -> Iterator[None]:
+    """Turn the errors of reading a file into CheckpointError."""
     try:
         yield
     except OSError as error:
@@ -152,10 +152,10 @@ def _said_of(path: Path) -> Iterator[None]:
 def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
     if about["version"] != _VERSION:
         raise CheckpointError(f"{path}: is of another version of the program; finish it there, or leave out --resume")
-    found, ours = about["identity"], json.loads(json.dumps(who))
-    differing = [name for name in ours if found.get(name) != ours[name]]
+    theirs, ours = about["identity"], json.loads(json.dumps(who))
+    differing = [name for name in ours if theirs.get(name) != ours[name]]
     if differing:
-        details = [text for name in differing if (text := _difference(name, found.get(name), ours[name]))]
+        details = [text for name in differing if (text := _difference(name, theirs.get(name), ours[name]))]
         verb = "differs" if len(differing) == 1 else "differ"
         raise CheckpointError(
             f"{path}: is of another recovery: {', '.join(differing)} {verb}"
@@ -164,7 +164,7 @@ def _check(path: Path, about: dict[str, Any], who: Mapping[str, Any]) -> None:
 
 
 def _difference(name: str, there: Any, here: Any) -> str:
-    """Return in words what a person has set otherwise, nothing where it is no setting."""
+    """Return in words how a user's setting differs; "" if it is no setting."""
     if name in ("model", "seed", "entry"):
         return f"{name} {there} there, {here} here"
     if name == "geometry":
@@ -175,7 +175,7 @@ def _difference(name: str, there: Any, here: Any) -> str:
 
 
 def _leaves(there: Any, here: Any, name: str = "") -> Iterator[str]:
-    """Yield the names of the settings that differ, however deep they lie."""
+    """Yield the names of the settings that differ, at any depth."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in {**there, **here}:
             yield from _leaves(there.get(key), here.get(key), key)

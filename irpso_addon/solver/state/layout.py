@@ -1,4 +1,4 @@
-"""The state of a recovery, and the digest of its samples, texel by texel: the same however the domain is cut."""
+"""Layout of checkpoints: one row per texel, independent of tiles and ranks; and the digest of a domain's samples."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from .phase_textures import Atlas, plan_atlas
 from .textures import SOLVED, packed_states
 
 _FLAT = frozenset({"prefit_fitness"})  # arrays without channels
-_TABLE = "phase_materials"  # not of texels: who goes on without it finds it again
+_TABLE = "phase_materials"  # no rows of texels; a phase without it computes it again
 
-_ODD = np.uint64(0x9E3779B97F4A7C15)  # of Steele, Lea and Flood 2014 (SplitMix64), as are the two below
+# SplitMix64 (Steele, Lea and Flood 2014, Fast Splittable Pseudorandom Number Generators).
+_ODD = np.uint64(0x9E3779B97F4A7C15)
 _MIX = ((30, np.uint64(0xBF58476D1CE4E5B9)), (27, np.uint64(0x94D049BB133111EB)))
 
 
 class TexelLayout:
-    """Between a recovery's textures and rows of texels, the layout that whole, tiled and ranked recoveries share.
+    """Converts a recovery's textures to rows of texels and back. Whole, tiled and ranked recoveries share the rows.
 
-    A row is (tiles or 1, C) float32, of one solvable texel; texels come row by row, after them those of the ghosts.
-    packing: of the domain, where it has been made already.
+    A row is (tiles or 1, C) float32 of one solvable texel; texels come row by row, then the ghosts. packing: of the
+    domain, if there is one already.
     """
 
     def __init__(self, domain: Domain, packing: Packing | None = None):
@@ -30,19 +31,19 @@ class TexelLayout:
         self._own = packed_states(domain, self._packing).ravel()[: self._packing.count] == SOLVED
 
     def rows(self, arrays: Mapping[str, np.ndarray], tiles: int) -> dict[str, np.ndarray]:
-        """Return the rows of the texels that are solved here. tiles: of the particles' atlas."""
+        """Return the rows of the tile's own texels. tiles: of the particles' atlas."""
         size = self._packing.width, self._packing.height
         texels = {name: _rows(array, size, tiles) for name, array in arrays.items() if name != _TABLE}
         return {name: rows[: len(self._own)][self._own] for name, rows in texels.items()}
 
     def arrays(self, rows: Mapping[str, np.ndarray], limit: int) -> dict[str, np.ndarray]:
-        """Return textures of the rows of all texels, halo and ghosts too. limit: texels along a texture's side."""
+        """Return textures from the rows of all texels, with halo and ghosts. limit: largest side of a texture."""
         size = self._packing.width, self._packing.height
         return {name: _array(value, size, limit, name in _FLAT) for name, value in rows.items()}
 
 
 def numbered(solvable: np.ndarray) -> np.ndarray:
-    """Return (H, W) the number of each solvable texel's row, −1 elsewhere."""
+    """Return (H, W): the row number of each solvable texel, −1 elsewhere."""
     return np.where(solvable, np.cumsum(solvable).reshape(solvable.shape) - 1, -1)
 
 
@@ -51,7 +52,7 @@ def joined(
     parts: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray]]],
     empty: Callable[[tuple[int, ...]], np.ndarray] = lambda shape: np.zeros(shape, np.float32),
 ) -> dict[str, np.ndarray]:
-    """Return the rows of ``total`` texels, of parts that have some: their numbers, and their rows."""
+    """Return the rows of ``total`` texels from parts: (row numbers, rows by name)."""
     whole: dict[str, np.ndarray] = {}
     for chosen, rows in parts:
         for name, value in rows.items():
@@ -62,9 +63,9 @@ def joined(
 
 
 def digest_of_texels(domain: Domain) -> int:
-    """Return a 64-bit number of a tile's own solved texels, which add up, modulo 2⁶⁴, to the number of the whole.
+    """Return a 64-bit digest of a tile's own solved texels; the digests of all tiles add up, modulo 2⁶⁴, to the whole's.
 
-    It tells one subject from another and a changed image from the one before; it is no protection against forgery.
+    It detects another subject or a changed image, not forgery.
     """
     left, right, bottom, top = domain.halo
     own = domain.solvable.copy()
@@ -73,14 +74,14 @@ def digest_of_texels(domain: Domain) -> int:
     rows, columns = np.nonzero(own)
     place = (rows + domain.origin[1]).astype(np.uint64) << np.uint64(32)
     place |= (columns + domain.origin[0]).astype(np.uint64)
-    found = _mixed(place)
+    digest = _mixed(place)
     for layer in domain.stack.layers():
-        samples = np.where(layer[rows, columns, 3:] != 0, layer[rows, columns], np.float32(0))  # the rest is for show
+        samples = np.where(layer[rows, columns, 3:] != 0, layer[rows, columns], np.float32(0))  # others are never read
         words = np.ascontiguousarray(samples).view(np.uint32)
         for word in words.T:
-            found = (found ^ word) * _MIX[0][1]
-            found ^= found >> np.uint64(29)
-    return int(_mixed(found).sum(dtype=np.uint64))
+            digest = (digest ^ word) * _MIX[0][1]
+            digest ^= digest >> np.uint64(29)
+    return int(_mixed(digest).sum(dtype=np.uint64))
 
 
 def _rows(array: np.ndarray, size: tuple[int, int], tiles: int) -> np.ndarray:

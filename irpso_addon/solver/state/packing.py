@@ -1,31 +1,30 @@
-"""Dense packing: the texels that are solved, side by side, so that empty ones cost neither memory nor time."""
+"""Dense packing: solved texels side by side, so that empty ones cost neither memory nor time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...geometry.seams.seams import SeamMap
+from ...gpu.textures import Texture
 
-_EXACT = 1 << 24  # float32 numbers whole ones up to here
+_EXACT = 1 << 24  # float32 holds all whole numbers up to here
 
 
-def level_size(lent: Mapping[str, Any], defines: Mapping[str, int]) -> tuple[int, int]:
-    """Return (W, H) of the domain whose packing is lent, with the defines of its kernels."""
-    border = 2 * defines.get("SEAMS", 0)
+def level_size(lent: Mapping[str, Texture], defines: Mapping[str, str | int]) -> tuple[int, int]:
+    """Return (W, H) of a domain from its textures and the defines of its kernels."""
+    border = 2 * int(defines.get("SEAMS", 0))
     return lent["u_packed"].width - border, lent["u_packed"].height - border
 
 
 class Packing:
-    """Which place of a packed grid holds which texel of a domain, row by row.
+    """The places of a domain's solved texels in a packed grid, row by row; ghosts of its seams come last.
 
-    solved: (H, W) bool. seams: of the domain, whose ghosts comes after its texels. width, height: of the packed grid;
-    its last places may be empty: count are held. A domain that is solved everywhere, and has no ghosts, is its own
-    packing.
+    solved: (H, W) bool. width, height: of the packed grid. count: its occupied places; the last ones may be empty. A
+    domain without ghosts in which every texel is solved is its own packing.
     """
 
     def __init__(self, solved: np.ndarray, seams: SeamMap | None = None):
@@ -38,14 +37,14 @@ class Packing:
         self.height = max(1, -(-count // self.width))
 
     def pack(self, array: np.ndarray, ghosts: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return (h, w, …) of (H, W, …); places without a texel are 0. Where all are solved, the array itself.
+        """Return (h, w, …) of (H, W, …), 0 at empty places; the array itself if the domain is its own packing.
 
         ghosts: (M, …) of the ghost texels, or what broadcasts to it.
         """
         return array if self._whole else self._grid(array[self._rows, self._columns], ghosts)
 
-    def unpack(self, array: np.ndarray, fill: Any = 0.0) -> np.ndarray:
-        """Return (H, W, …) of (h, w, …), with ``fill`` where no texel is solved."""
+    def unpack(self, array: np.ndarray, fill: object = 0.0) -> np.ndarray:
+        """Return (H, W, …) of (h, w, …), ``fill`` where no texel is solved."""
         if self._whole:
             return array.copy()
         result = np.empty((*self.shape, *array.shape[2:]), array.dtype)
@@ -55,7 +54,7 @@ class Packing:
         return result
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what shaders/common/packing.glsl reads, float32: layers of places (1 or more, h, w, 4) and u_packed.
+        """Return the float32 arrays for shaders/common/packing.glsl: layers of places (1 or more, h, w, 4) and u_packed.
 
         u_packed, the inverse of the places, has two channels; with seams four, and a border around the domain.
         """

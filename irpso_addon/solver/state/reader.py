@@ -1,24 +1,23 @@
-"""Reading textures back, whichever entry wrote them."""
+"""Downloads of textures that fragment or compute passes wrote."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from ...gpu import textures
 from ...gpu.passes import Entry
+from ...gpu.textures import Texture
 from ..kernels.kernels import copy_pass
 
 
 class Reader:
-    """Downloads textures; what a compute dispatch wrote goes through a fragment pass first, which orders the two."""
+    """Downloads textures. A fragment pass first copies what a compute dispatch wrote: that orders write and read."""
 
     def __init__(self, entry: Entry):
         self._copy = copy_pass() if entry == "compute" else None
-        self._copies: dict[tuple[int, int], Any] = {}
+        self._copies: dict[tuple[int, int], Texture] = {}
 
-    def read(self, texture: Any) -> np.ndarray:
+    def read(self, texture: Texture) -> np.ndarray:
         """Return a texture's contents as (H, W, C) float32."""
         if self._copy is None:
             return textures.download(texture)

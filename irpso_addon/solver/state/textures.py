@@ -94,7 +94,7 @@ def kernel_defines(domain: Domain) -> dict[str, str | int]:
 
 def observation_defines(lights: np.ndarray, views: np.ndarray, card: bool) -> dict[str, str | int]:
     """Return what lets a kernel do less: a card, lights that are all distant, one view for all observations."""
-    defines = {"CARD": 1} if card else {}
+    defines: dict[str, str | int] = {"CARD": 1} if card else {}
     if not lights[:, 3].any():
         defines["DISTANT_LIGHTS"] = 1
     if (views == views[:1]).all():
