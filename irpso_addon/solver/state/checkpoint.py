@@ -32,8 +32,8 @@ _NOTE = "note_"  # prefix of the caller's own arrays in the file
 class Checkpoint:
     """The state of a recovery, with arrays of its caller.
 
-    stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels (layout.py),
-    or textures for the same process. notes: the caller's arrays by name.
+    stage: index of the running stage. iteration: of its phase. arrays: by name, rows of all solvable texels
+    (layout.py), or textures for the same process. notes: the caller's arrays by name.
     """
 
     stage: int
@@ -103,7 +103,7 @@ def write(path: Path, who: dict[str, Any], state: Checkpoint) -> None:
 
 
 def read(path: Path, who: dict[str, Any]) -> Checkpoint:
-    """Read a checkpoint. Raises CheckpointError if it is missing, damaged or of another recovery, with the differences."""
+    """Read a checkpoint. Raises CheckpointError if it is missing, damaged or of another recovery."""
     with _reading(path):
         with np.load(path) as file:
             arrays = {name: file[name] for name in file.files}

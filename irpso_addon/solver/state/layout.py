@@ -63,7 +63,7 @@ def joined(
 
 
 def digest_of_texels(domain: Domain) -> int:
-    """Return a 64-bit digest of a tile's own solved texels; the digests of all tiles add up, modulo 2⁶⁴, to the whole's.
+    """Return a 64-bit digest of a tile's own solved texels; those of all tiles add up, modulo 2⁶⁴, to the whole's.
 
     It detects another subject or a changed image, not forgery.
     """

@@ -54,7 +54,7 @@ class Packing:
         return result
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the float32 arrays for shaders/common/packing.glsl: layers of places (1 or more, h, w, 4) and u_packed.
+        """Return the float32 arrays of shaders/common/packing.glsl: layers of places (1 or more, h, w, 4) and u_packed.
 
         u_packed, the inverse of the places, has two channels; with seams four, and a border around the domain.
         """

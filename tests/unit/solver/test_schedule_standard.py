@@ -47,17 +47,16 @@ def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
 
 def test_every_constant_of_the_standard_preset_is_read_from_its_file(tmp_path):
     text = (PRESETS / "standard.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)
     standard = load_schedule("standard")
-    parts = [name for name, value in table.items() if isinstance(value, dict)]
-    assert {"swarm", "fitness", "prefit", "refinement"} <= set(parts)
-    for part in parts:
+    parts = {name: table for name, table in tomllib.loads(text).items() if isinstance(table, dict)}
+    assert {"swarm", "fitness", "prefit"} <= set(parts)
+    for part, table in parts.items():
         values = dataclasses.asdict(getattr(standard, part))
-        assert values == table[part], part
-        for name, value in table[part].items():
+        assert table.items() <= values.items(), part
+        for name, value in values.items():
             if (part, name) == ("swarm", "update"):
                 continue  # "one" cannot solve
-            changed = {**table[part], name: unlike(value)}
+            changed = {**values, name: unlike(value)}
             path = tmp_path / "mine.toml"
             start = text.index(f"[{part}]")
             end = text.find("\n[", start)
@@ -168,17 +167,6 @@ def test_settings_of_the_prefit_are_replaced_by_name_and_whole():
     )
     assert (after.fitness.shadow, after.refinement.iterations) == (0.1, 2)
     assert before.replaced(prefit=after.prefit) == before.replaced(prefit_iterations=3, prefit_shadow=0.5)
-
-
-def test_a_prefit_of_a_preset_is_set_whole(tmp_path):
-    text = (PRESETS / "standard.toml").read_text(encoding="utf-8")
-    path = tmp_path / "mine.toml"
-    path.write_text(text.replace("acceptance_ratio = 1.2\n", ""), encoding="utf-8")
-    with pytest.raises(InputError, match=r"\[prefit\]: 'acceptance_ratio' is not set"):
-        load_schedule(path)
-    path.write_text(text.replace("acceptance_ratio = 1.2\n", "acceptance_ratio = 1.2\nlobes = 2\n"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"\[prefit\]: unknown key 'lobes'"):
-        load_schedule(path)
 
 
 @pytest.mark.parametrize("part", ["prefit", "refinement", "prior"])
