@@ -143,14 +143,14 @@ def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, define
 
 
 def alternatives_pass(
-    model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: dict[str, int]
+    model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: Defines
 ) -> Pass:
     """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
-    outputs = (Output("o_alternative", Packed(-(-defines["ALTERNATIVES"] // 4))),)
+    outputs = (Output("o_alternative", Packed(-(-int(defines["ALTERNATIVES"]) // 4))),)
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}
-    every = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
-    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, every, given))
+    defines = {**defines, **free.defines, **linear.defines, **fitness_defines(fitness)}
+    return Pass(Kernel("diagnostics/alternatives.glsl", outputs, samplers, FITNESS, defines, given))
 
 
 def copy_pass() -> Pass:
