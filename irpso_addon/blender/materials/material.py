@@ -291,9 +291,10 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
     uv = nodes.node("uv", "ShaderNodeUVMap", (-1080, 0), uv_map=uv_map) if uv_map else None
     for row, table in enumerate(tables):
         y = 300 - 320 * row
+        # Blender's names of the sockets that the map drives; a parameter without a socket keeps its own name.
+        label = ", ".join(p.socket or p.name.replace("_", " ").title() for p in table.parameters)
         texture = nodes.node(
-            f"map {table.name}", "ShaderNodeTexImage", (-860, y), _label(table), image=images[table.name],
-            extension=extension,
+            f"map {table.name}", "ShaderNodeTexImage", (-860, y), label, image=images[table.name], extension=extension
         )  # fmt: skip
         if uv is not None:
             nodes.link(uv.outputs["UV"], texture.inputs["Vector"])
@@ -307,11 +308,6 @@ def _map_nodes(nodes: OwnNodes, tables: list[MapTable], images: dict, uv_map: st
         else:
             sources |= _separated(nodes, table, texture, y)
     return sources
-
-
-def _label(table: MapTable) -> str:
-    """Return Blender's names of the sockets that a map drives; a parameter without a socket keeps its own name."""
-    return ", ".join(p.socket or p.name.replace("_", " ").title() for p in table.parameters)
 
 
 def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str, object]:

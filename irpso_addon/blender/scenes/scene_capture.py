@@ -71,7 +71,7 @@ def scene_steps(scene: Any, colour_space: str = "auto", skip_damaged: bool = Fal
         masks.append(_mask(camera, cameras[-1], store))
     photographs = {obj.name: (names.index(name), p) for name, pairs in seen_by.items() for obj, p in pairs}
     observations = tuple(
-        Observation(name, _reader(photograph), light, camera, photograph.coarse)
+        Observation(name, lambda p=photograph: p.read().bounds, light, camera, photograph.coarse)
         for name, light in vectors.items()
         for camera, photograph in (photographs[name],)
     )
@@ -125,10 +125,6 @@ def _name(scene: Any, lights: list) -> str:
     """Return the capture's name: of the files that the lights came from, else the scene's."""
     names = {obj.get(CAPTURE) for obj in lights}
     return names.pop() if len(names) == 1 and None not in names else scene.name
-
-
-def _reader(photograph: Photograph):
-    return lambda: photograph.read().bounds
 
 
 def _camera_object(light: Any, scene: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 from ...core.errors import InputError
 from ...core.paths import SHADERS
@@ -103,6 +104,7 @@ class ResolvedPrior:
 Resolved = ResolvedPrefit | ResolvedSwarm | ResolvedRefinement | ResolvedPrior
 
 
+@cache
 def prefit_model() -> ReflectanceModel:
     """Return the prefit's own model."""
     return load_model(SHADERS / "prefit" / "falloff_lobe.toml")

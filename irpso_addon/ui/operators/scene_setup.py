@@ -63,7 +63,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     dome = _dome(scene, capture)
     views = []
     for index, (view, camera, mask) in enumerate(zip(spec.views, capture.cameras, capture.masks, strict=True)):
-        obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", _new_camera, collection, capture)
+        obj = _object(owned, made, f"view {index}", f"View {index:03d} {view.name}", "CAMERA", collection, capture)
         set_camera(obj, camera)
         obj.data.clip_end = max(obj.data.clip_end, 10 * float(np.linalg.norm(camera.position - dome.centre)))
         obj.data.display_size = _SMALL * dome.radius
@@ -72,7 +72,7 @@ def create_scene(scene, spec: CaptureSpec, capture: Capture) -> list:
     lights = []
     for index, (shot, observation) in enumerate(zip(spec.observations, capture.observations, strict=True)):
         name = f"Light {index:03d} {observation.name}"
-        obj = _object(owned, made, f"light {index}", name, _new_light, collection, capture)
+        obj = _object(owned, made, f"light {index}", name, "SUN", collection, capture)
         set_light(obj, observation.light, dome.centre, dome.radius)
         obj.irpso.image, obj.irpso.camera = images.of(shot.image), views[observation.camera]
         lights.append(obj)
@@ -153,23 +153,16 @@ def _own_lights(scene) -> list:
     return [obj for obj in _own(scene) if obj.type == "LIGHT"]
 
 
-def _object(owned: dict, made: list, role: str, name: str, new, collection, capture: Capture):
-    """Return the capture's object of this role, created and tagged if there is none."""
+def _object(owned: dict, made: list, role: str, name: str, kind: str, collection, capture: Capture):
+    """Return the capture's object of this role, created and tagged if there is none. kind: CAMERA or a light's."""
     obj = owned.get(role)
     if obj is None:
-        obj = new(name)
+        data = bpy.data.cameras.new(name) if kind == "CAMERA" else bpy.data.lights.new(name, kind)
+        obj = bpy.data.objects.new(name, data)
         obj[CAPTURE], obj[_ROLE] = capture.name, role
         collection.objects.link(obj)
     made.append(obj)
     return obj
-
-
-def _new_camera(name: str):
-    return bpy.data.objects.new(name, bpy.data.cameras.new(name))
-
-
-def _new_light(name: str):
-    return bpy.data.objects.new(name, bpy.data.lights.new(name, "SUN"))
 
 
 def _collection(scene, name: str):

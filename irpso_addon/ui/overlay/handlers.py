@@ -67,12 +67,12 @@ def _follow() -> None:
 def _begin(running: session.Session) -> None:
     global _overlay
     _overlay = SessionOverlay(running, bpy.context.scene.session_uid)
-    for space, draw, kind in (
-        (bpy.types.SpaceView3D, _draw_view, "POST_VIEW"),
-        (bpy.types.SpaceView3D, _draw_pixels, "POST_PIXEL"),
-        (bpy.types.SpaceImageEditor, _draw_image, "POST_PIXEL"),
+    for space, method, kind in (
+        (bpy.types.SpaceView3D, SessionOverlay.draw_view, "POST_VIEW"),
+        (bpy.types.SpaceView3D, SessionOverlay.draw_pixels, "POST_PIXEL"),
+        (bpy.types.SpaceImageEditor, SessionOverlay.draw_image, "POST_PIXEL"),
     ):
-        _handles.append((space, space.draw_handler_add(draw, (), "WINDOW", kind)))
+        _handles.append((space, space.draw_handler_add(draw, (method,), "WINDOW", kind)))
     bpy.app.timers.register(_idle, first_interval=_IDLE_SECONDS)
     redraw()
 
@@ -116,22 +116,11 @@ def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any
     return None
 
 
-def _draw(method: Callable[[SessionOverlay, Any], None]) -> None:
+def draw(method: Callable[[SessionOverlay, Any], None]) -> None:
+    """Draw a part of the overlay: Blender's draw handler."""
     # Handlers are not removed here, because Blender is iterating over them.
     if _overlay is not None and _overlay.running is not _failed and not _overlay.running.closed:
         _guarded(_overlay.running, method, _overlay, bpy.context)
-
-
-def _draw_view() -> None:
-    _draw(SessionOverlay.draw_view)
-
-
-def _draw_pixels() -> None:
-    _draw(SessionOverlay.draw_pixels)
-
-
-def _draw_image() -> None:
-    _draw(SessionOverlay.draw_image)
 
 
 def register() -> None:

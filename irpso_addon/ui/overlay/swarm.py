@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import bpy
 import numpy as np
@@ -182,15 +181,10 @@ def _rims(colors: np.ndarray) -> np.ndarray:
     return np.where(dark[:, None], _LIGHT_RIM, HALO)
 
 
-@cache
-def _prefit() -> ReflectanceModel:
-    return prefit_model()
-
-
 def _range(name: str, model: ReflectanceModel) -> tuple[float, float]:
     """Return the range of a component of the model, or of the prefit's own model."""
     parameter_name, _, part = name.partition(".")
-    for parameter in (*model.parameters, *_prefit().parameters):
+    for parameter in (*model.parameters, *prefit_model().parameters):
         if parameter.name == parameter_name:
             return (0.0, 1.0) if parameter.is_normal and part == "z" else parameter.range  # it faces the viewer
     return 0.0, 1.0

@@ -78,7 +78,7 @@ def model_of(settings: "Settings") -> ReflectanceModel:
     return load_model(absolute(settings.model_path, "Model File"))
 
 
-def refresh_parameters(settings: "Settings") -> None:
+def refresh_parameters(settings: "Settings", context: object = None) -> None:
     """Fill the list of parameters from the model. Parameters that stay keep their settings."""
     try:
         parameters = model_of(settings).parameters
@@ -93,18 +93,6 @@ def refresh_parameters(settings: "Settings") -> None:
             parameter.name, (True, parameter.default[0], (*parameter.default, 0, 0, 0)[:3], None)
         )
         item.recover, item.value, item.color, item.image = recover, value, color, image
-
-
-def _model_changed(self, context) -> None:
-    refresh_parameters(self)
-
-
-def _observation_changed(self, context) -> None:
-    REACTIONS["observation"](self)
-
-
-def _skipping_changed(self, context) -> None:
-    REACTIONS["skip_damaged"](self)
 
 
 def _model_item(name: str) -> tuple[str, str, str]:
@@ -137,10 +125,6 @@ def _components(self, context, text: str) -> list[str]:
     except InputError:
         return []
     return [name for parameter in parameters for name in component_names(parameter)]
-
-
-def _set_card_distance(self, value: float) -> None:
-    self.card_distance = value
 
 
 def _capture_changed(self, context) -> None:
@@ -190,7 +174,7 @@ class ViewSettings(bpy.types.PropertyGroup):
     parameter: EnumProperty(name="Map", description="Which map is shown", items=_parameter_items)
     observation: IntProperty(
         name="Observation", description="Number of the photograph and light to show, from 1. The capture's other lights"
-        " in the scene are switched off", min=1, default=1, update=_observation_changed,
+        " in the scene are switched off", min=1, default=1, update=lambda self, context: REACTIONS["observation"](self),
     )  # fmt: skip
     split: FloatProperty(
         name="Split", description="Where the render ends and the photograph begins", subtype="FACTOR", min=0, max=1,
@@ -260,7 +244,7 @@ class Settings(bpy.types.PropertyGroup):
     )
     skip_damaged: BoolProperty(
         name="Leave Out Damaged Images", description="Recover without images that are missing or cannot be decoded. The"
-        " check decodes every image once", update=_skipping_changed,
+        " check decodes every image once", update=lambda self, context: REACTIONS["skip_damaged"](self),
     )  # fmt: skip
     light_strengths: EnumProperty(
         name="Light Strengths", description="Source of the lights' strengths", items=_STRENGTHS
@@ -287,7 +271,8 @@ class Settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     card_length: FloatProperty(
         name="Card Distance", description="From the camera to the card, along the camera's axis", min=0,
-        subtype="DISTANCE", get=lambda self: self.card_distance, set=_set_card_distance,
+        subtype="DISTANCE", get=lambda self: self.card_distance,
+        set=lambda self, value: setattr(self, "card_distance", value),
     )  # fmt: skip
     near_lights: BoolProperty(description="Whether the files give positions of lights")
     stated_distance: FloatProperty(description="card_distance of the capture.toml, 0 if it has none")
@@ -305,11 +290,15 @@ class Settings(bpy.types.PropertyGroup):
         " off if the mesh is rougher than the real subject", default=True,
     )  # fmt: skip
     model: EnumProperty(
-        name="Model", description="What is recovered", items=_MODEL_ITEMS, default=DEFAULT_MODEL, update=_model_changed
+        name="Model",
+        description="What is recovered",
+        items=_MODEL_ITEMS,
+        default=DEFAULT_MODEL,
+        update=refresh_parameters,
     )
     model_path: StringProperty(
         name="Model File", description="A .toml that declares the parameters, with its .glsl beside it",
-        subtype="FILE_PATH", update=_model_changed, **RELATIVE_PATH,
+        subtype="FILE_PATH", update=refresh_parameters, **RELATIVE_PATH,
     )  # fmt: skip
     parameters: CollectionProperty(type=ParameterItem)
     schedule: PointerProperty(type=ScheduleSettings)

@@ -45,7 +45,7 @@ def test_a_failed_check_ends_and_is_reported_in_the_panel(scene, tmp_path, monke
     assert panels.IRPSO_PT_failures.poll(bpy.context)
 
 
-@pytest.mark.parametrize("name", ["_idle", "_draw_view", "_draw_pixels", "_draw_image", "_follow"])
+@pytest.mark.parametrize("name", ["_idle", "draw", "_follow"])
 def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
     due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
@@ -53,14 +53,12 @@ def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     overlay = SimpleNamespace(running=running, own_window=0, **due, **fails)
     monkeypatch.setattr(handlers, "_overlay", overlay)
     monkeypatch.setattr(handlers, "_failed", None)
-    draws = dict.fromkeys(("draw_view", "draw_pixels", "draw_image"), broken)
-    monkeypatch.setattr(handlers, "SessionOverlay", SimpleNamespace(**draws))
     monkeypatch.setattr(session, "_current", running)
     monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
     with caplog.at_level(logging.ERROR):
         for _ in range(3):
-            getattr(handlers, name)()
-            if name.startswith("_draw"):
+            getattr(handlers, name)(*[broken] * (name == "draw"))
+            if name == "draw":
                 monkeypatch.setattr(handlers, "_failed", None)  # even so
     assert failures.messages() == ("The overlay has ended: index -1 is out of bounds",)
     assert len([one for one in caplog.records if one.exc_info]) == 1
