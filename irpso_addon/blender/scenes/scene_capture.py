@@ -89,10 +89,14 @@ def setting(obj: Any, name: str) -> Any:
     """Return an object's image or camera, or None; works without the registered user interface."""
     if hasattr(obj, _SETTINGS):
         return getattr(getattr(obj, _SETTINGS), name)
-    # Since Blender 5.0 registered properties are separate from custom properties.
-    kept = obj.bl_system_properties_get() if hasattr(obj, "bl_system_properties_get") else obj
-    group = None if kept is None else kept.get(_SETTINGS)
+    group = system_properties(obj).get(_SETTINGS)
     return None if group is None else group.get(name)
+
+
+def system_properties(owner: Any) -> Any:
+    """Return what Blender stores of registered properties, by name: since 5.0 apart from custom properties."""
+    get = getattr(owner, "bl_system_properties_get", None)
+    return owner if get is None else get(do_create=True)
 
 
 def wide_lights(scene: Any, place: np.ndarray) -> list[str]:

@@ -1,15 +1,7 @@
 """Features that only some versions of Blender have, found by asking Blender, not by its version."""
 
-from typing import Any
-
 import bpy
 
 # Since 4.5 Blender warns of a path that begins with "//" unless the property has this option.
 _MAY_BE_RELATIVE = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
 RELATIVE_PATH = {"options": {"PATH_SUPPORTS_BLEND_RELATIVE"}} if _MAY_BE_RELATIVE else {}  # for StringProperty
-
-
-def system_properties(group: bpy.types.PropertyGroup) -> Any:
-    """Return what Blender stores of a property group, by name: since 5.0 apart from custom properties."""
-    get = getattr(group, "bl_system_properties_get", None)
-    return group if get is None else get(do_create=True)

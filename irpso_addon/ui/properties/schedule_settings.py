@@ -12,10 +12,10 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from ...blender.scenes.scene_capture import system_properties
 from ...core.errors import InputError
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
 from ...solver.settings.setting import Setting
-from ..common.features import system_properties
 from ..common.file_paths import absolute
 
 FIRST = "standard"  # the preset of a new scene

@@ -244,7 +244,7 @@ def test_a_scenes_schedule_survives_saving(tmp_path):
 
 
 def test_a_scene_of_an_earlier_version_keeps_its_settings(tmp_path):
-    from irpso_addon.ui.common.features import system_properties
+    from irpso_addon.blender.scenes.scene_capture import system_properties
 
     stored = system_properties(settings())
     stored["polish_rounds"], stored["survey_judge_delta"], stored["polish_starts"] = 7, 0.125, False
