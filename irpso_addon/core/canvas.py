@@ -20,6 +20,7 @@ FAINT = (0.62, 0.62, 0.63)
 Color = Sequence[float]
 _FINE = 4  # ImageDraw has no anti-aliasing: lines are drawn so much larger and reduced
 _CAPITAL = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
+_GLYPHS = str.maketrans({"×": "x", "–": "-", "—": "-", "−": "-", "·": ".", "→": "to", "σ": "sigma"})  # which it lacks
 
 
 class Canvas:
@@ -77,13 +78,13 @@ class Canvas:
         height: of the capitals, in pixels.
         """
         anchor = {0.0: "ls", 0.5: "ms", 1.0: "rs"}[align]
-        self._draw.text((round(x), round(y)), text, _code(color), _font(height), anchor)
+        self._draw.text((round(x), round(y)), text.translate(_GLYPHS), _code(color), _font(height), anchor)
 
     def text_upward(self, x: float, y: float, text: str, height: float, color: Color = TEXT) -> None:
         """Write a line that reads from bottom to top, centred on y, its baseline at x."""
         from PIL import Image, ImageDraw
 
-        font, line = _font(height), round(2 * height)
+        font, line, text = _font(height), round(2 * height), text.translate(_GLYPHS)
         ink = Image.new("L", (round(font.getlength(text)) + 2, line))
         ImageDraw.Draw(ink).text((1, 1.5 * height), text, 255, font, "ls")
         place = round(x - 1.5 * height), round(y - ink.width / 2)

@@ -53,6 +53,14 @@ def test_a_straight_line_covers_its_own_area_only():
     assert not ink[:12].any()
 
 
+def test_signs_that_the_font_lacks_are_spelled_in_letters():
+    sheets = [Canvas(160, 40), Canvas(160, 40)]
+    for canvas, text in zip(sheets, ("4 × 4 – 3σ", "4 x 4 - 3sigma"), strict=True):
+        canvas.text(4, 20, text, 9)
+        canvas.text_upward(150, 20, text[-2:] if text[-1] == "σ" else text[-6:], 9)
+    np.testing.assert_array_equal(*(canvas.result() for canvas in sheets))
+
+
 def test_a_display_image_encodes_each_kind_of_map():
     half = np.full((2, 2, 1), 0.5, np.float32)
     grey = display_image([Parameter("a", 1, (0.0, 2.0), map="a")], [half])
