@@ -64,7 +64,9 @@ def nearest_covered(
     height, width = covered.shape
     row, column = np.nonzero(_box_dilated(covered, reach) & ~covered)
     found = []
-    for dy, dx in _offsets_by_distance(reach):
+    side = range(-reach, reach + 1)
+    disc = [(dy, dx) for dy in side for dx in side if 0 < dy * dy + dx * dx <= reach * reach]
+    for dy, dx in sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2):
         y, x = row + dy, column + dx
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         hit = inside.copy()
@@ -75,13 +77,6 @@ def nearest_covered(
             break
     rows, columns, source_rows, source_columns = map(np.concatenate, zip(*found, strict=True))
     return rows, columns, source_rows, source_columns
-
-
-def _offsets_by_distance(reach: int) -> list[tuple[int, int]]:
-    """Return the non-zero (dy, dx) of a disc, the nearest first."""
-    side = range(-reach, reach + 1)
-    disc = [(dy, dx) for dy in side for dx in side if 0 < dy * dy + dx * dx <= reach * reach]
-    return sorted(disc, key=lambda offset: offset[0] ** 2 + offset[1] ** 2)
 
 
 def _box_dilated(mask: np.ndarray, reach: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The exceptions that cross a border of the program; each message names what is wrong, where, and the remedy."""
+"""The program's exceptions. Each message names the fault, its place and the remedy."""
 
 import re
 
@@ -6,7 +6,7 @@ _SOURCE_LINE = re.compile(r"(\S+\.glsl:\d+(?::\d+)?):\s*(?:error:\s*)?(.+)", re.
 
 
 class IrpsoError(Exception):
-    """Base of every error meant for the person at the keyboard; ``exit_code`` is what the command line returns."""
+    """Base of all errors for the user. exit_code: of the command line."""
 
     exit_code = 1
 
@@ -18,7 +18,7 @@ class InputError(IrpsoError):
 
 
 class CheckpointError(InputError):
-    """A checkpoint that cannot be gone on from: missing, damaged, or of another recovery."""
+    """An unusable checkpoint: missing, damaged, or of another recovery."""
 
 
 class ShaderError(InputError):

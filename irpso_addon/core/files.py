@@ -1,4 +1,4 @@
-"""Files and folders: shipped tables by name, and writing whole or not at all, through a temporary name."""
+"""Files and folders: shipped tables by name, and atomic writes through a temporary name."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .errors import InputError
 
 @contextmanager
 def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, moved onto it at the end, or deleted where an exception is raised.
+    """Yield a temporary path beside ``path``, moved onto it at the end, or deleted after an exception.
 
-    durable: whether it is on the disk itself afterwards. Raises InputError where the folder cannot be written to.
+    durable: flush it to the disk. Raises InputError if the folder cannot be written.
     """
     partial = path.with_name(f"{_partial(path)}{os.getpid()}{path.suffix}")
     try:
@@ -38,7 +38,7 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
 
 
 def remove_partials(path: Path) -> None:
-    """Remove what killed processes have left half written of a file of the program's own."""
+    """Remove partial versions of a file that killed processes left."""
     for left in path.parent.glob(f"{_partial(path)}*{path.suffix}"):
         left.unlink(missing_ok=True)
 
@@ -50,7 +50,7 @@ def check_unused(path: Path, remedy: str = "choose a new folder or delete it fir
 
 
 def synced(path: Path) -> None:
-    """Have a file, or a folder's list of files, on the disk itself: what comes after it may then rely on it."""
+    """Flush a file, or a folder's list of files, to the disk."""
     if os.name == "nt" and path.is_dir():  # which Windows cannot open, and has no need to
         return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -61,16 +61,16 @@ def synced(path: Path) -> None:
 
 
 def write_json(path: Path, table: dict[str, Any]) -> None:
-    """Write plain data as JSON, whole or not at all. Raises InputError where it cannot be written."""
+    """Write plain data as JSON, atomically. Raises InputError if it cannot be written."""
     with replacing_file(path, durable=True) as partial:
         partial.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside ``path``, renamed to it at the end, or deleted where an exception is raised.
+    """Yield a temporary folder beside ``path``, renamed to it at the end, or deleted after an exception.
 
-    Raises InputError where ``path`` is there already and is not an empty folder, or cannot be made.
+    Raises InputError if ``path`` exists and is not an empty folder, or cannot be made.
     """
     check_unused(path)
     partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
@@ -97,7 +97,7 @@ def shipped_names(folder: Path) -> list[str]:
 
 
 def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tuple[dict[str, Any], Path]:
-    """Return the table of ``folder``/NAME.toml, or of a user's own .toml by path, and where it lies.
+    """Return the table of ``folder``/NAME.toml, or of a user's own .toml by path, and its path.
 
     what: "model" or "preset", for the message of the InputError that a missing or damaged file raises.
     """

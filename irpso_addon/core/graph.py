@@ -6,9 +6,9 @@ import numpy as np
 
 
 def connected(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return (count,) int: nodes with the same number hang together by the edges ``first``, ``second`` of indices."""
+    """Return (count,) int: the component of each node under the edges ``first``, ``second`` of indices."""
     root = np.arange(count)
-    # The larger root hangs itself under the smaller one, then every path is cut short to its end.
+    # The larger root joins the smaller one, then all paths are compressed.
     while (apart := root[first] != root[second]).any():
         first, second = first[apart], second[apart]
         a, b = root[first], root[second]

@@ -1,4 +1,4 @@
-"""Where the program's own data lie, and what the package is called once Blender has installed it."""
+"""Paths of the program's own data, and the package's name as an extension."""
 
 from pathlib import Path
 

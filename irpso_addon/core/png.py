@@ -33,13 +33,10 @@ def encode_png(path: Path | str, array: np.ndarray, bits: int = 16) -> None:
     filtered[:, 1:] = rows
     filtered[:, 1 + bytes_per_pixel :] -= rows[:, :-bytes_per_pixel]
     header = struct.pack(">IIBBBBB", width, height, bits, _COLOUR_TYPES[channels], 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
+    chunks = (b"IHDR" + header, b"IDAT" + zlib.compress(filtered.tobytes(), 6), b"IEND")
+    framed = [struct.pack(">I", len(one) - 4) + one + struct.pack(">I", zlib.crc32(one)) for one in chunks]
     with replacing_file(Path(path)) as partial:
-        partial.write_bytes(SIGNATURE + b"".join(_chunk(kind, data) for kind, data in chunks))
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        partial.write_bytes(SIGNATURE + b"".join(framed))
 
 
 def png_chunks(data: bytes) -> dict[bytes, bytes]:

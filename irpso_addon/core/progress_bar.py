@@ -10,9 +10,9 @@ _LINE_EVERY, _LINE_SECONDS = 0.1, 60  # of the work, and between lines, where st
 
 
 class ProgressBar:
-    """Bar, rate and time left. On a terminal one line is drawn anew, elsewhere a line is written every minute.
+    """Bar and time left: one updated line on a terminal, elsewhere a line per minute.
 
-    tenths: whether one is written there at every tenth, too.
+    tenths: there also a line for every tenth.
     """
 
     def __init__(self, label: str, quiet: bool = False, tenths: bool = True):
@@ -23,7 +23,7 @@ class ProgressBar:
         self._terminal = sys.stderr.isatty()
 
     def show(self, fraction: float, detail: str = "", left: float | None = None) -> None:
-        """Show that ``fraction`` (0…1) of the work is done. left: seconds, where they are known better than by that."""
+        """Show that ``fraction`` (0…1) of the work is done. left: seconds; None to extrapolate."""
         now = time.perf_counter()
         self._first = self._first or (now, fraction)
         tenth = self._tenths and (fraction >= self._shown + _LINE_EVERY or fraction >= 1)
@@ -33,7 +33,7 @@ class ProgressBar:
         full = round(_WIDTH * fraction)
         bar = "#" * full + "." * (_WIDTH - full)
         text = f"{self._label} [{bar}] {100 * fraction:3.0f} %  {detail}{self._left(now, fraction, left)}"
-        # \x1b[K clears what a longer line before this one has left.
+        # \x1b[K clears the rest of a longer former line.
         sys.stderr.write(f"\r{text}\x1b[K" if self._terminal else text + "\n")
         sys.stderr.flush()
 
@@ -58,7 +58,7 @@ class ProgressBar:
 
 
 class StepBars:
-    """A bar for each step of some work, one after another. Made to be called with a step and the part of it done."""
+    """One bar per step of some work; callable with a step and its fraction."""
 
     def __init__(self, quiet: bool = False):
         self._quiet = quiet

@@ -1,4 +1,4 @@
-"""Work in steps: a generator that yields before each piece, for callers that must not wait."""
+"""Work in steps: generators that yield before each piece, for callers that must not block."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Other = TypeVar("Other")
 
 
 def run_steps(steps: Generator[Step, None, T], each: Callable[[Step], object] = lambda step: None) -> T:
-    """Run steps to their end, call ``each`` with what every one yields, and return what they return."""
+    """Run steps to the end, call ``each`` with every yielded value, and return their result."""
     while True:
         try:
             step = next(steps)
@@ -34,7 +34,7 @@ def at_once(name: str, steps: Callable[P, Generator[Any, None, T]]) -> Callable[
 
 
 def map_steps(steps: Generator[Step, None, T], function: Callable[[Step], Other]) -> Generator[Other, None, T]:
-    """Yield for each step ``function`` of what it yields, and return what the steps return."""
+    """Yield ``function`` of every yielded value; return the steps' result."""
     while True:
         try:
             step = next(steps)
@@ -44,6 +44,6 @@ def map_steps(steps: Generator[Step, None, T], function: Callable[[Step], Other]
 
 
 def one_step(function: Callable[[], T]) -> Generator[None, None, T]:
-    """Yield once, and return what a function returns: the step for callers that have no thread to run it in."""
+    """Yield once, then return a function's result: for callers without a thread."""
     yield
     return function()

@@ -9,7 +9,7 @@ import numpy as np
 
 
 def toml_value(value: Any) -> str:
-    """Return what ``tomllib`` reads back as the same: text, numbers, switches, lists, tables and numpy's numbers."""
+    """Return TOML of text, numbers, booleans, lists, tables or numpy values; ``tomllib`` reads the same value."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, bool):
@@ -21,4 +21,4 @@ def toml_value(value: Any) -> str:
         return "{ " + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(v) for v in value) + "]"
-    return repr(value)  # of a number the shortest text that reads back as the same
+    return repr(value)  # the shortest text that reads back as the same number

@@ -1,4 +1,4 @@
-"""UDIM sets: several squares of texture coordinates, side by side in one domain, and a file for each of them.
+"""UDIM sets: several squares of texture coordinates, side by side in one domain, each with its own file.
 
 Numbers are Blender's and Mari's: 1001 is the unit square, one more for each square to the right, ten for each row up.
 """
@@ -46,30 +46,24 @@ def tile_part(array: np.ndarray, index: int, count: int) -> np.ndarray:
 
 
 def tile_files(path: Path, tiles: Sequence[int]) -> list[Path]:
-    """Return the file of each tile. path: with <UDIM>, or with one of the numbers, in its name; without, of one square.
+    """Return the file of each tile. path: its name holds <UDIM> or a number, unless there is only one square.
 
-    Raises InputError where one name is given for several tiles, or a tile's file is missing.
+    Raises InputError for one name for several tiles, or a missing file.
     """
     if PATTERN not in path.name:
         if tuple(tiles) == ONE_SQUARE:
             return [path]
-        numbered = _pattern_of(path)
-        if numbered is None:
+        stem, dot, number = path.stem.rpartition(".")  # normal.1002.exr stands for normal.<UDIM>.exr
+        if not dot or not _NUMBER.fullmatch(number):
             names = ", ".join(map(str, tiles))
             raise InputError(
                 f"{path}: is one picture, the UV map has the UDIM tiles {names}; name a file of each, as in"
                 f" {path.stem}.{PATTERN}{path.suffix}"
             )
-        path = numbered
+        path = path.with_name(f"{stem}.{PATTERN}{path.suffix}")
     files = [path.with_name(path.name.replace(PATTERN, str(number))) for number in tiles]
     if missing := [number for number, file in zip(tiles, files, strict=True) if not file.is_file()]:
         raise InputError(
             f"{path}: has no file for UDIM tile {missing[0]} ({len(missing)} of {len(files)} are missing); add it"
         )
     return files
-
-
-def _pattern_of(path: Path) -> Path | None:
-    """Return normal.<UDIM>.exr for normal.1002.exr, None for names that hold no such number before their ending."""
-    stem, dot, number = path.stem.rpartition(".")
-    return path.with_name(f"{stem}.{PATTERN}{path.suffix}") if dot and _NUMBER.fullmatch(number) else None

@@ -3,11 +3,7 @@
 import numpy as np
 
 from irpso_addon.capture.camera import Camera
-
-
-def unit(v):
-    v = np.asarray(v, np.float64)
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+from tests.builders.domains import unit
 
 
 def rays(camera, fine=1):

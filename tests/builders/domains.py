@@ -74,8 +74,9 @@ def masked(domain: Domain, mask: np.ndarray) -> Domain:
     return replace(domain, bake=bake, solvable=domain.solvable & mask)
 
 
-def unit(v: np.ndarray) -> np.ndarray:
-    """Return vectors of length 1."""
+def unit(v) -> np.ndarray:
+    """Return float64 vectors of length 1."""
+    v = np.asarray(v, np.float64)
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from irpso_addon.geometry.domain import Domain, with_samples
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import make_domain, unit
 from tests.oracles import confidence as confidence_oracle
 
@@ -66,3 +68,19 @@ def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return degrees between unit vectors (…, 3)."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+
+
+def photographed_card(name, truth, rng, lights=40):
+    """Return the domain of a card of material ``truth``, rendered by an oracle's model, with shadow and noise."""
+    shape = truth["normal"].shape[:2]
+    made = make_domain(*shape, observations=lights, holes=False, rng_seed=5)
+    stack = np.ones((lights, *shape, 4))
+    stack[..., :3] = confidence_oracle.radiance(made, name, truth)
+    return photographed(with_samples(made, stack.astype(np.float32)), np.ones((lights, 3)), rng, shadow=0.05)
+
+
+def recovered(domain, model):
+    """Return the values of a recovery by the preset standard without a spatial prior."""
+    with Recovery(domain, model, load_schedule("standard").replaced(prior_rounds=0), 1) as recovery:
+        recovery.step()
+        return recovery.maps(confidence=False).values

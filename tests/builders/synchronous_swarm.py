@@ -82,12 +82,7 @@ class Bench:
     def give(self, state: oracle.State) -> None:
         """Write ``state`` to the GPU."""
         atlas, blocks = self.stage.textures.atlas, self.stage.encoding.blocks
-        fits = np.concatenate([state.p_fitness] * blocks)[..., None]
-        particles = {"position": state.x, "velocity": state.v, "best": state.p, "fitness": fits}
-        arrays = {}
-        for name, array in particles.items():
-            packed = np.stack([self.packing.pack(one) for one in array])
-            arrays[name] = numbers.to_atlas(packed, atlas.across, atlas.down)
+        arrays = particle_arrays(state, self.packing, atlas, blocks)
         g, w = self.packing.pack(state.g), self.packing.pack(state.w)
         w = np.pad(w, ((0, 0), (0, 0), (0, -w.shape[-1] % 4)))
         best = [g[..., 4 * b : 4 * b + 4] for b in range(blocks)]
@@ -135,6 +130,14 @@ class Bench:
         self.stage.close()
 
 
+def particle_arrays(state, packing, atlas, blocks) -> dict[str, np.ndarray]:
+    """Return name → atlas of the particles of a swarm's state."""
+    fits = np.concatenate([state.p_fitness] * blocks)[..., None]
+    particles = {"position": state.x, "velocity": state.v, "best": state.p, "fitness": fits}
+    packed = {name: np.stack([packing.pack(one) for one in array]) for name, array in particles.items()}
+    return {name: numbers.to_atlas(array, atlas.across, atlas.down) for name, array in packed.items()}
+
+
 def random_material(model, shape, rng) -> dict[str, np.ndarray]:
     """Return float32 values of every parameter, inside the ranges."""
     values = {}
@@ -145,12 +148,12 @@ def random_material(model, shape, rng) -> dict[str, np.ndarray]:
     return values
 
 
-def benches():
+def benches(kind=Bench):
     """Yield a maker of benches and close them at the end, for a fixture."""
     made = []
 
-    def make(*arguments, **options) -> Bench:
-        made.append(Bench(*arguments, **options))
+    def make(*arguments, **options):
+        made.append(kind(*arguments, **options))
         return made[-1]
 
     yield make

@@ -47,6 +47,14 @@ def few_samplers():
 
 
 @pytest.fixture(scope="module")
+def gpu():
+    """Make the GPU context."""
+    from irpso_addon.gpu import context
+
+    context.ensure()
+
+
+@pytest.fixture(scope="module")
 def registered():
     """Have the extension registered."""
     import irpso_addon

@@ -192,17 +192,12 @@ def _intersected(row: Sequence[Sight | None], centre: np.ndarray, near: bool, in
 def _of_fit(fit: Fit, views: Sequence[BallView]) -> Intersection:
     """Return a fit as an intersection, with the error of the outlines, which turns the balls' normals."""
     outline = np.mean([2 * (v.ball.error_px[0] ** 2) / v.ball.radius_px**2 for v in views]) ** 0.5
+    centres = np.array([view.ball.centre for view in views])
+    far = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()  # 0 for one ball
     return Intersection(
         fit.direction, float(np.sqrt(fit.error**2 + outline**2 + _MATTE_ERROR**2)), fit.inverse,
-        float(np.hypot(fit.inverse_error, outline * _baseline(views))), fit.misfit,
+        float(np.hypot(fit.inverse_error, outline / far if far > 0 else 0.0)), fit.misfit,
     )  # fmt: skip
-
-
-def _baseline(views: Sequence[BallView]) -> float:
-    """Return 1 / the largest distance between balls, or 0 for one ball."""
-    centres = np.array([view.ball.centre for view in views])
-    far = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()
-    return float(1 / far) if far > 0 else 0.0
 
 
 def _brightest(ball: Ball, fit: Fit, intersection: Intersection) -> Sight:

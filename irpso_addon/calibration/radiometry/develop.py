@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -114,10 +113,6 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
     return result, shifts.pixels.round(4).tolist()
 
 
-def _part_of(done: float, share: float, part: float) -> float:
-    return done + share * part
-
-
 def registration_steps(
     store: ImageStore, shots: Sequence[Shot], masks: Sequence[np.ndarray], corrections: Corrections, reference: int = 0
 ) -> Generator[float, None, tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -137,6 +132,6 @@ def registration_steps(
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
         done, share = 0.5 + 0.5 * own[0] / count, 0.5 * len(own) / count
-        shifts = yield from map_steps(steps, partial(_part_of, done, share))
+        shifts = yield from map_steps(steps, lambda part, done=done, share=share: done + share * part)
         pixels[own], agreement[own], trusted[own] = shifts.pixels, shifts.agreement, shifts.trusted
     return pixels, agreement, trusted

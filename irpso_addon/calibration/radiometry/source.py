@@ -121,7 +121,8 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
     brackets, warnings = brackets_of_images(list(dict.fromkeys(paths)), exposing)
     chosen: list[tuple[int, Bracket]] = []
     for bracket in brackets:
-        named = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in _resolved(bracket.paths)]
+        resolved = {path.resolve() for path in bracket.paths}
+        named = [n for n, shot in enumerate(spec.observations) if shot.image.path.resolve() in resolved]
         if named:
             _same_light(spec, named)
             chosen.append((named[0], bracket))
@@ -139,10 +140,6 @@ def _listed(spec: CaptureSpec, decoder: Decoder | None, exposing: Exposing | Non
 
 def _sized(shots: Sequence[Shot], capture: Capture) -> list[Shot]:
     return [replace(s, size=(capture.cameras[s.camera].width, capture.cameras[s.camera].height)) for s in shots]
-
-
-def _resolved(paths: Sequence[Path]) -> set[Path]:
-    return {path.resolve() for path in paths}
 
 
 def _beside(spec: CaptureSpec, exposing: Exposing, known: set[Path]) -> list[Path]:

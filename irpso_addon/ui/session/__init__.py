@@ -1,1 +1,1 @@
-"""The one recovery of the window: from the scene's settings to a job, stepped, looked at, kept or stored."""
+"""The window's recovery: built from the scene's settings, stepped, shown, kept or stored."""

@@ -1,4 +1,4 @@
-"""From a scene's settings to a job, and what is still missing for one."""
+"""Builds a job from a scene's settings, and reports missing settings."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
 
 @dataclass(frozen=True, kw_only=True)
 class SceneJob(Job):
-    """A job that a scene's settings describe; later changes of these do not touch it.
+    """A job from a scene's settings; later changes of these do not affect it.
 
-    origin: what it recovers from. scene_uid: Blender's session number of the scene. place: (4, 4) where a card stands
-    that has no object yet. recipe: the settings, of ``recipe_of``.
+    origin: source of the recovery. scene_uid: Blender's session number of the scene. place: (4, 4) position of a card
+    without an object. recipe: the settings, of ``recipe_of``.
     """
 
     origin: str
@@ -49,7 +49,7 @@ class SceneJob(Job):
 
 
 def missing(context) -> str:
-    """Return what is missing for a recovery and what to do about it, "" where nothing is. Opens no file."""
+    """Return what a recovery still lacks, with the remedy, "" for nothing. Opens no file."""
     settings = context.scene.irpso
     if settings.source == "FILES" and not settings.capture_path:
         return "No capture: import a folder of photographs, an .lp list or a capture.toml"
@@ -62,7 +62,8 @@ def missing(context) -> str:
         if count < FEWEST and findings.wants_normal(settings):
             lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
             return f"Only {lights}: a normal needs at least three; add some, or give the normals"
-    if wants_distance(context.scene) and not (settings.card_distance or _stated_distance(settings)):
+    stated = settings.stated_distance if settings.source == "FILES" else 0.0
+    if wants_distance(context.scene) and not (settings.card_distance or stated):
         return "No distance of the card: its lights have positions; set Card Distance, in their unit"
     if settings.subject == "MESH":
         obj = subject_object(context)
@@ -77,18 +78,14 @@ def missing(context) -> str:
     return ""
 
 
-def _stated_distance(settings) -> float:
-    return settings.stated_distance if settings.source == "FILES" else 0.0
-
-
 def subject_object(context):
-    """Return the mesh object that the settings name, or the active one; None where neither is a mesh."""
+    """Return the mesh object of the settings, or the active one; None if neither is a mesh."""
     obj = context.scene.irpso.object or context.view_layer.objects.active
     return obj if obj is not None and obj.type == "MESH" else None
 
 
 def make_job(context) -> SceneJob:
-    """Return the job that the scene's settings describe. Raises InputError naming the setting and the remedy."""
+    """Return the job of the scene's settings. Raises InputError naming the setting and the remedy."""
     if text := missing(context):
         raise InputError(text)
     settings, wanted = context.scene.irpso, preferences.current(context)
@@ -122,7 +119,7 @@ def make_job(context) -> SceneJob:
 
 
 def _held_out(settings, capture: Capture) -> tuple[int, ...]:
-    """Return the observations that are not to be fitted, as ``--hold-out`` does. Raises InputError."""
+    """Return the held-out observations, as ``--hold-out`` does. Raises InputError."""
     if settings.hold_out == "OFF":
         return ()
     count = capture.listed
@@ -148,7 +145,7 @@ def wanted_slots(settings, obj) -> tuple[int, ...] | None:
 
 
 def _given(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """Return the maps of the parameters that are not to be recovered."""
+    """Return the maps of the fixed parameters."""
     items = {item.name: item for item in settings.parameters}
     return {
         parameter.name: _given_map(items[parameter.name], parameter, size, tiles)
@@ -173,9 +170,8 @@ def _given_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[i
 def image_map(image, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE) -> np.ndarray:
     """Return (H, W, components) of a Blender image, in the parameter's own units.
 
-    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Of what is no colour the numbers of the file are
-    meant, though Blender takes every PNG for sRGB until told otherwise. tiles: the UDIM tiles of the domain, which a
-    tiled image must have.
+    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. For data other than colours the file's numbers
+    count, although Blender marks every PNG as sRGB. tiles: the UDIM tiles of the domain, which a tiled image must have.
     """
     with tile_images(image, tiles) as parts:
         size = size[0], size[1] // len(tiles)
@@ -217,10 +213,10 @@ def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:
 
 
 def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int, ...]) -> tuple[Any, ...] | None:
-    """Return what tells whether a domain is still the one of these settings: images with their times, lights, mesh.
+    """Return a key of the domain of these settings: images with their times, lights, mesh.
 
-    Lights and cameras by their values: a folder's own time does not change with the lists that lie in it. unseen: the
-    observations held out, which are read last.
+    Lights and cameras enter by value, because a folder's time does not change with its lists. unseen: the held-out
+    observations, which are read last.
     """
     if settings.source != "FILES":
         return None

@@ -1,4 +1,4 @@
-"""Keeping what was found as the subject's material, in one undo step; and what exports need of it."""
+"""Keeps the maps as the subject's material in one undo step; and prepares results for exports."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _STANDARD = "Standard"
 
 
 def found_in(running: session.Session, confidence: bool, wanted: DerivedMaps = _NO_EXTRAS) -> Found:
-    """Return what was found by now. wanted: maps besides the model's. Raises InputError where one cannot be made."""
+    """Return the current maps. wanted: derived maps. Raises InputError if one is impossible."""
     return found_of(running.work, running.maps(confidence), wanted)
 
 
 def report_of(running: session.Session, found: Found) -> dict[str, Any]:
-    """Return the report on what was found, as the command line writes it."""
+    """Return the report of the current maps, as the command line writes it."""
     job, model = running.job, running.job.model
     settings = {
         "capture": str(job.capture.source or job.capture.name),
@@ -46,7 +46,7 @@ def report_of(running: session.Session, found: Found) -> dict[str, Any]:
 
 
 def pictures_of(running: session.Session, found: Found) -> dict[str, np.ndarray]:
-    """Return the pictures of a result: file stem → (H, W, 3) display values; convergence where there is a history."""
+    """Return the pictures of a result: file stem → (H, W, 3) display values; convergence if there is a history."""
     running.relight(found.solver)
     pictures, maps = result.pictures_of(running.work, found), found.solver
     panels = [_curve("Mean error", [running.history])] if running.history else []
@@ -61,7 +61,7 @@ def pictures_of(running: session.Session, found: Found) -> dict[str, np.ndarray]
 
 
 def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
-    """Return curves of (iteration, error) that were looked at different iterations, in % of white."""
+    """Return curves of (iteration, error) with different iterations, in % of white."""
     iterations = sorted({iteration for curve in curves for iteration, _ in curve})
     errors = np.full((len(iterations), len(curves)), np.nan)
     for column, curve in enumerate(curves):
@@ -71,7 +71,7 @@ def _curve(title: str, curves: list[list[tuple[int, float]]]) -> Curves:
 
 
 def has_found(cls) -> bool:
-    """Whether there is something to keep; tells the operator's button what to do where not."""
+    """Whether there are maps to keep; else the button shows the remedy."""
     running = session.current()
     return usable(cls, running is not None and running.recovery is not None, NOTHING)
 
@@ -89,7 +89,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
         return has_found(cls)
 
     def execute(self, context):
-        """Make images, material and, on a card, its object; what runs rests meanwhile."""
+        """Pause, and make images, material and, for a card, its object."""
         running = session.current()
         running.pause()
         try:
@@ -103,7 +103,7 @@ class IRPSO_OT_keep(bpy.types.Operator):
 
 
 def _keep(context, running: session.Session) -> str:
-    """Keep, and return a sentence that says what was done. Raises InputError."""
+    """Keep, and return a message. Raises InputError."""
     job = running.job
     former = result.subject_of(job)
     found = found_in(running, False, DerivedMaps(displacement=context.scene.irpso.displacement))
@@ -120,15 +120,12 @@ def _keep(context, running: session.Session) -> str:
 
 
 def _show(context, card, new: bool) -> None:
-    """Bring a card into the scene and into view: it may have been hidden, or deleted, since it was made.
-
-    A new one becomes the active object, as whatever is added in Blender does.
-    """
+    """Link a hidden or deleted card to the scene and show it; make a new one the active object."""
     if card.name not in context.scene.objects:
         context.scene.collection.objects.link(card)
     card.hide_viewport = card.hide_render = False
-    context.view_layer.update()  # else it does not know of an object that was linked just now
-    if card.name not in context.view_layer.objects:  # its collection is left out of this view layer
+    context.view_layer.update()  # else it lacks the newly linked object
+    if card.name not in context.view_layer.objects:  # its collection is excluded from this view layer
         return
     card.hide_set(False)
     if new and context.mode == "OBJECT":

@@ -1,4 +1,4 @@
-"""The capture that a scene's settings name: from files, or the scene itself."""
+"""The capture of a scene's settings: from files, or from the scene itself."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ..common.file_paths import absolute
 
 
 def capture_of(scene) -> Capture:
-    """Return the capture that a scene's settings name; images are read when they are asked for. Raises InputError."""
+    """Return the capture of a scene's settings; images are read at first use. Raises InputError."""
     return run_steps(capture_steps(scene))
 
 
 def capture_steps(scene) -> Generator[None, None, Capture]:
-    """Yield before each image's header is looked at, and return what ``capture_of`` does."""
+    """Yield before each header; return what ``capture_of`` does."""
     settings = scene.irpso
     with naming_remedy(settings.skip_damaged):
         if settings.source == "SCENE":
@@ -35,32 +35,32 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
 
 
 def spec_steps(settings) -> Generator[None, None, CaptureSpec]:
-    """Yield before each image that is decoded, and return what the capture's files say: see ``spec_of``."""
+    """Yield before each decoded image; return the spec of the capture's files: see ``spec_of``."""
     spec = spec_of(settings)
     return (yield from sound_steps(spec, ImageStore(decode))) if settings.skip_damaged else spec
 
 
 def spec_of(settings) -> CaptureSpec:
-    """Return what the capture's files say, with the card's distance that is set. Raises InputError.
+    """Return the spec of the capture's files with the set card distance. Raises InputError.
 
-    What panels, which read no files, want to know of them is kept in the settings.
+    Also stores in the settings what panels show, because these read no files.
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
     keep_places(settings, spec)
-    # Blender keeps 420.1 as 420.1000061: a field that says what the files say leaves them their own digits.
+    # Blender stores 420.1 as 420.1000061: an unchanged field keeps the file's own digits.
     if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
         return spec
     return replace(spec, card_distance=settings.card_distance)
 
 
 def keep_places(settings, spec: CaptureSpec) -> None:
-    """Keep whether lights of the files have places, and the distance of a card that the files say."""
+    """Store whether lights of the files have positions, and the files' card distance."""
     settings.near_lights = not all(shot.distant for shot in spec.observations)
     settings.stated_distance = spec.card_distance or 0.0
 
 
 def wants_distance(scene) -> bool:
-    """Return whether what is recovered depends on how far a card lies from its camera: near lights, as far as known."""
+    """Return whether the maps depend on the distance of a card from its camera: it has near lights."""
     settings = scene.irpso
     if settings.subject != "CARD":
         return False
@@ -70,18 +70,18 @@ def wants_distance(scene) -> bool:
 
 
 def _scene_steps(scene) -> Generator[None, None, Capture]:
-    # Its images say themselves how they are encoded.
+    # Blender's images state their own encoding.
     capture = yield from scene_steps(scene, skip_damaged=scene.irpso.skip_damaged)
     return replace(capture, card_distance=scene.irpso.card_distance or None)
 
 
 def capture_path(settings) -> Path:
-    """Return the path of the capture's files. Raises InputError where none is chosen."""
+    """Return the path of the capture's files. Raises InputError if none is chosen."""
     if not settings.capture_path:
         raise InputError("Capture: none is chosen; import a folder, an .lp list or a capture.toml")
     return absolute(settings.capture_path, "Capture")
 
 
 def capture_from_scene(scene) -> Capture:
-    """Return the capture that a scene itself is, with its own settings: see ``geometry.scene_capture``."""
+    """Return the capture of a scene's own cameras and lights: see ``blender.scenes.scene_capture``."""
     return run_steps(_scene_steps(scene))

@@ -1,4 +1,4 @@
-"""The one recovery of the window: opened, stepped in slices, looked at, kept or dropped."""
+"""The window's session: one recovery, stepped in slices until it is kept or dropped."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from . import unkept
 from .job import SceneJob
 
 MOST_PROBES = 4
-_POLL_SECONDS = 0.002  # between looks at the thread that prepares
-_ERROR_EVERY = 0.5  # seconds between looks at the mean error, which costs a small render
+_POLL_SECONDS = 0.002  # between polls of the worker thread
+_ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
 
 _TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess"}
 
-listeners: list[Callable[[], None]] = []  # called when there is something new to draw
+listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
-_kept = Kept()  # of the last run: a second one need not wait
+_kept = Kept()  # data of the last run, for the next one
 
 
 @dataclass
 class Probe:
-    """A texel that is watched. curve: (iteration, error) as often as it was looked at. slot: of its colour, 0…3."""
+    """A watched texel. curve: (iteration, error) pairs. slot: 0…3, of its colour."""
 
     row: int
     column: int
@@ -53,16 +53,16 @@ class Probe:
 
     @property
     def number(self) -> int:
-        """What it is called, 1…4: it keeps that as long as it is watched, and its colour."""
+        """Its number, 1…4, which it keeps with its colour."""
         return self.slot + 1
 
 
 class Session:
-    """One recovery under way or waiting to be kept. Nothing of the scene is changed by it.
+    """One recovery that runs or waits to be kept. It does not change the scene.
 
-    state: "loading", "preparing", "running", "paused" or "done"; it runs as well while photographs held out are relit.
-    title: what is being done, for people. work: the job on its way. history: (iteration, mean error) now and then.
-    longest_stall_s: the longest that one tick took. failure: why it ended, "" while nothing is wrong.
+    state: "loading", "preparing", "running" (also while held-out photographs are relit), "paused" or "done". title: the
+    current step, for the panel. work: the run of the job. history: (iteration, mean error) pairs. longest_stall_s: the
+    longest tick. failure: the error that ended it, "" for none.
     """
 
     def __init__(self, job: SceneJob):
@@ -75,20 +75,20 @@ class Session:
         self.seconds = 0.0
         self.longest_stall_s = 0.0
         self.closed = False
-        self.runs = 0  # of the modal operator, which is begun anew by each resuming
+        self.runs = 0  # of the modal operator; each resume starts it again
         self._guard: ContextGuard | None = None
         self._uuid = uuid4().hex
         self._paused_in = self.state
-        self._part = 0.0  # of the images, the lights or the first guess
+        self._part = 0.0  # fraction of the images, the lights or the first guess
         self._time_left, self._left = TimeLeft(), None
-        self._asked = 0.0  # when the error was looked at last
+        self._measured = 0.0  # time of the last measurement of the error
         self._thread: threading.Thread | None = None
         self._relighting: Generator[None, None, None] | None = None
         self._opening: Generator[None, None, None] | None = self._open()
 
     @property
     def job(self) -> SceneJob:
-        """What was asked for."""
+        """The job."""
         return self.work.job
 
     @property
@@ -108,27 +108,27 @@ class Session:
 
     @property
     def lights(self) -> Lights | None:
-        """The lights that were found, None where they stay as given."""
+        """The refined lights, None if they stay as given."""
         return self.work.lights
 
     @property
     def mesh(self):
-        """The mesh as it was when the recovery began, None for a card."""
+        """The mesh at the start of the recovery, None for a card."""
         return self.job.mesh
 
     @property
     def tiles(self) -> tuple[int, ...]:
-        """The UDIM tiles that stand side by side in the domain, from the left."""
+        """The UDIM tiles of the domain, side by side from the left."""
         return ONE_SQUARE if self.mesh is None else self.mesh.tiles
 
     @property
     def progress(self) -> Progress | None:
-        """How far the recovery is, None before it has begun."""
+        """The recovery's progress, None before its start."""
         return self.recovery.progress if self.recovery is not None else None
 
     @property
     def fraction(self) -> float:
-        """How far what is under way is: the images, the lights, the first guess, or the recovery."""
+        """The fraction done of the current step: images, lights, first guess, or recovery."""
         return self._part if self.recovery is None else self.recovery.progress.fraction
 
     @property
@@ -138,62 +138,62 @@ class Session:
 
     @property
     def seconds_left(self) -> float | None:
-        """An estimate, None while there is too little to tell from."""
+        """An estimate, None while there is too little data."""
         return self._left
 
     @property
     def stamp(self) -> str:
-        """What tells a material that holds just what has been found by now, "" before there is anything."""
+        """Identifies a material with the current maps, "" before the recovery."""
         return f"{self._uuid} {self.recovery.progress.evaluations}" if self.recovery is not None else ""
 
     @property
     def kept(self) -> bool:
-        """Whether a material of the open file holds what has been found: not after an undo, nor once it has gone on."""
+        """Whether a material of the open file holds the current maps; false after an undo or more iterations."""
         stamp = self.stamp
         return bool(stamp) and any(made.get(STAMP) == stamp for made in bpy.data.materials)
 
     @property
     def stopped(self) -> bool:
-        """Whether it was ended by hand before its last iteration; ``resume`` goes on."""
+        """Whether the user ended it before its last iteration; ``resume`` continues."""
         return self.state == "done" and self.recovery is not None and not self.recovery.progress.done
 
     @property
     def relighting(self) -> bool:
-        """Whether the recovery has ended, and the photographs held out are being relit."""
+        """Whether the recovery has ended and held-out photographs are being relit."""
         return self._relighting is not None
 
     @property
     def unseen(self) -> str:
-        """How well the maps relight the photographs held out, "" where that is not known of them as they are now."""
+        """The error of the maps on held-out photographs in words, "" if not measured for the current maps."""
         return relit_line(self.work.relit[1]) if self.work.is_relit else ""
 
     def observation(self, view: Any) -> int:
-        """Return the index in the job's capture of the observation that a scene's ViewSettings show: a fitted one."""
+        """Return the index in the job's capture of the fitted observation that ViewSettings show."""
         return self.job.fitted_at(view.index(len(self.job.capture.observations)))
 
     @property
     def in_own_context(self) -> bool:
-        """Whether the recovery may be touched: in a window, its own graphics context is current."""
+        """Whether the recovery's own graphics context is current; true in background."""
         return self._guard is None or self._guard.holds()
 
     @property
     def active(self) -> bool:
-        """Whether there is work to be done now."""
+        """Whether there is work to do now."""
         return self.state in ("loading", "preparing", "running")
 
     def subject(self):
-        """Return the bpy object of the mesh, or of the card once it was kept; None where there is none (any more)."""
+        """Return the bpy object of the mesh or of the kept card; None if it does not exist."""
         return subject_object(self.job.object_uid, self.job.name)
 
     def tick(self, budget_s: float) -> None:
-        """Work for about so long. Whatever fails ends the session, with ``failure`` set."""
+        """Work for about ``budget_s``. Any error ends the session and sets ``failure``."""
         if not self.active or self.closed:
             return
         started, searching = time.perf_counter(), not self.relighting
         try:
             self._work(started + budget_s)
             self._look()
-        except Exception as error:  # noqa: BLE001  a modal operator that raises is called again, and again
+        except Exception as error:  # noqa: BLE001  Blender calls a modal operator again after an error
             self.failure = failures.report("The recovery", error)
             self.close()
         took = time.perf_counter() - started
@@ -201,10 +201,10 @@ class Session:
         if self.recovery is not None and searching:
             self.seconds += took
             self._left = self._time_left.after(self.seconds, self.recovery.progress)
-        _tell()
+        _notify()
 
     def run(self) -> None:
-        """Work to the end: for background mode. Raises what ``tick`` would have kept as a failure, and ends with it."""
+        """Work to the end, for background mode. An error ends the session and is raised."""
         try:
             while self.active:
                 self._work(time.perf_counter() + 0.5)
@@ -213,67 +213,64 @@ class Session:
             raise
 
     def pause(self) -> None:
-        """Rest until ``resume``."""
+        """Pause until ``resume``."""
         if self.active:
             self._paused_in, self.state = self.state, "paused"
-            _tell()
+            _notify()
 
     def resume(self, schedule: Schedule | None = None) -> None:
-        """Go on where it was paused or stopped, with another schedule from what has been found, where one is given.
+        """Continue after a pause or stop, with another schedule if one is given.
 
-        Raises InputError where that schedule does not fit.
+        Raises InputError if that schedule does not fit.
         """
         if self.state != "paused" and not self.stopped:
             return
         if schedule is not None and schedule != self.job.schedule:
             self._change(schedule)
         self.state = self._paused_in
-        _tell()
+        _notify()
 
     def finish(self) -> None:
-        """Go on no further; what has been found waits to be kept, once the photographs held out are relit.
-
-        A second call does not wait for these.
-        """
+        """Stop; the maps wait to be kept, after held-out photographs are relit. A second call skips relighting."""
         if not self.work.is_relit and not self.relighting:
             self._relighting = self._relight()
             self.state, self.title = "running", "Relighting unseen photographs"
-            _tell()
+            _notify()
             return
         self._leave_relighting()
         self.state = "done"
         self.title = "Stopped" if self.stopped else "Done"
-        _tell()
+        _notify()
 
     def maps(self, confidence: bool = True) -> Maps:
-        """Return what has been found so far, in the solver's frames. confidence: as for a Recovery."""
+        """Return the current maps in the solver's frames. confidence: as for a Recovery."""
         return self.work.maps(confidence)
 
     def relight(self, maps: Maps) -> None:
-        """Relight the photographs held out from ``maps``, just found, where that has not been done."""
+        """Relight held-out photographs from the current ``maps``, unless that is done."""
         if not self.work.is_relit:
             self._leave_relighting()
             self.work.relight(maps)
 
     def add_probe(self, row: int, column: int) -> Probe | None:
-        """Watch a texel. Return the oldest of four, which makes room for a fifth; None where there is room."""
+        """Watch a texel. Return the probe that a fifth one replaces, the oldest; else None."""
         dropped = self.probes.pop(0) if len(self.probes) == MOST_PROBES else None
         free = set(range(MOST_PROBES)) - {probe.slot for probe in self.probes}
         self.probes.append(Probe(row, column, slot=min(free)))
-        _tell()
+        _notify()
         return dropped
 
     def probe(self, number: int) -> Probe | None:
-        """Return the probe of a number, the oldest where there is none of that number, None where there are none."""
+        """Return the probe with a number, else the oldest, else None."""
         return next((probe for probe in self.probes if probe.number == number), next(iter(self.probes), None))
 
     def remove_probe(self, index: int) -> None:
         """Stop watching a texel."""
         del self.probes[index]
-        _tell()
+        _notify()
 
     def close(self) -> None:
-        """Free all that lies on the GPU. It may be called at any time, and again."""
+        """Free all GPU memory; may be called at any time and repeatedly."""
         global _current
         self.closed, self.state = True, "done"
         self._opening = None
@@ -285,10 +282,10 @@ class Session:
         self.display = None
         if _current is self:
             _current = None
-        _tell()
+        _notify()
 
     def _join(self) -> None:
-        """Wait for the thread that prepares: it reads arrays that are about to go. It takes a second or two at most."""
+        """Wait for the worker thread, which reads arrays that will be freed; two seconds at most."""
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -318,56 +315,52 @@ class Session:
             for _ in self._relighting:
                 if time.perf_counter() >= deadline:
                     return
-        except Exception as error:  # noqa: BLE001  what has been found must not be lost with a comparison
+        except Exception as error:  # noqa: BLE001  an error in a comparison must not lose the maps
             failures.report("Relighting unseen photographs", error)
         self.finish()
 
     def _relight(self) -> Generator[None, None, None]:
-        """Relight the photographs held out from the maps of this moment, yielding often."""
-        yield from self.work.relighting(self.maps(confidence=False))
+        yield from self.work.relighting(self.maps(confidence=False))  # here, so that errors end the relighting alone
 
     def _leave_relighting(self) -> None:
         self._join()
         self._relighting = None
 
     def _open(self) -> Generator[None, None, None]:
-        """Read, prepare, begin: the way to the first picture, yielding where a window may be drawn."""
+        """Read, prepare, and start the recovery; yields often for redraws."""
         context.ensure()
         yield from self.work.open()
         if self.job.resumed is not None:
-            self._take(self.recovery.load(self.job.resumed))
+            notes = self.recovery.load(self.job.resumed)
+            self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
+            self.seconds = float(notes[unkept.SECONDS])
         self._watch()
         self.state = "running"
-        if self.job.resumed is not None:  # at rest, as it was
+        if self.job.resumed is not None:  # paused, as it was stored
             self.title = self.recovery.progress.title
             self.pause()
             if self.recovery.progress.done:
                 self.finish()
 
     def _watch(self) -> None:
-        """Have pictures made of the recovery, in the graphics context of this moment."""
+        """Create the recovery's display in the current graphics context."""
         self._guard = None if bpy.app.background else ContextGuard()
         self.display = display_of(self.recovery)
 
-    def _take(self, notes: dict[str, np.ndarray]) -> None:
-        """Take what was noted with a recovery that is gone on from."""
-        self.history = [(int(iteration), float(error)) for iteration, error in notes[unkept.HISTORY]]
-        self.seconds = float(notes[unkept.SECONDS])
-
     def _note(self, step: str, fraction: float) -> None:
-        """Note how far a step is. A thread does so too, while the session may be paused."""
+        """Store the fraction of a step. Also called by the worker thread while the session is paused."""
         self._part = fraction
         if self.title != _TITLES[step]:
             self.title, self.state = _TITLES[step], "loading" if step == READ else "preparing"
 
     def _threaded(self, function: Callable[[], Any]) -> Generator[None, None, Any]:
-        """Return what a function of numpy returns: it runs in a thread of its own, so that the window lives on."""
+        """Run a numpy function in a thread and return its result; yields so that the window stays responsive."""
         found: list[Any] = []
 
         def work() -> None:
             try:
                 found.append(function())
-            except BaseException as error:  # noqa: BLE001  raised again where it is waited for
+            except BaseException as error:  # noqa: BLE001  raised below
                 found.append(error)
 
         self._thread = threading.Thread(target=work, name="irpso prepare")
@@ -381,7 +374,7 @@ class Session:
         return found[0]
 
     def _change(self, schedule: Schedule) -> None:
-        if self.recovery is None:  # it has not begun: what was prepared was for the other one
+        if self.recovery is None:  # not started: its preparation was for the former schedule
             self._join()
             self.work = Run(replace(self.job, schedule=schedule), self._note, self._threaded, _kept)
             self._opening, self._paused_in = self._open(), "loading"
@@ -390,52 +383,52 @@ class Session:
         self._leave_relighting()
         self._paused_in = "running"
         self.display.close()
-        self._time_left = TimeLeft()  # its work is another
+        self._time_left = TimeLeft()
         self._watch()
 
     def _look(self) -> None:
-        """Note the mean error now and then."""
+        """Measure the mean error from time to time."""
         now = time.perf_counter()
-        if self.recovery is None or self.relighting or now - self._asked < _ERROR_EVERY and self.active:
+        if self.recovery is None or self.relighting or now - self._measured < _ERROR_EVERY and self.active:
             return
         progress = self.recovery.progress
         if progress.iteration < 0 and self.history:
             return
-        self._asked = now
+        self._measured = now
         self.error = float(self.recovery.mean_error())
         if np.isfinite(self.error):
             self.history.append((progress.iteration_in_all, self.error))
 
 
 def current() -> Session | None:
-    """Return the session that runs or waits to be kept, None where there is none."""
+    """Return the session that runs or waits to be kept, or None."""
     return _current
 
 
 def begin(job: SceneJob) -> Session:
-    """Begin a session; one that waits to be kept is dropped."""
+    """Begin a session; drops the former one."""
     global _current
     if _current is not None:
         _current.close()
     failures.clear()
     _current = Session(job)
-    _tell()
+    _notify()
     return _current
 
 
 def end() -> None:
-    """Drop the session, if there is one."""
+    """Drop the session, if any."""
     if _current is not None:
         _current.close()
 
 
-def _tell() -> None:
+def _notify() -> None:
     for listener in list(listeners):
         listener()
 
 
 def forget() -> None:
-    """Drop the session and what was read for it: the file is another one now. What is not kept is stored."""
+    """Store unkept maps, then drop the session and its data, because the file changes."""
     if _current is not None:
         unkept.store(_current)
     end()
@@ -443,12 +436,12 @@ def forget() -> None:
 
 
 def register() -> None:
-    """Watch for another file being loaded."""
+    """Watch for the loading of another file."""
     bpy.app.handlers.load_pre.append(_on_load)
 
 
 def unregister() -> None:
-    """End what runs, and stop watching."""
+    """End the session and stop watching."""
     forget()
     bpy.app.handlers.load_pre.remove(_on_load)
 

@@ -1,4 +1,4 @@
-"""Recoveries that were not kept when their file was closed: stored for the next one, listed, forgotten."""
+"""Stores recoveries that were not kept when their file was closed; lists and deletes them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ...solver.state.checkpoint import read_note
 
 _ABOUT, HISTORY, SECONDS = "about", "history", "seconds"  # notes in the checkpoint
 _log = logging.getLogger(__name__)
-_listed: list[Unkept] | None = None  # what lies in the folder, once it has been looked at
+_listed: list[Unkept] | None = None  # contents of the folder, once read
 
 
 @dataclass(frozen=True)
 class Unkept:
-    """A stored recovery. fraction: how far it was. recipe: of ``recipe.recipe_of``. file: its .blend."""
+    """A stored recovery. fraction: of its work done. recipe: of ``recipe.recipe_of``. file: its .blend."""
 
     path: Path
     name: str
@@ -34,7 +34,7 @@ class Unkept:
 
 
 def folder() -> Path | None:
-    """Return the extension's own folder for them; None where it is not installed as one, or Blender has no window."""
+    """Return the extension's folder for them; None without an installed extension or a window."""
     if bpy.app.background:
         return None
     try:
@@ -44,10 +44,7 @@ def folder() -> Path | None:
 
 
 def store(running: Any) -> None:
-    """Write what a session has found and nobody has kept; what keeps that from being done is logged alone.
-
-    Blender closes its file meanwhile, or ends: it cannot ask the user.
-    """
+    """Write the unkept maps of a session. Errors are only logged, because Blender is closing its file."""
     if running.recovery is None or running.kept or (place := folder()) is None:
         return
     job, file = running.job, bpy.data.filepath
@@ -62,20 +59,20 @@ def store(running: Any) -> None:
             SECONDS: np.array(running.seconds),
         }
         running.recovery.save(job.resumed or place / f"{file_stem(job.name)}-{digest}.npz", notes)
-    except Exception:  # noqa: BLE001  a full disk, a device that is gone: the file must close all the same
+    except Exception:  # noqa: BLE001  the file must close in spite of a full disk or a lost device
         _log.exception("the recovery of %s could not be stored", job.name)
     look()
 
 
 def listed() -> list[Unkept]:
-    """Return what is stored, the newest first; the folder is looked at once, and after each change."""
+    """Return the stored recoveries, the newest first."""
     if _listed is None:
         look()
     return _listed or []
 
 
 def look() -> None:
-    """Look into the folder again. A file that is no checkpoint, or cannot be read, is left out."""
+    """Read the folder again; skips unreadable files and other files."""
     global _listed
     place = folder()
     try:

@@ -1,7 +1,6 @@
 """Blender's image loader, measured; and real captures read through it. Needs Blender's data, no GPU."""
 
 import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -11,41 +10,11 @@ from irpso_addon.capture import Picture, read_capture, read_exr
 from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.png import encode_png
+from tests.builders.captures import chunk, read_png, write_png
 
 pytest.importorskip("bpy", reason="Blender's Python module is not installed")
 pytestmark = pytest.mark.bpy_only
 RNG = np.random.default_rng(9)
-
-
-def chunk(kind, data):
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def write_png(path, codes, bits, extra=b""):
-    height, width, channels = codes.shape
-    rows = codes.astype(">u2" if bits == 16 else "u1")
-    header = struct.pack(">IIBBBBB", width, height, bits, {1: 0, 2: 4, 3: 2, 4: 6}[channels], 0, 0, 0)
-    body = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
-    start = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header)
-    path.write_bytes(start + extra + chunk(b"IDAT", body) + chunk(b"IEND", b""))
-
-
-def raw_png(path):
-    """Return (codes, bits): the chunks undone by zlib alone, filters None and Sub, checksums checked."""
-    data, at, pixels = path.read_bytes(), 8, b""
-    while at < len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        body = data[at + 8 : at + 8 + length]
-        assert struct.unpack_from(">I", data, at + 8 + length)[0] == zlib.crc32(kind + body)
-        if kind == b"IHDR":
-            width, height, bits, colour = struct.unpack_from(">IIBB", body)
-        pixels += body if kind == b"IDAT" else b""
-        at += 12 + length
-    channels = {0: 1, 4: 2, 2: 3, 6: 4}[colour]
-    lines = np.frombuffer(zlib.decompress(pixels), np.uint8).reshape(height, -1)
-    rows = lines[:, 1:].reshape(height, width, channels * bits // 8)
-    rows = np.where((lines[:, 0] == 1)[:, None, None], np.cumsum(rows, axis=1, dtype=np.uint8), rows)
-    return np.ascontiguousarray(rows).view(">u2" if bits == 16 else "u1").reshape(height, width, channels), bits
 
 
 def write_tiff(path, values, sample_format, orientation=1):
@@ -155,7 +124,7 @@ def test_a_written_png_holds_the_exact_code_values(tmp_path, bits, channels):
     codes = RNG.integers(0, top + 1, (9, 13, channels))
     codes[0, 0], codes[8, 12] = 0, top
     encode_png(tmp_path / "a.png", (codes[::-1] / top).astype(np.float32), bits)
-    found, found_bits = raw_png(tmp_path / "a.png")
+    found, found_bits = read_png(tmp_path / "a.png")
     assert found_bits == bits
     np.testing.assert_array_equal(found, codes)
     if channels != 2:
@@ -166,7 +135,7 @@ def test_a_written_png_holds_the_exact_code_values(tmp_path, bits, channels):
 
 def test_values_out_of_range_are_clamped_and_nan_is_0(tmp_path):
     encode_png(tmp_path / "a.png", np.array([[-1.0, 2.0, np.nan, 0.5]]), 8)
-    assert raw_png(tmp_path / "a.png")[0].ravel().tolist() == [0, 255, 0, 128]
+    assert read_png(tmp_path / "a.png")[0].ravel().tolist() == [0, 255, 0, 128]
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,11 @@ from irpso_addon.geometry.surface import bake
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from tests.builders.command_line import angle
+from tests.builders.domains import unit
 from tests.oracles import geometry as geometry_oracle
 from tests.oracles.cycles_passes import normals_of, rendered_passes
 
 SIZE = 96
-
-
-def unit(v):
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
 def test_the_relief_of_a_ball_is_in_world_units():

@@ -16,15 +16,12 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.derived_map import normal_maps
 from irpso_addon.results.maps import Maps
 from tests.builders.command_line import angle
+from tests.builders.domains import unit
 from tests.oracles.cycles_passes import normals_of, rendered_passes
 
 TEXELS, PIXELS = 512, 128
 SCALE, TURN = (1.5, 0.8, -1.2), (0.4, -0.3, 0.7)
 HALF = 16  # quads along the ridge of the mesh, 8 across each slope
-
-
-def unit(v):
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
 def roof():

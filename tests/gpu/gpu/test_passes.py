@@ -16,15 +16,11 @@ from irpso_addon.gpu.passes import Kernel, Output, Packed, Pass
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.kernels import copy_pass, render_pass
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 KERNELS = Path(__file__).parents[1] / "kernels"
 CONSTANTS = {"u_mark": "INT", "u_skip": "INT", "u_scale": "FLOAT"}
 BEFORE = -7.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    """A GPU context."""
-    context.ensure()
 
 
 @pytest.fixture(params=["fragment", "compute"])

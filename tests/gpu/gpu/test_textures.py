@@ -10,14 +10,10 @@ from irpso_addon.gpu import context, textures
 from irpso_addon.gpu.passes import Kernel, Output, Pass
 from irpso_addon.solver.kernels.kernels import copy_pass
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 KERNELS = Path(__file__).parents[1] / "kernels"
 SIZES = [(1, 1), (1, 7), (7, 1), (13, 17), (64, 33), (3, 1025)]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    """A GPU context."""
-    context.ensure()
 
 
 def numbers(*shape):

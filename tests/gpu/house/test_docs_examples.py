@@ -13,19 +13,14 @@ import pytest
 from irpso_addon import Recovery, domain_from_card, load_model, load_schedule
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
-from irpso_addon.gpu import context
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import angle, read_map
 from tests.builders.model_probe import evaluate
 from tests.oracles import reflectance as oracles
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 DOCS = Path(__file__).resolve().parents[3] / "docs"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    """Make the context that all of these need."""
-    context.ensure()
 
 
 def blocks(page, language):

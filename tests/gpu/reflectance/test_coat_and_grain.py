@@ -7,15 +7,11 @@ import pytest
 
 from irpso_addon.blender.materials.material import build_material
 from irpso_addon.core.errors import InputError
-from irpso_addon.geometry.domain import with_samples
-from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.settings.schedule import load_schedule
-from tests.builders.domains import make_domain
-from tests.builders.lights import apart, photographed, relief
-from tests.oracles import confidence as confidence_oracle
+from tests.builders.lights import apart, photographed_card, recovered, relief
+
+pytestmark = pytest.mark.usefixtures("gpu")
 
 COAT, GRAIN = load_model("clear_coat"), load_model("anisotropic")
 SHAPE, LIGHTS = (12, 12), 40
@@ -30,24 +26,7 @@ def card(model, color, **material):
         "base_color": np.broadcast_to(color, (*SHAPE, 3)) * rng.uniform(0.8, 1, (*SHAPE, 1)),
         **{name: np.full((*SHAPE, 1), value) for name, value in material.items()},
     }
-    made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
-    stack = np.ones((LIGHTS, *SHAPE, 4))
-    stack[..., :3] = confidence_oracle.radiance(made, model.name, truth)
-    made = with_samples(made, stack.astype(np.float32))
-    return photographed(made, np.ones((LIGHTS, 3)), rng, shadow=0.05), truth
-
-
-def recovered(domain, model):
-    recovery = Recovery(domain, model, load_schedule("standard").replaced(prior_rounds=0), 1)
-    recovery.step()
-    values = recovery.maps(confidence=False).values
-    recovery.close()
-    return values
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    context.ensure()
+    return photographed_card(model.name, truth, rng), truth
 
 
 def within(found, truth, bounds):
@@ -94,12 +73,9 @@ def test_no_grain_is_found_where_there_is_none(metallic, color):
 
 
 def matt_paint():
-    made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
     rng = np.random.default_rng(4)
     truth = {"normal": relief(*SHAPE, rng), "base_color": np.broadcast_to(PAINT, (*SHAPE, 3))}
-    stack = np.ones((LIGHTS, *SHAPE, 4))
-    stack[..., :3] = confidence_oracle.radiance(made, "lambert", truth)
-    return photographed(with_samples(made, stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
+    return photographed_card("lambert", truth, rng)
 
 
 def test_matt_paint_has_no_coat_and_no_grain():

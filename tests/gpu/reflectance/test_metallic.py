@@ -5,15 +5,11 @@ import pytest
 
 from irpso_addon.blender.materials.material import build_material
 from irpso_addon.core.paths import DEFAULT_MODEL
-from irpso_addon.geometry.domain import with_samples
-from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
-from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.settings.schedule import load_schedule
-from tests.builders.domains import make_domain
-from tests.builders.lights import apart, photographed, relief
-from tests.oracles import confidence as confidence_oracle
+from tests.builders.lights import apart, photographed_card, recovered, relief
+
+pytestmark = pytest.mark.usefixtures("gpu")
 
 METALLIC, PRINCIPLED = load_model("principled_metallic"), load_model("principled")
 DEFAULT = load_model(DEFAULT_MODEL)
@@ -30,24 +26,7 @@ def card(metallic, color):
         "roughness": rng.uniform(0.3, 0.6, (*SHAPE, 1)),
         "metallic": np.full((*SHAPE, 1), metallic),
     }
-    made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
-    stack = np.ones((LIGHTS, *SHAPE, 4))
-    stack[..., :3] = confidence_oracle.radiance(made, "principled_metallic", truth)
-    made = with_samples(made, stack.astype(np.float32))
-    return photographed(made, np.ones((LIGHTS, 3)), rng, shadow=0.05), truth
-
-
-def recovered(domain, model):
-    recovery = Recovery(domain, model, load_schedule("standard").replaced(prior_rounds=0), 1)
-    recovery.step()
-    values = recovery.maps(confidence=False).values
-    recovery.close()
-    return values
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    context.ensure()
+    return photographed_card("principled_metallic", truth, rng), truth
 
 
 @pytest.mark.parametrize(("metallic", "color"), [(0.0, (0.5, 0.3, 0.2)), (0.5, GOLD), (1.0, GOLD)])
@@ -76,11 +55,7 @@ def test_matt_paint_without_a_visible_lobe_is_not_metal():
         "normal": relief(*SHAPE, rng),
         "base_color": np.broadcast_to((0.45, 0.35, 0.3), (*SHAPE, 3)) * rng.uniform(0.7, 1, (*SHAPE, 1)),
     }
-    made = make_domain(*SHAPE, observations=LIGHTS, holes=False, rng_seed=5)
-    stack = np.ones((LIGHTS, *SHAPE, 4))
-    stack[..., :3] = confidence_oracle.radiance(made, "lambert", truth)
-    domain = photographed(with_samples(made, stack.astype(np.float32)), np.ones((LIGHTS, 3)), rng, shadow=0.05)
-    found = recovered(domain, DEFAULT)
+    found = recovered(photographed_card("lambert", truth, rng), DEFAULT)
     assert np.quantile(found["metallic"], 0.99) < 0.05
 
 

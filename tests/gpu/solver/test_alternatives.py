@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.domain import with_samples
-from irpso_addon.gpu import context
 from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.alternatives import Alternatives
@@ -19,15 +18,12 @@ from tests.builders.domains import make_domain, pack_layers, unit
 from tests.oracles import alternatives as alternatives_oracle
 from tests.oracles import confidence as confidence_oracle
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 STANDARD = load_schedule("standard")
 SHAPE = (9, 14)
 MESH = {"card": False, "near": True, "perspective": True, "colored": True}
 SMOOTH = 0.1
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    context.ensure()
 
 
 def random_values(model, shape):

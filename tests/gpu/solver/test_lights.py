@@ -7,19 +7,15 @@ import pytest
 
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.domain import subset, with_samples
-from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.lights.fit import Moving, axes_of
 from irpso_addon.solver.lights.refine import contradiction, estimate_lights, light_steps
 from tests.builders.domains import unit
 from tests.builders.lights import apart, gains, off, photographed, subject
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 LAMBERT, PRINCIPLED = load_model("lambert"), load_model("principled")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    context.ensure()
 
 
 def turned_lights(domain, degrees, rng):

@@ -6,22 +6,18 @@ import numpy as np
 import pytest
 
 from irpso_addon.geometry.domain import with_samples
-from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.settings.schedule import load_schedule
 from tests.builders.domains import make_domain, unit
 from tests.oracles import confidence as confidence_oracle
 
+pytestmark = pytest.mark.usefixtures("gpu")
+
 MODEL = load_model("metallic_roughness")
 SHAPE = (16, 24)
 STANDARD = load_schedule("standard").replaced(prior_rounds=0, refinement_rounds=0, neighbour_every=0, c3=0.0)
 SMOOTH, MATT = 0.12, 0.8
-
-
-@pytest.fixture(scope="module", autouse=True)
-def gpu():
-    context.ensure()
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.domains import make_domain, pack_layers, unit, with_radiance
+from tests.builders.synchronous_swarm import benches, particle_arrays, random_material
 from tests.oracles import random_numbers as numbers
 from tests.oracles import swarm as oracle
 
@@ -97,11 +98,7 @@ class Bench:
         self.domain = replace(make_domain(*case.shape, **made), noise=noise)
         rng = np.random.default_rng(seed)
         scale = rng.uniform(0.5, 2, size=case.shape).astype(np.float32)
-        estimates = {}
-        for p in self.model.parameters:
-            value = p.range[0] + (p.range[1] - p.range[0]) * rng.uniform(0.05, 0.95, size=(*case.shape, p.components))
-            value = unit(value * (1, 1, 0) + (0, 0, 1)) if p.is_normal else value
-            estimates[p.name] = value.astype(np.float32)
+        estimates = random_material(self.model, case.shape, rng)
         stage = resolve(self.schedule, self.model, set())[0]
         self.packing = pack = Packing(self.domain.solvable)
         self.textures = DomainTextures(self.domain, pack, pack_layers(pack, self.domain.stack.values), pack.pack(scale))
@@ -131,16 +128,7 @@ class Bench:
     def give(self, state: oracle.State) -> None:
         """Make ``state`` the state on the GPU."""
         atlas, blocks = self.stage.textures.atlas, self.stage.encoding.blocks
-        particles = {
-            "position": state.x,
-            "velocity": state.v,
-            "best": state.p,
-            "fitness": np.concatenate([state.p_fitness] * blocks)[..., None],
-        }
-        arrays = {}
-        for name, array in particles.items():
-            packed = np.stack([self.packing.pack(one) for one in array])
-            arrays[name] = numbers.to_atlas(packed, atlas.across, atlas.down)
+        arrays = particle_arrays(state, self.packing, atlas, blocks)
         g = self.packing.pack(state.g)
         arrays |= {f"global_best_{b}": g[..., 4 * b : 4 * b + 4] for b in range(blocks)}
         self.stage.textures.restore(arrays | {"global_fitness": self.packing.pack(state.g_fitness)[..., None]})
@@ -173,15 +161,7 @@ class Bench:
 @pytest.fixture
 def bench():
     """A maker of benches that are closed at the end."""
-    made = []
-
-    def make(*arguments, **options) -> Bench:
-        made.append(Bench(*arguments, **options))
-        return made[-1]
-
-    yield make
-    for item in made:
-        item.close()
+    yield from benches(Bench)
 
 
 def assert_equal_states(found: oracle.State, step: oracle.Step, tolerance: np.ndarray, places: float) -> None:

@@ -8,38 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.exports.result import read_result
-from tests.builders import command_line as cli_maker
+from tests.gpu.ui.conftest import SHAPE
 from tests.gpu.ui.test_ui_panels import Drawn
 
-SHAPE = (18, 24)
-LIGHTS = cli_maker.dome_lights(16, widest=70)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    bpy.ops.wm.read_homefile(use_empty=True)
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
-
-
-@pytest.fixture(scope="module")
-def session_of_card(registered, tmp_path_factory):
-    """A card's session, run to its end once."""
-    from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
-
-    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
-    folder = tmp_path_factory.mktemp("capture") / "leaf"
-    cli_maker.write_card(folder, cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
-    bpy.context.scene.irpso.capture_path = str(folder)
-    running = session.begin(make_job(bpy.context))
-    running.run()
-    yield running
-    session.end()
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture

@@ -8,43 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-import irpso_addon
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.errors import InputError
-from tests.builders import command_line as cli_maker
+from tests.gpu.ui.conftest import SHAPE
 
-SHAPE = (18, 24)
-LIGHTS = cli_maker.dome_lights(16, widest=70)
+pytestmark = pytest.mark.usefixtures("registered")
 MAPS = ("base_color", "metallic", "normal", "roughness", "specular")
-
-
-@pytest.fixture(scope="module")
-def card(tmp_path_factory):
-    """A capture of a card."""
-    values = cli_maker.smooth_maps(SHAPE, {"roughness": (0.25, 0.6), "specular": (0.3, 0.8)}, seed=3)
-    folder = tmp_path_factory.mktemp("capture") / "leaf"
-    return cli_maker.write_card(folder, cli_maker.render_oracle("principled", values, LIGHTS), LIGHTS)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    bpy.ops.wm.read_homefile(use_empty=True)
-    irpso_addon.register()
-    yield
-    irpso_addon.unregister()
-
-
-@pytest.fixture(scope="module")
-def session_of_card(registered, card):
-    """The card's session, run to its end once: what comes after it is what is tested here."""
-    from irpso_addon.ui.session import session
-    from irpso_addon.ui.session.job import make_job
-
-    bpy.context.scene.irpso.capture_path = str(card)
-    running = session.begin(make_job(bpy.context))
-    running.run()
-    yield running
-    session.end()
 
 
 @pytest.fixture

@@ -11,11 +11,8 @@ from scipy.sparse.linalg import spsolve
 from irpso_addon.capture.camera import Camera
 from irpso_addon.geometry.relief import height, relief
 from irpso_addon.results.derived_map import height_map
+from tests.builders.domains import unit
 from tests.oracles import geometry as geometry_oracle
-
-
-def unit(v):
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
 def waves(rows, columns):
