@@ -10,6 +10,7 @@ from irpso_addon.geometry.domain import tile, with_samples
 from irpso_addon.gpu.textures import CHANNELS
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.planning.cost import recovery_cost
+from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.prepare import prepare
 from tests.builders.domains import SHORT, bits_of, recoveries, subject
@@ -71,12 +72,13 @@ def test_an_unobserved_texel_stays_at_the_default(recover):
     assert not maps.residual[unseen].any()
 
 
+@pytest.mark.parametrize("update", [{}, {"update": "all", "linear": "solve"}], ids=["sequential", "synchronous"])
 @pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
-def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
+def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss, update):
     domain, _ = subject(holes=False)
     domain.stack.values[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
     domain.stack.values[3, 6, 7, 1] = np.inf
-    recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0))
+    recovery = recover(domain, schedule=SHORT.replaced(loss=loss, shadow=0.0, c3_until=0.0, **update))
     recovery.step(iterations=8)
     fitness = recovery.phase.fitness()
     bad = np.zeros(domain.shape, bool)
@@ -221,7 +223,7 @@ def test_the_residual_is_the_mean_absolute_error_of_the_render(recover):
     maps = recovery.maps()
     shape = domain.shape
     schedule = dataclasses.replace(SHORT, fitness=dataclasses.replace(SHORT.fitness, loss="l1"))
-    stage = recovery._stages[0]
+    stage = resolve(SHORT, LAMBERT, set())[0]
     problem = oracle.Problem(domain, LAMBERT, stage, schedule, maps.values, np.ones(shape), 1)
     error = oracle.fitness(dataclasses.replace(problem, stage=dataclasses.replace(stage, parameters=())), np.zeros(1))
     np.testing.assert_allclose(maps.residual[maps.covered], error[maps.covered], rtol=1e-5, atol=1e-6)
@@ -234,7 +236,7 @@ def test_reading_maps_often_keeps_no_memory(recover):
         recovery.maps()
         recovery.halo()
     assert len(recovery._diagnostics._residual._framebuffers) == 1
-    assert len(recovery._phase.reader._copy._framebuffers) <= 2
+    assert len(recovery.phase.reader._copy._framebuffers) <= 2
 
 
 # ---- interchangeable lobes ---------------------------------------------------------------------------------------

@@ -154,22 +154,6 @@ def test_seventeen_particles_are_refused_and_sixteen_are_not(recover):
         recover(domain, lobes, settings.replaced(linear="search", particles_per_dimension=3.0))
 
 
-@pytest.mark.parametrize("loss", ["l1", "l2", "robust"])
-def test_a_fitness_that_is_not_a_number_never_becomes_a_best(recover, loss):
-    domain, _ = subject(holes=False)
-    domain.stack.values[2, 4, 5, 0] = np.nan  # weighted: no render of this texel has a fitness
-    domain.stack.values[3, 6, 7, 1] = np.inf
-    schedule = SHORT.replaced(update="all", linear="solve", loss=loss, shadow=0.0, c3_until=0.0)
-    recovery = recover(domain, schedule=schedule)
-    recovery.step(iterations=8)
-    fitness = recovery._phase.fitness()
-    bad = np.zeros(domain.shape, bool)
-    bad[4, 5] = bad[6, 7] = True
-    assert (fitness[bad] >= 1e29).all() and (fitness[~bad] < 1e29).all()
-    recovery.step()
-    assert all(np.isfinite(value).all() for value in recovery.maps().values.values())
-
-
 def test_a_swarm_has_a_best_without_any_fitness(bench):
     case = BY_NAME["two-lobes-solved-with-their-weight"]
     domain = make_domain(4, 5, observations=6, holes=False)

@@ -9,6 +9,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.coarse_to_fine import Pyramid
 from irpso_addon.solver.settings.resolve import prefit_model, resolve
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import prepare
 from irpso_addon.solver.views import texel_probe
 from irpso_addon.solver.views.texel_probe import TexelProbe
@@ -45,7 +46,7 @@ def some_texels(domain, count=6):
 def decoded(recovery, stage, model, estimates):
     """(positions, bests (m, H, W, n), fitness (m, H, W), global best (H, W, n)) of a checkpoint's arrays, in numpy."""
     domain, schedule, arrays = recovery.domain, recovery.schedule, recovery.memory().arrays
-    packing, scale = recovery._packing, prepare(domain, recovery.model, schedule).scale
+    packing, scale = Packing(domain.solvable), prepare(domain, recovery.model, schedule).scale
     height, width = packing.height, packing.width
     phase, _ = texel_probe.running_swarm(recovery)
     problem = SynchronousSwarm(domain, model, stage, schedule, estimates, scale, phase.particles)
