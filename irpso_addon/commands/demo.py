@@ -80,7 +80,11 @@ def _write(
     large = pictures.View(found, head.scene_camera(2 * _VIEW_HEIGHT))
     staged = pictures.staged_maps(runs)
     everything = {**runs, experiment.JOINT: joint}
-    errors = {name: _errors(found, done) for name, done in everything.items()}
+    errors = {}  # of the image in % of white, and of each searched parameter
+    for name, done in everything.items():
+        truth = {parameter: found.truth[parameter] for parameter in done.errors}
+        image = {"unit": "%", **quantiles(done.image_errors)}
+        errors[name] = {"image": image, **ground_truth_errors(done.maps, truth, found.evaluated)}
     seconds = {"photograph": photographed, **{name: done.seconds for name, done in everything.items()}}
     report = build_report(
         staged, settings={**{k: v for k, v in vars(options).items() if k != "command"},
@@ -109,13 +113,6 @@ def _write(
 
 def _turned(found: experiment.Subject, maps: Maps) -> Maps:
     return blender_maps(maps, found.mesh, found.bake, found.domain.seams)
-
-
-def _errors(found: experiment.Subject, done: experiment.Run) -> dict:
-    """Image error in % of white, and the error of each parameter that was searched."""
-    truth = {name: found.truth[name] for name in done.errors}
-    parameters = ground_truth_errors(done.maps, truth, found.evaluated)
-    return {"image": {"unit": "%", **quantiles(done.image_errors)}, **parameters}
 
 
 def _summary(result: dict, folder: Path) -> str:

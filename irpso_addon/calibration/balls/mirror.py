@@ -63,7 +63,8 @@ class _Blob:
 def find_highlights(view: BallView) -> list[Sight | str]:
     """Return the light that the ball shows in each photograph, or in words why there is none."""
     grey = view.values.mean(axis=-1)
-    inside, shrunk = view.inside, _within(view)
+    _, normal, toward, inside = view.ball.surface(view.pixels)
+    shrunk = inside & ((normal * toward).sum(axis=-1) > np.sqrt(1 - _RIM**2))
     ambient = np.zeros_like(grey[0])
     if len(grey) >= _FEWEST_FOR_AMBIENT:
         at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
@@ -90,12 +91,6 @@ def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     point, normal, view, _ = ball.surface(pixels)
     facing = (normal * view).sum(axis=-1)
     return point, 2 * facing[..., None] * normal - view, facing
-
-
-def _within(view: BallView) -> np.ndarray:
-    """Return (H, W) bool: the ball less its rim."""
-    _, normal, toward, hit = view.ball.surface(view.pixels)
-    return hit & ((normal * toward).sum(axis=-1) > np.sqrt(1 - _RIM**2))
 
 
 def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> Sight | str:

@@ -71,7 +71,8 @@ def read_source(
     """
     path = Path(path)
     others = {p.resolve() for p in left_out}
-    if _has_lists(path):
+    lists = (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
+    if lists if path.is_dir() else path.is_file():
         return _listed(read_spec(path, colour_space), decoder, exposing, others)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a capture nor a folder of photographs")
@@ -89,12 +90,6 @@ def read_source(
         names.add(shot.name)
     size = ImageStore(decoder).size(shots[0].images[0])
     return Source(tuple(replace(shot, size=size) for shot in shots), None, tuple(warnings))
-
-
-def _has_lists(path: Path) -> bool:
-    if not path.is_dir():
-        return path.is_file()
-    return (path / TABLE).exists() or (path / DIRECTIONS).exists() or any(path.glob("*.lp"))
 
 
 def brackets_of_images(paths: Sequence[Path], exposing: Exposing | None) -> tuple[list[Bracket], list[str]]:

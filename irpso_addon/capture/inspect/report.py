@@ -244,7 +244,7 @@ def _geometry_findings(spec: CaptureSpec, capture: Capture, index: int, frames: 
         message = (
             f"{where}: most lights are behind the subject; directions must point toward the light, z to the camera"
         )
-        if not places.near_lights(capture):  # of which places.card_problems tells
+        if not places.near_lights(capture):  # else places.card_problems reports them
             yield Finding("lights_reversed", message)
         return
     if checks.flatness(directions) < sufficiency.FLAT_USELESS:

@@ -14,11 +14,13 @@ _HAVE_BODIES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOU
 
 def free_place(context, height: float) -> np.ndarray:
     """Return the (4, 4) matrix of a card 1 wide and ``height`` high: the origin, or beside objects there."""
-    boxes = np.array([_bounds(obj) for obj in context.visible_objects if obj.type in _HAVE_BODIES]).reshape(-1, 2, 3)
+    bodies = [obj for obj in context.visible_objects if obj.type in _HAVE_BODIES]
+    corners = np.array([obj.matrix_world @ Vector(corner) for obj in bodies for corner in obj.bound_box])
+    low, high = (end(corners.reshape(-1, 8, 3), axis=1) for end in (np.min, np.max))
     place = np.eye(4)
     half = np.array([0.5, 0.5 * height, 0.0]) + _MARGIN
-    if ((boxes[:, 0] <= half) & (boxes[:, 1] >= -half)).all(axis=1).any():
-        place[0, 3] = boxes[:, 1, 0].max() + 0.5 + _MARGIN
+    if ((low <= half) & (high >= -half)).all(axis=1).any():
+        place[0, 3] = high[:, 0].max() + 0.5 + _MARGIN
     return place
 
 
@@ -54,12 +56,6 @@ def show_card(context, card: bpy.types.Object | None, place: np.ndarray, height:
     view.view_location = sum(corners, Vector()) / 4
     view.view_rotation = world.to_quaternion()
     view.view_distance = _DISTANCE * max((corners[2] - corners[0]).length, (corners[1] - corners[0]).length)
-
-
-def _bounds(obj: bpy.types.Object) -> np.ndarray:
-    """Return (2, 3) the lowest and the highest corner of an object's box in the world."""
-    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
-    return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
 CLASSES = ()

@@ -31,7 +31,7 @@ from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
 from .scene_capture import capture_of, capture_path, wants_distance
 
-_MESH = "mesh"  # the origin of a mesh's maps: its name tells the rest
+_MESH = "mesh"  # the origin of a mesh's maps, beside its name
 
 
 @dataclass(frozen=True, kw_only=True)
