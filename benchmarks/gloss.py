@@ -53,7 +53,7 @@ from irpso_addon.core.paths import DEFAULT_MODEL
 from irpso_addon.core.png import encode_png
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
-from irpso_addon.solver.views.forward import render_domain
+from irpso_addon.solver.views.forward import rendered
 
 _GLOSSY = 0.2  # of roughness
 _METAL = 0.9  # of metallic
@@ -188,7 +188,7 @@ def forward_error(subject: Subject, shot: Photographed, shadows: bool) -> tuple[
         name: np.atleast_3d(getattr(shot.truth, name)) for name in ("base_color", "normal", "roughness", "metallic")
     }
     model = load_model("principled_metallic")
-    ours = np.stack([p[..., :3] for p in render_domain(domain, model, truth, range(domain.observations))])
+    ours = np.stack([p[..., :3] for p in rendered(domain, model, truth, range(domain.observations))])
     kept = domain.stack.values[..., 3:] > 0
     apart, theirs = (ours - domain.stack.values[..., :3]) * kept, domain.stack.values[..., :3] * kept
     whole = theirs.sum(axis=(0, 3))

@@ -191,14 +191,13 @@ def _partition(ranks: Ranks, job: Job, found: Split, surface: Surface) -> Partit
             return domain_from_mesh(job.capture, job.mesh, *job.size, shadows=job.shadows, window=part, surface=of_mesh)
 
     window = ranks.agreed(read)
-    of_all = ranks.given(window and _without_texels(window))
+    bare = None  # the lights and views of all ranks, with 0 × 0 texels
+    if window is not None:
+        none = window.bake.each(lambda values: values[:0, :0])
+        bare = laid_on(window, none, np.zeros((window.observations, 0, 0, 4)))
+    of_all = ranks.given(bare)
     whole = replace(of_all, bake=bake, seams=seams)
     return Partition(whole, found.boxes, found.halo, window)
-
-
-def _without_texels(domain: Domain) -> Domain:
-    """Return a domain with the lights and views of all ranks, and 0 × 0 texels, to be sent to them."""
-    return laid_on(domain, domain.bake.each(lambda values: values[:0, :0]), np.zeros((domain.observations, 0, 0, 4)))
 
 
 def _check_lit(worker: Worker, job: Job) -> None:

@@ -46,22 +46,10 @@ class Confidence:
         self._pass = deviation_pass(model, self._fixed, fitness, domain_defines)
         self._targets: list[Texture] = []  # reused: the pass keeps the frame buffer of every target
 
-    def deviations(
-        self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
-    ) -> dict[str, np.ndarray]:
-        """Return parameter name → (h, w, components) float32, packed, in the parameter's units; 0 where it is fixed.
-
-        A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
-        seconds: the time of one draw.
-        """
-        for _ in self.measuring(domain, estimates, resolved, bands, seconds):
-            self._pass.fence(self._targets)
-        return self.read()
-
     def measuring(
         self, domain: DomainTextures, estimates: Estimates, resolved: bool, bands: Bands, seconds: float
     ) -> Iterator[None]:
-        """Measure what ``read`` returns, in bands of rows; yields after each."""
+        """Measure what ``read`` returns, in bands of rows of about ``seconds``; yields after each."""
         if not self._targets:
             self._targets = [textures.empty(*estimates.size) for _ in range(estimates.count)]
         inputs = {**domain.textures, **estimates.bindings(resolved)}
@@ -69,7 +57,10 @@ class Confidence:
         yield from self._pass.in_bands("confidence", bands, seconds, self._targets, inputs, constants)
 
     def read(self) -> dict[str, np.ndarray]:
-        """Return the last measurement, as ``deviations`` does."""
+        """Return the last measurement: name → (h, w, components) float32, packed, in its units; 0 where it is fixed.
+
+        A normal has one component: the root of the sum of its two tangent variances, in radians, at most π/2.
+        """
         packed = np.concatenate([textures.download(t) for t in self._targets], axis=-1)
         deviations = {}
         for p in self.model.parameters:

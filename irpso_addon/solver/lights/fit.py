@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,10 +60,6 @@ class Moving:
         distant = self.start[:, 3] == 0
         result[distant, :3] /= np.linalg.norm(result[distant, :3], axis=-1, keepdims=True)
         return result.astype(np.float32)
-
-    def moved(self, further: np.ndarray) -> Moving:
-        """Return the moves with ``further`` (K, 3) added."""
-        return replace(self, moves=self.moves + further)
 
 
 def axes_of(domain: Domain) -> np.ndarray:

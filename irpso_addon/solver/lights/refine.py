@@ -326,7 +326,7 @@ class _Search:
             if self._intensities:
                 self._factors = normalised(self._factors * np.exp(step.gains)) * common
             if self._moving is not None:
-                self._moving = self._moving.moved(step.moves)
+                self._moving = replace(self._moving, moves=self._moving.moves + step.moves)
             self._change = max(_size(step.gains), _size(step.moves))
             if self._round == _ROUNDS or (self._round >= len(_WIDTHS) and self._change <= _SETTLED):
                 return step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 
 import numpy as np
 
@@ -72,30 +73,20 @@ def camera_renderer(
     return Renderer(bake, model, values, table, intensities, np.tile(camera.view, (len(lights), 1)))
 
 
-def render_domain(
-    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
-) -> list[np.ndarray]:
-    """Return the renders (H, W, 4) of maps in a domain's texels, one per observation.
-
-    A domain larger than a texture can be, as of UDIM tiles side by side, is rendered in blocks.
-    """
-    return list(rendered(domain, model, values, observations))
-
-
 def rendered(
     domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], observations: Sequence[int]
 ) -> Iterator[np.ndarray]:
-    """Yield the images of ``render_domain`` one by one; a domain in blocks is rendered at once."""
+    """Yield the renders (H, W, 4) of maps in a domain's texels, one per observation.
+
+    A domain larger than a texture, such as UDIM tiles side by side, is rendered in blocks, all images at once.
+    """
     context.ensure()
     if max(domain.shape) > context.max_texture_size():
         yield from _rendered_in_blocks(domain, model, values, observations)
         return
-    renderer = Renderer(domain.bake, model, values, domain.lights, domain.intensities, domain.views, domain.card)
-    try:
-        for observation in observations:
-            yield renderer.render(observation)
-    finally:
-        renderer.close()
+    tables = domain.lights, domain.intensities, domain.views
+    with closing(Renderer(domain.bake, model, values, *tables, domain.card)) as renderer:
+        yield from map(renderer.render, observations)
 
 
 def _rendered_in_blocks(

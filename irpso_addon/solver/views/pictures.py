@@ -14,7 +14,7 @@ from ...results.map_tables import map_tables
 from ...results.maps import UNKNOWN, Maps
 from ...results.preview import PreviewRow, default_maximum, display_image, gallery, preview
 from ...results.report import error_unit, parameter_error
-from .forward import render_domain
+from .forward import rendered
 
 _SHOWN = 3  # observations in a preview, with the median one
 _STRIPE = (0.93, 0.45, 0.12)
@@ -98,8 +98,7 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
 
 def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
     """Return the ``image_row`` of each observation."""
-    renders = render_domain(domain, maps.model, maps.values, observations)
-    rows = zip(observations, labels, renders, strict=True)
+    rows = zip(observations, labels, rendered(domain, maps.model, maps.values, observations), strict=True)
     return [image_row(domain, maps, k, label, render) for k, label, render in rows]
 
 

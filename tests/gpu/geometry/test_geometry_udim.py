@@ -91,9 +91,9 @@ def test_a_domain_wider_than_a_texture_renders_in_blocks_without_change(monkeypa
     ones = np.ones((2, 3), np.float32)
     domain = domain_of(surface, np.zeros((2, *shape, 4), np.float32), lights, ones, np.float32([(0, 0, 1, 0)] * 2))
     values = {"base_color": random.random((*shape, 3)).astype(np.float32), "normal": normal}
-    whole = forward.render_domain(domain, load_model("lambert"), values, [1, 0])
+    whole = [*forward.rendered(domain, load_model("lambert"), values, [1, 0])]
     monkeypatch.setattr(forward.context, "max_texture_size", lambda: 20)
-    blocks = forward.render_domain(domain, load_model("lambert"), values, [1, 0])
+    blocks = [*forward.rendered(domain, load_model("lambert"), values, [1, 0])]
     np.testing.assert_array_equal(blocks, whole)
     # The distant light by hand: albedo times cosine.
     cosine = np.maximum(normal @ lights[0, :3], 0)[..., None]

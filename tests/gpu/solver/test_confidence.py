@@ -74,7 +74,9 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
     uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scale)
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
-    found = work.deviations(uploaded, estimates, False, Bands(), seconds)
+    for _ in work.measuring(uploaded, estimates, False, Bands(), seconds):
+        pass
+    found = work.read()
     work.close()
     return {name: pack.unpack(value, np.nan) for name, value in found.items()}
 
