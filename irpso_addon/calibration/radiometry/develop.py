@@ -131,7 +131,7 @@ def registration_steps(
     for camera in sorted({shot.camera for shot in shots}):
         own = [k for k, shot in enumerate(shots) if shot.camera == camera]
         steps = shift_steps(np.stack([crops[k] for k in own]), own.index(reference) if reference in own else 0)
-        done, share = 0.5 + 0.5 * own[0] / count, 0.5 * len(own) / count
-        shifts = yield from map_steps(steps, lambda part, done=done, share=share: done + share * part)
+        fraction = np.poly1d([0.5 * len(own) / count, 0.5 + 0.5 * own[0] / count])
+        shifts = yield from map_steps(steps, fraction)
         pixels[own], agreement[own], trusted[own] = shifts.pixels, shifts.agreement, shifts.trusted
     return pixels, agreement, trusted
