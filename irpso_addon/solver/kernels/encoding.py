@@ -1,4 +1,4 @@
-"""What the numbers of a particle mean: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
+"""Encoding of particles: places in [0, 1]ⁿ to the parameters of a stage and back, as GLSL."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Encoding:
 
     @property
     def packed(self) -> Packed:
-        """How a particle's numbers lie in textures."""
+        """Layout of a particle in textures."""
         return Packed(self.blocks, _ROOM)
 
 

@@ -1,4 +1,4 @@
-"""Which parameters are solved in closed form, and the GLSL that gives the solver their bases."""
+"""Parameters that are solved in closed form, and the GLSL of their bases."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class LinearWeights:
 
     @property
     def components(self) -> int:
-        """How many numbers they are."""
+        """Their number of components."""
         return 3 * len(self.colors) + len(self.numbers)
 
     @property
     def blocks(self) -> int:
-        """How many RGBA texels hold them."""
+        """Number of RGBA texels that hold them."""
         return -(-self.components // 4)
 
     @property
     def packed(self) -> Packed:
-        """How they lie in textures."""
+        """Their layout in textures."""
         return Packed(self.blocks, MAX_WEIGHTS)
 
     @property

@@ -25,7 +25,7 @@ from .kernels import (
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}
-CANDIDATES = 3  # dampings that are tried together
+CANDIDATES = 3  # dampings tried in one step
 SPREAD_REACH = 2  # texels away that offers and votes come from (shaders/refine/spread.glsl, votes.glsl)
 _OFFERS = {True: 8, False: 4}  # of the neighbours: twice four where something is searched
 
@@ -54,7 +54,7 @@ class RefinementPasses:
 
 
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
-    """Return how many renders of all observations a step makes at a texel, and a spread."""
+    """Return the renders of all observations that a step and a spread make at a texel."""
     free, _ = resolved_slopes(model, resolved)
     stepped = free.defines["STEPPED"] * (2 if resolved.refinement.central else 1)
     # The bases of the linear parameters make up another render.

@@ -24,7 +24,7 @@ from .kernels import (
 )
 from .refinement import STEP, renders, resolved_slopes, step_defines
 
-NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # what the iterations of a prior are; the steps follow the rounds
+NOISE, DEVIATION, FIRST_ROUND = 0, 1, 2  # iterations of a prior; its steps follow the rounds
 _NOISE = {"u_noise": FLOAT_2D}
 # Of shaders/prior/pool.glsl.
 _KINDS = {"other": 0, "color": 1, "scalar": 2}
@@ -32,7 +32,7 @@ _KINDS = {"other": 0, "color": 1, "scalar": 2}
 
 @dataclass(frozen=True)
 class PriorPasses:
-    """The compiled passes of a prior, in the order in which they are run. evaluations: renders of a step.
+    """The compiled passes of a prior, in their order.
 
     ``keep`` is always a fragment pass: what it wrote may be read back.
     """
@@ -54,12 +54,12 @@ class PriorPasses:
 
 
 def reach_of(prior: Prior) -> int:
-    """Return how many texels away a prior looks at once."""
+    """Return the distance, in texels, at which a round of a prior reads neighbours."""
     return 2**prior.scales
 
 
 def taps_of(prior: Prior) -> int:
-    """Return how many texels around a prior looks at: TAPS of shaders/common/taps.glsl."""
+    """Return the number of neighbours that a round of a prior reads: TAPS of shaders/common/taps.glsl."""
     return 24 + 16 * (prior.scales - 1)
 
 
@@ -114,7 +114,7 @@ def build_prior_passes(
 
 
 def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: int) -> int:
-    """Return how many renders of all observations an iteration makes at a texel, unless that is left alone."""
+    """Return the renders of all observations that an iteration makes at a texel that has not converged."""
     if iteration == NOISE:
         return 1
     if iteration == DEVIATION:  # the render, and two for each derivative
@@ -123,7 +123,7 @@ def evaluations_of(resolved: ResolvedPrior, model: ReflectanceModel, iteration: 
 
 
 def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
-    """Return ``component_at(i, width, kind)``: the range of every component, and what a prior makes of it."""
+    """Return the GLSL of ``component_at(i, width, kind)``: each component's range, and its kind for the pooling."""
     pooled = {p.name for p in resolved.pooled}
     lines = []
     for p in model.parameters:
@@ -146,7 +146,7 @@ def _step_pass(
     entry: Entry,
 ) -> Pass:
     free, slopes_source = resolved_slopes(model, resolved.step)
-    # Lobes are put in order at the end: what a prior says is said of the one or of the other.
+    # Lobes are put in order at the end: the prior of one lobe is not that of the other.
     slopes = {name: value for name, value in free.defines.items() if not name.startswith("LOBE_")}
     unordered = {name: value for name, value in common.items() if not name.startswith("LOBE_")}
     penalty = SHADERS / "prior" / "penalty.glsl"

@@ -1,4 +1,4 @@
-"""The materials that texels have in common: a mixture of Gaussians over a sample of them."""
+"""Shared materials as a mixture of Gaussians over a sample of the domain's texels."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from ...reflectance.model import Parameter, ReflectanceModel
 SAMPLE = 8192  # texels, of the whole domain
 _ALIKE = defined("materials/shared.glsl", "ALIKE_")
 ALIKE_SEARCHED, ALIKE_LINEAR = _ALIKE["SEARCHED"], _ALIKE["LINEAR"]
-_ROWS = 7  # of the table: means of 12 numbers, inverse variances of 12, and how much there is of a material
+_ROWS = 7  # of the table: 12 means, 12 inverse variances, the share of the material
 _NUMBERS = 12
 _ROUNDS = 20  # of expectation and maximisation
-_LEAST_VARIANCE = 0.25  # of a material, of numbers that differ where they are 1 apart
-_LEAST_TEXELS = 4.0  # of the sample: fewer are no material
+_LEAST_VARIANCE = 0.25  # of a material; features that are 1 apart differ
+_LEAST_TEXELS = 4.0  # of a material in the sample
 _MIX = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)  # SplitMix64 (Steele, Lea and Flood 2014)
 
 
 def sampled(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return (n, 3 + C) float64: the texels that belong to the sample: rank, row, column, values.
+    """Return (n, 3 + C) float64: rank, row, column and values of the texels in the sample.
 
-    rows, columns: (T,) where T texels lie in the whole domain. values: (T, C). A texel has its rank from where it lies,
-    and the SAMPLE lowest are the sample: ``merged`` of the parts of a domain is the sample of the whole.
+    rows, columns: (T,) places in the whole domain. values: (T, C). A texel's rank depends on its place only; the SAMPLE
+    lowest ranks are the sample, so ``merged`` samples of a domain's parts are the sample of the whole.
     """
     place = (rows.astype(np.uint64) << np.uint64(32)) | columns.astype(np.uint64)
     rank = (place + np.uint64(1)) * _MIX[0]
     rank = (rank ^ (rank >> np.uint64(29))) * _MIX[1]
-    # 48 bits: what float64 holds of a whole number, and more.
+    # 48 bits: float64 holds whole numbers of up to 53.
     return merged([np.column_stack([(rank >> np.uint64(16)).astype(np.float64), rows, columns, values])])
 
 
 def merged(samples: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the sample of a domain from those of its parts, each texel in one of them; in one order always."""
-    found = np.concatenate(samples)
-    return found[np.lexsort((found[:, 2], found[:, 1], found[:, 0]))[:SAMPLE]]
+    """Return the sample of a domain from those of its disjoint parts, in an order that depends on the texels alone."""
+    texels = np.concatenate(samples)
+    return texels[np.lexsort((texels[:, 2], texels[:, 1], texels[:, 0]))[:SAMPLE]]
 
 
 def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample: np.ndarray) -> np.ndarray:
@@ -60,10 +60,9 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
 def material_table(features: np.ndarray, count: int) -> np.ndarray:
     """Return (7, K, 4) float32: at most ``count`` materials of a sample, for shaders/materials/shared.glsl.
 
-    features: (n, d) numbers, d ≤ 12, that are alike where they differ by less than 1; rows that are not finite are left
-    out. Expectation maximisation
-    (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of k-means++ (Arthur and
-    Vassilvitskii 2007).
+    features: (n, d), d ≤ 12; rows that differ by less than 1 are alike, rows that are not finite are ignored.
+    Expectation maximisation (Dempster, Laird and Rubin 1977) of Gaussians with diagonal covariances, from the seeds of
+    k-means++ (Arthur and Vassilvitskii 2007).
     """
     finite = features[np.isfinite(features).all(axis=1)]
     share, mean, variance = mixture(finite if len(finite) else np.zeros((1, features.shape[1])), count)
@@ -93,7 +92,7 @@ def mixture(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def belonging(x: np.ndarray, share: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return (n, K): the probability with which each of (n, d) numbers is of each Gaussian of ``mixture``."""
+    """Return (n, K): the probability that each row of x (n, d) belongs to each Gaussian of ``mixture``."""
     inverse = 1.0 / variance
     apart = (x * x) @ inverse.T - 2.0 * x @ (mean * inverse).T + (mean * mean * inverse).sum(axis=1)
     log = np.log(share) - 0.5 * (apart + np.log(variance).sum(axis=1))
