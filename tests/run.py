@@ -1,4 +1,4 @@
-"""Runs the tests: the unit tests in one process, every module of tests/gpu in a Blender process of its own.
+"""Runs the tests: the unit tests in one process, beside it every module of tests/gpu in a Blender process of its own.
 
 Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 600] [-- ARGUMENTS FOR PYTEST]
 The last line is `N passed, N failed, N skipped`; the exit code is 1 if anything failed. IRPSO_REQUIRE_GPU=1 turns a
@@ -16,6 +16,9 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+
+# Of tests/gpu, those that begin first because they take longest.
+SLOW = ("test_tiled", "test_cli_recover", "test_cli_mesh", "test_cluster", "test_ui_doors", "test_ui_hold_out")
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
@@ -121,16 +124,16 @@ def read_record(result: Result, lines: list[dict[str, str]]) -> None:
             result.skipped.append(f"{line['test']}: {line['reason'].removeprefix('Skipped: ')}")
 
 
-def targets_of(paths: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Return what runs in one unit process each, and the modules that need a Blender process each."""
+def targets_of(paths: list[Path]) -> list[Path]:
+    """Return what runs in a process each, what takes longest first: files of the unit tests, modules of tests/gpu."""
     unit, gpu = [], []
     for path in paths or [TESTS / "unit", TESTS / "gpu"]:
         path = path.resolve()
         if TESTS / "gpu" in (path, *path.parents):
-            gpu += sorted(path.rglob("test_*.py")) if path.is_dir() else [path]
+            gpu += path.rglob("test_*.py") if path.is_dir() else [path]
         else:
             unit.append(path)
-    return unit, gpu
+    return unit + sorted(gpu, key=lambda path: (path.stem not in SLOW, path))
 
 
 def report(result: Result) -> None:
@@ -150,19 +153,16 @@ def main() -> int:
     cut = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     options, rest = parser.parse_args(sys.argv[1:cut]), sys.argv[cut + 1 :]
 
-    unit, gpu = targets_of(options.paths)
-    results = []
-    for target in unit:
-        results.append(run_pytest(target, options.timeout, rest, ""))
-        report(results[-1])
-    no_gpu = probe_gpu() if gpu else ""
+    # Software GL would start a thread a core in every process, and have them wait for each other at every small draw.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // options.jobs)))
+    targets, results = targets_of(options.paths), []
+    no_gpu = probe_gpu() if any(TESTS / "gpu" in target.parents for target in targets) else ""
     if no_gpu and os.environ.get("IRPSO_REQUIRE_GPU"):
         results.append(Result("GPU probe", failed=[no_gpu]))
     with ThreadPoolExecutor(options.jobs) as pool:
-        running = [pool.submit(run_pytest, target, options.timeout, rest, no_gpu) for target in gpu]
-        for future in running:
-            results.append(future.result())
-            report(results[-1])
+        for result in pool.map(lambda target: run_pytest(target, options.timeout, rest, no_gpu), targets):
+            results.append(result)
+            report(result)
 
     failed = [test for result in results for test in result.failed]
     skipped = [test for result in results for test in result.skipped]

@@ -46,6 +46,28 @@ def few_samplers():
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def kept_shaders(request):
+    """Compile a kernel once in this process: without a GPU a test would spend most of its time on compiling it anew."""
+    from irpso_addon.gpu.passes import Pass
+
+    kept, compiled = {}, Pass.compile
+
+    def once(self):
+        if self._shader is None:
+            key = repr((self.kernel, self.entry))
+            if key not in kept:
+                compiled(self)
+                kept[key] = {name: getattr(self, name) for name in ("_shader", "_triangle", "_active", "_samplers")}
+            vars(self).update(kept[key])
+        return self
+
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "gpu":  # the room whose tests are about compiling
+            patch.setattr(Pass, "compile", once)
+        yield
+
+
 @pytest.fixture(scope="module")
 def gpu():
     """Make the GPU context."""
