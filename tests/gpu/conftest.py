@@ -47,24 +47,28 @@ def few_samplers():
 
 
 @pytest.fixture(scope="module", autouse=True)
-def kept_shaders(request):
-    """Compile a kernel once in this process: without a GPU a test would spend most of its time on compiling it anew."""
+def made_once(request):
+    """Compile a kernel and probe the GPU once in this process: without a GPU both take longer than most tests."""
+    if request.path.parent.name == "gpu":  # the room whose tests are about just that
+        yield
+        return
+    from irpso_addon.gpu import probe
     from irpso_addon.gpu.passes import Pass
 
-    kept, compiled = {}, Pass.compile
+    made, compiled = {}, Pass.compile
 
     def once(self):
         if self._shader is None:
             key = repr((self.kernel, self.entry))
-            if key not in kept:
+            if key not in made:
                 compiled(self)
-                kept[key] = {name: getattr(self, name) for name in ("_shader", "_triangle", "_active", "_samplers")}
-            vars(self).update(kept[key])
+                made[key] = {name: getattr(self, name) for name in ("_shader", "_triangle", "_active", "_samplers")}
+            vars(self).update(made[key])
         return self
 
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name != "gpu":  # the room whose tests are about compiling
-            patch.setattr(Pass, "compile", once)
+        patch.setattr(Pass, "compile", once)
+        patch.setattr(probe, "probe", functools.cache(probe.probe))
         yield
 
 
@@ -84,13 +88,3 @@ def registered():
     irpso_addon.register()
     yield
     irpso_addon.unregister()
-
-
-@pytest.fixture(scope="module")
-def one_probe():
-    """Ask the GPU once in this process: every command asks it in a child, which takes seconds."""
-    from irpso_addon.gpu import probe
-
-    before, probe.probe = probe.probe, functools.cache(probe.probe)
-    yield
-    probe.probe = before

@@ -18,7 +18,7 @@ from tests.builders import command_line as cli_maker
 from tests.builders import mpi as mpi_maker
 from tests.builders.command_line import run_cli
 
-pytestmark = [mpi_maker.needs_mpi(), pytest.mark.usefixtures("one_probe")]
+pytestmark = mpi_maker.needs_mpi()
 
 SHAPE = (23, 31)  # primes: no cut is even
 LIGHTS = cli_maker.dome_lights(10, widest=70)

@@ -26,9 +26,6 @@ WARD_GLSL = (MODELS / "ward.glsl").read_text(encoding="utf-8")
 PRESET = (Path(__file__).resolve().parents[3] / "presets" / "swarm.toml").read_text(encoding="utf-8")
 
 
-pytestmark = pytest.mark.usefixtures("one_probe")
-
-
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory):
     """A sound capture of a card, the same in the DiLiGenT layout, and a .blend file with every kind of object."""

@@ -11,8 +11,6 @@ from tests.builders import command_line as cli_maker
 from tests.builders import mpi as mpi_maker
 from tests.builders.command_line import run_cli
 
-pytestmark = pytest.mark.usefixtures("one_probe")
-
 SHAPE, COUNT, GONE = (11, 13), 9, 3
 LIGHTS = cli_maker.dome_lights(COUNT, widest=60)
 OPTIONS = ["--model", "lambert", "--preset", "swarm", "--iterations", 12, "--seed", 3, "--entry", "fragment"]

@@ -23,9 +23,6 @@ SCRATCH = "device=1M,host=513.5M"  # and no room for 40 × 44 × 30 samples besi
 SAME = ("base_color.exr", "normal.exr", "residual.exr", "confidence.exr", "maps.exr", "convergence.png", "relit.png")
 
 
-pytestmark = pytest.mark.usefixtures("one_probe")
-
-
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     """A capture of a flat card of 40 × 44 texels under 30 lights."""

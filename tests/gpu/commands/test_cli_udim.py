@@ -29,9 +29,6 @@ LAYOUTS = {
 }
 
 
-pytestmark = pytest.mark.usefixtures("one_probe")
-
-
 def sheets(layout, cover=False):
     """Return what builds two bent sheets side by side, a material slot each, in one of the layouts, and a camera.
 

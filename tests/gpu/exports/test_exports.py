@@ -16,8 +16,6 @@ from tests.builders.command_line import run_cli
 from tests.builders.exports import SHAPE, on_a_sheet, picture, read_glb, result_of, srgb, unsrgb
 from tests.oracles import reflectance as oracles
 
-pytestmark = pytest.mark.usefixtures("one_probe")
-
 
 @pytest.fixture(autouse=True)
 def empty_file():

@@ -12,7 +12,7 @@ from tests.builders.near_card import DISTANCE, SHAPE, near_card, write_near_card
 
 OPTIONS = ("--model", "lambert", "--iterations", 100, "--quiet")
 
-pytestmark = pytest.mark.usefixtures("registered", "one_probe")
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 @pytest.fixture(scope="module")

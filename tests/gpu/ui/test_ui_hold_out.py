@@ -14,7 +14,7 @@ SHAPE = (18, 24)
 LIGHTS = cli_maker.dome_lights(20, widest=60)
 HELD_OUT = ("light 4", "light 12")  # of 20
 ITERATIONS = 30
-pytestmark = pytest.mark.usefixtures("registered", "one_probe")
+pytestmark = pytest.mark.usefixtures("registered")
 
 
 def write_capture(folder, lights):
