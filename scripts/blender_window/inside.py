@@ -100,39 +100,23 @@ def button_under_mouse(area_type, region_type):
     return wm.clipboard
 
 
-def walk_buttons(area_type, region_type):
-    """Lead the mouse down a region in columns; yield (x, y from the screen's top, what the button there does)."""
+def find_button(wanted, area_type, region_type="UI"):
+    """Lead the mouse down a region in columns to a button; return its x and y on the screen.
+
+    wanted: a part of the operator's call in Python, or of the property's data path. Raises LookupError, naming the
+    buttons there are.
+    """
     left, top, width, height = region_box(area_type, region_type)
-    window = main_window()
+    window, seen = main_window(), {}
     for across in (0.4, 0.8, 0.15):
         for y in range(top + STEP, top + height, STEP):
             x = left + round(across * width)
             window.cursor_warp(x, window.height - 1 - y)
-            yield None
-            yield None
-            yield x, y, button_under_mouse(area_type, region_type)
-
-
-def find_button(wanted, area_type, region_type="UI"):
-    """Return x and y of a button on the screen. Raises LookupError, naming the buttons there are.
-
-    wanted: a part of the operator's call in Python, or of the property's data path.
-    """
-    seen = {}
-    for place in walk_buttons(area_type, region_type):
-        if place is not None and place[2]:
-            if wanted in place[2]:
-                return place[:2]
-            seen[place[2]] = None
-        yield
+            yield
+            yield
+            does = button_under_mouse(area_type, region_type)
+            if wanted in does:
+                return x, y
+            seen[does] = None
+            yield
     raise LookupError(f"no button of {wanted!r} in {region_type} of {area_type}; there are: {', '.join(seen)}")
-
-
-def buttons(area_type, region_type="UI"):
-    """Return x, y and what it does of every button in sight of a region, one place for each."""
-    seen = {}
-    for place in walk_buttons(area_type, region_type):
-        if place is not None and place[2]:
-            seen.setdefault(place[2], place)
-        yield
-    return list(seen.values())

@@ -130,11 +130,6 @@ class Window:
         x, y = self.run(f"find_button({wanted!r}, {area!r}, {region!r})", area="", timeout=180)
         return x, y
 
-    def buttons(self, area: str = "VIEW_3D", region: str = "UI") -> dict[str, tuple[int, int]]:
-        """Return what every button in sight of a region does, and a pixel of it (ten seconds and more)."""
-        found = self.run(f"buttons({area!r}, {region!r})", area="", timeout=180)
-        return {does: (x, y) for x, y, does in found}
-
     def screenshot(self, name: str, box: Box | None = None) -> Path:
         """Take a picture of the screen, or of a part of it, into NAME.png; return its path."""
         self.run("redrawn()", area="")

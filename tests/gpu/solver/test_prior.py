@@ -23,7 +23,6 @@ from tests.builders.domains import (
     make_domain,
     pack_layers,
     recoveries,
-    run_tiled,
     subject,
     unit,
     with_radiance,
@@ -291,25 +290,13 @@ def test_without_rounds_and_for_models_without_scalars_there_is_no_prior(recover
     assert resolve(schedule_of(), TWO_LOBES, {"r1", "r2", "w"})[-1].title == "refinement"
 
 
-@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
-def test_tiles_with_a_halo_of_its_reach_give_the_same_bits(recover, card):
-    domain, _ = subject(model="cook_torrance_two_lobe", card=card, observations=12)
-    schedule = schedule_of()
-    whole = recover(noisy(domain), TWO_LOBES, schedule)
-    whole.step()
-    assert run_tiled(noisy(domain), TWO_LOBES, schedule, 4) == bits_of(whole.maps())
-
-
-@pytest.mark.parametrize("on_device", [None, 1])
-def test_the_lock_step_driver_gives_the_same_bits(recover, on_device):
+def test_the_lock_step_driver_gives_the_same_bits(recover):
     domain = noisy(subject(model="cook_torrance_two_lobe", observations=12)[0])
     schedule = schedule_of().replaced(materials_rounds=1, materials_iterations=2)
     whole = recover(domain, TWO_LOBES, schedule)
     whole.step()
     boxes = [(0, 0, 7, 13), (7, 0, 10, 4), (7, 4, 10, 9)]
-    with TiledRecovery(
-        domain, TWO_LOBES, schedule, 1, entry="fragment", boxes=boxes, halo=4, on_device=on_device
-    ) as run:
+    with TiledRecovery(domain, TWO_LOBES, schedule, 1, entry="fragment", boxes=boxes, halo=4) as run:
         run.step()
         assert bits_of(run.maps()) == bits_of(whole.maps())
 
@@ -324,7 +311,7 @@ def test_slices_reads_and_checkpoints_change_nothing(recover, tmp_path):
     while not sliced.step(time_budget_s=1e-6).done:
         sliced.maps(confidence=False)
     assert bits_of(sliced.maps()) == wanted
-    for left in range(1, PRIOR.rounds + PRIOR.iterations + 2):
+    for left in (1, PRIOR.iterations + 1, PRIOR.rounds + PRIOR.iterations + 1):
         first = recover(domain, TWO_LOBES, schedule)
         first.step(iterations=total - left)
         assert first.progress.title == "prior"
@@ -350,15 +337,7 @@ def test_maps_before_the_end_show_the_refinement(recover):
     assert bits_of(run.maps(confidence=False)) != wanted
 
 
-@pytest.mark.parametrize(
-    ("model", "loss"),
-    [
-        ("principled", "l1"),
-        ("cook_torrance_two_lobe", "l2"),
-        ("principled", "robust"),
-        ("cook_torrance_two_lobe", "robust"),
-    ],
-)
+@pytest.mark.parametrize(("model", "loss"), [("principled", "l1"), ("cook_torrance_two_lobe", "robust")])
 def test_no_number_leaves_its_range_and_nothing_is_not_a_number(recover, model, loss):
     domain = make_domain(11, 12, 9, card=False, near=True, perspective=True, colored=True)
     model = load_model(model)

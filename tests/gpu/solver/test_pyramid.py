@@ -1,5 +1,7 @@
 """Coarse to fine: what one level leaves to the next, and the same maps however a run is sliced or interrupted."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,12 @@ def turned():
     return with_radiance(domain, "lambert", truth), truth
 
 
+@pytest.fixture(scope="module")
+def whole(turned):
+    """Return preset → (maps, progress) of three levels in one step, each solved once."""
+    return functools.cache(lambda preset: found(turned[0], PRESETS[preset].replaced(levels=3)))
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_one_level_is_the_recovery_bit_for_bit(preset):
     domain, _ = subject(observations=12)
@@ -79,10 +87,9 @@ def in_tiny_slices(run):
 
 @pytest.mark.parametrize("drive", [one_by_one, in_uneven_steps, in_tiny_slices])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_stepping_does_not_change_the_maps(turned, preset, drive):
-    schedule = PRESETS[preset].replaced(levels=3)
-    wanted, progress = found(turned[0], schedule)
-    maps, reported = found(turned[0], schedule, drive=drive)
+def test_stepping_does_not_change_the_maps(turned, whole, preset, drive):
+    wanted, progress = whole(preset)
+    maps, reported = found(turned[0], PRESETS[preset].replaced(levels=3), drive=drive)
     assert bits_of(maps) == bits_of(wanted) and reported == progress
 
 
@@ -104,9 +111,9 @@ def test_a_step_makes_the_requested_iterations_across_levels(turned):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_run_resumes_from_a_checkpoint_of_any_level(turned, tmp_path, preset):
+def test_a_run_resumes_from_a_checkpoint_of_any_level(turned, whole, tmp_path, preset):
     schedule = PRESETS[preset].replaced(levels=3)
-    wanted, progress = found(turned[0], schedule)
+    wanted, progress = whole(preset)
     every, file = progress.iterations_in_all // 6, tmp_path / "checkpoint.npz"
     run, levels, note = Pyramid(turned[0], LAMBERT, schedule, 1, entry="fragment"), set(), np.arange(3)
     while not run.step(iterations=every).done:

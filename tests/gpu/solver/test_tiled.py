@@ -1,5 +1,6 @@
 """Recoveries tile by tile: the maps of the whole domain, bit for bit, whatever the tiles and wherever they wait."""
 
+import functools
 import sys
 from itertools import permutations
 
@@ -68,21 +69,25 @@ def tiled(domain, schedule, boxes=BOXES, entry="fragment", halo=2, model=TWO_LOB
     return TiledRecovery(domain, model, schedule, 1, entry=entry, boxes=boxes, halo=halo, **options)
 
 
-@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
-@pytest.mark.parametrize("name", SCHEDULES)
-def test_tiles_give_the_maps_of_the_whole_bit_for_bit(name, card):
+@functools.cache
+def known(name, card=False):
+    """Return (domain, all arrays of its maps, progress) of a recovery at once, made once: (13, 17) texels."""
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
-    wanted, progress = whole_of(domain, SCHEDULES[name])
+    return domain, *whole_of(domain, SCHEDULES[name])
+
+
+# A card has one frame for all of its texels, so less that is cut than a mesh.
+@pytest.mark.parametrize(("name", "card"), [*((name, False) for name in SCHEDULES), ("standard", True)])
+def test_tiles_give_the_maps_of_the_whole_bit_for_bit(name, card):
+    domain, wanted, progress = known(name, card)
     with tiled(domain, SCHEDULES[name]) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
 
 
-@pytest.mark.parametrize("on_scratch", [False, True])
-@pytest.mark.parametrize("name", SCHEDULES)
+@pytest.mark.parametrize(("name", "on_scratch"), [*((name, True) for name in SCHEDULES), ("standard", False)])
 def test_swapped_tiles_give_the_maps_of_the_whole_bit_for_bit(name, on_scratch, tmp_path):
-    domain = with_hole(model="cook_torrance_two_lobe", card=False, observations=12)
-    wanted, progress = whole_of(domain, SCHEDULES[name])
+    domain, wanted, progress = known(name)
     with tiled(domain, SCHEDULES[name], FEW, resident=False, scratch=tmp_path if on_scratch else None) as recovery:
         assert recovery.step() == progress
         assert everything(recovery.maps()) == wanted
@@ -90,8 +95,7 @@ def test_swapped_tiles_give_the_maps_of_the_whole_bit_for_bit(name, on_scratch, 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("resident", [True, False])
-@pytest.mark.parametrize("card", [True, False], ids=["card", "mesh"])
+@pytest.mark.parametrize(("card", "resident"), [(True, True), (False, False)])
 def test_a_prior_with_a_reach_beyond_its_tile_equals_the_whole(card, resident):
     domain = with_hole(model="cook_torrance_two_lobe", card=card, observations=12)
     schedule = load_schedule("standard").replaced(iterations=2, prior_rounds=2, prior_scales=2)
@@ -151,8 +155,10 @@ def test_a_tiled_step_makes_the_requested_iterations():
         assert recovery.step(iterations=9).done
 
 
-@pytest.mark.parametrize("stop", [None, 0, 3, 6, 7])  # None: before the first step
-@pytest.mark.parametrize("how", ["resident", "turns", "scratch"])
+# stop None: before the first step
+@pytest.mark.parametrize(
+    ("how", "stop"), [*(("turns", stop) for stop in (None, 0, 3, 6, 7)), ("resident", 6), ("scratch", 7)]
+)
 def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
     domain = with_hole(card=False)
     schedule = SCHEDULES["several stages"].replaced(neighbour_every=2)
@@ -177,8 +183,7 @@ def test_tiles_resume_from_a_checkpoint_bit_for_bit(how, stop, tmp_path):
 
 @pytest.mark.parametrize("name", ["several stages", "materials", "refinement"])
 def test_a_checkpoint_does_not_depend_on_the_tiles(name, tmp_path):
-    domain, schedule = with_hole(model="cook_torrance_two_lobe", observations=12), SCHEDULES[name]
-    wanted, progress = whole_of(domain, schedule)
+    (domain, wanted, progress), schedule = known(name), SCHEDULES[name]
     makes = {
         "whole": lambda: Recovery(domain, TWO_LOBES, schedule, 1, entry="fragment"),
         "tiles": lambda: tiled(domain, schedule, FEW),
@@ -193,8 +198,7 @@ def test_a_checkpoint_does_not_depend_on_the_tiles(name, tmp_path):
             assert recovery.step() == progress and everything(recovery.maps()) == wanted, (first, second, stop)
 
 
-@pytest.mark.parametrize("resident", [True, False])
-@pytest.mark.parametrize("threshold", [0.06, 0.2])
+@pytest.mark.parametrize(("resident", "threshold"), [(True, 0.06), (False, 0.2)])
 def test_tiles_stop_at_the_threshold_when_the_whole_does(resident, threshold):
     domain, _ = subject(9, 8, holes=False)
     schedule = SHORT.replaced(iterations=400, cycles=2, loss="l1", threshold=threshold, c3=0.0, neighbour_every=30)
@@ -250,9 +254,14 @@ def device(monkeypatch):
     return take_peak
 
 
-@pytest.mark.parametrize("entry", ["fragment", "compute"])
-@pytest.mark.parametrize("model", ["lambert", "principled", "cook_torrance_two_lobe"])
-@pytest.mark.parametrize("preset", ["swarm", "standard", "paper"])
+# Each is shaders of its own, of seconds to compile: models of the fewest and the most numbers, and one between.
+PLANNED = [(preset, model, "fragment") for preset in ("swarm", "standard", "paper")
+           for model in ("lambert", "cook_torrance_two_lobe")]  # fmt: skip
+PLANNED += [("standard", "principled", "fragment"), ("swarm", "lambert", "compute")]
+PLANNED += [("standard", "cook_torrance_two_lobe", "compute")]
+
+
+@pytest.mark.parametrize(("preset", "model", "entry"), PLANNED)
 def test_the_plan_expects_the_bytes_that_textures_take(preset, model, entry, device):
     model, schedule = load_model(model), load_schedule(preset).replaced(iterations=2, cycles=1)
     domain, _ = subject(20, 20, holes=False, observations=12)
