@@ -58,7 +58,7 @@ class Studio:
 
     def probe(self) -> None:
         """Watch the error at four places."""
-        self.window.run("[session.current().add_probe(*texel(place)) for place in PROBED]")
+        self.window.run("[session.current().probes.add(*texel(place)) for place in PROBED]")
 
     def show(self, **view: object) -> None:
         """Set what is drawn, and let it be drawn to the end."""
@@ -72,10 +72,10 @@ class Studio:
 
     def moment(self, name: str) -> Path:
         """Take the head alone with its roughness."""
-        self.window.run("probes, session.current().probes = session.current().probes, []")
+        self.window.run("probes = list(session.current().probes)\nsession.current().probes.clear()")
         self.show(show_lights=False, show_cameras=False, show_curves=False, parameter="roughness")
         (picture,) = self.take(name, self.head())
-        self.window.run("session.current().probes = probes")
+        self.window.run("session.current().probes.extend(probes)")
         return picture
 
     def publish(self, name: str, parts: list[Path], width: int, colors: int) -> None:

@@ -86,7 +86,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
 
     def _watch(self, running, row: int, column: int) -> None:
         """Probe a texel, and report the probe that it replaces."""
-        dropped = running.add_probe(row, column)
+        dropped = running.probes.add(row, column)
         if dropped is not None:
             where = f"{dropped.column}, {dropped.row}"
             self.report({"INFO"}, f"Probe {dropped.number} has moved here from texel {where}: there are four at most")
@@ -119,7 +119,7 @@ class IRPSO_OT_probe_remove(bpy.types.Operator):
         if self.index >= len(running.probes):
             self.report({"ERROR"}, f"there is no probe {self.index}: there are {len(running.probes)}, from 0")
             return {"CANCELLED"}
-        running.remove_probe(self.index)
+        running.probes.remove_at(self.index)
         handlers.redraw()
         return {"FINISHED"}
 
@@ -140,7 +140,7 @@ class IRPSO_OT_probe_clear(bpy.types.Operator):
         """Remove all probes."""
         running = session.current()
         while running.probes:
-            running.remove_probe(0)
+            running.probes.remove_at(0)
         handlers.redraw()
         return {"FINISHED"}
 

@@ -18,7 +18,8 @@ from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
 from ..properties import preferences
 from ..session.job import image_map
-from ..session.session import Probe, Session
+from ..session.probes import Probe
+from ..session.session import Session
 from . import curves, dome, flat, legend, surface, swarm
 from .layout import Rectangle, beside, free_rectangle, stacked_around
 from .paint import Painter
@@ -203,7 +204,9 @@ class SessionOverlay:
         running, progress = self.running, self.running.progress
         if not running.probes:
             return False
-        watched = [running.probe(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm]
+        watched = [
+            running.probes.numbered(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm
+        ]
         unread = any(not probe.curve for probe in running.probes) or any(p.slot not in self._trails for p in watched)
         if progress.evaluations == self._looked and not unread:
             return False
@@ -287,7 +290,7 @@ class SessionOverlay:
         running = self.running
         with_curves = view.show_curves and bool(running.history or running.probes)
         with_swarm = view.show_swarm and bool(running.probes)
-        chosen = running.probe(view.probe) if with_swarm else None
+        chosen = running.probes.numbered(view.probe) if with_swarm else None
         trail = self._trails.get(chosen.slot if chosen else -1, swarm.Trail())
         sizes = [curves.curves_size(painter.scale, free)] if with_curves else []
         sizes += [swarm.swarm_size(painter.scale, trail)] if chosen else []

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 from uuid import uuid4
 
@@ -30,9 +29,9 @@ from ...solver.views.tiled_view import TiledDisplay, display_of
 from ..common import failures
 from . import unkept
 from .job import SceneJob
+from .probes import Probes
+from .worker import Worker
 
-MOST_PROBES = 4
-_POLL_SECONDS = 0.002  # between polls of the worker thread
 _ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
 
 _TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess"}
@@ -40,21 +39,6 @@ _TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitti
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
 _kept = Kept()  # data of the last run, for the next one
-
-
-@dataclass
-class Probe:
-    """A watched texel. curve: (iteration, error) pairs. slot: 0…3, of its colour."""
-
-    row: int
-    column: int
-    curve: list[tuple[int, float]] = field(default_factory=list)
-    slot: int = 0
-
-    @property
-    def number(self) -> int:
-        """Its number, 1…4, which it keeps with its colour."""
-        return self.slot + 1
 
 
 class Session:
@@ -66,10 +50,11 @@ class Session:
     """
 
     def __init__(self, job: SceneJob):
-        self.work = Run(job, self._note, self._threaded, _kept)
+        self._worker = Worker()
+        self.work = Run(job, self._note, self._worker.run, _kept)
         self.state, self.title, self.failure = "loading", _TITLES[READ], ""
         self.display: Display | TiledDisplay | None = None
-        self.probes: list[Probe] = []
+        self.probes = Probes(_notify)
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
         self.seconds = 0.0
@@ -82,7 +67,6 @@ class Session:
         self._part = 0.0  # fraction of the images, the lights or the first guess
         self._time_left, self._left = TimeLeft(), None
         self._measured = 0.0  # time of the last measurement of the error
-        self._thread: threading.Thread | None = None
         self._relighting: Generator[None, None, None] | None = None
         self._opening: Generator[None, None, None] | None = self._open()
 
@@ -252,30 +236,13 @@ class Session:
             self._leave_relighting()
             self.work.relight(maps)
 
-    def add_probe(self, row: int, column: int) -> Probe | None:
-        """Watch a texel. Return the probe that a fifth one replaces, the oldest; else None."""
-        dropped = self.probes.pop(0) if len(self.probes) == MOST_PROBES else None
-        free = set(range(MOST_PROBES)) - {probe.slot for probe in self.probes}
-        self.probes.append(Probe(row, column, slot=min(free)))
-        _notify()
-        return dropped
-
-    def probe(self, number: int) -> Probe | None:
-        """Return the probe with a number, else the oldest, else None."""
-        return next((probe for probe in self.probes if probe.number == number), next(iter(self.probes), None))
-
-    def remove_probe(self, index: int) -> None:
-        """Stop watching a texel."""
-        del self.probes[index]
-        _notify()
-
     def close(self) -> None:
         """Free all GPU memory; may be called at any time and repeatedly."""
         global _current
         self.closed, self.state = True, "done"
         self._opening = None
         self._leave_relighting()
-        self._join()
+        self._worker.wait()
         if self.display is not None:
             self.display.close()
         self.work.close()
@@ -283,12 +250,6 @@ class Session:
         if _current is self:
             _current = None
         _notify()
-
-    def _join(self) -> None:
-        """Wait for the worker thread, which reads arrays that will be freed; two seconds at most."""
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
 
     def _work(self, deadline: float) -> None:
         if self._opening is not None:
@@ -323,7 +284,7 @@ class Session:
         yield from self.work.relighting(self.maps(confidence=False))  # here, so that errors end the relighting alone
 
     def _leave_relighting(self) -> None:
-        self._join()
+        self._worker.wait()
         self._relighting = None
 
     def _open(self) -> Generator[None, None, None]:
@@ -353,30 +314,10 @@ class Session:
         if self.title != _TITLES[step]:
             self.title, self.state = _TITLES[step], "loading" if step == READ else "preparing"
 
-    def _threaded(self, function: Callable[[], Any]) -> Generator[None, None, Any]:
-        """Run a numpy function in a thread and return its result; yields so that the window stays responsive."""
-        found: list[Any] = []
-
-        def work() -> None:
-            try:
-                found.append(function())
-            except BaseException as error:  # noqa: BLE001  raised below
-                found.append(error)
-
-        self._thread = threading.Thread(target=work, name="irpso prepare")
-        self._thread.start()
-        while self._thread.is_alive():
-            self._thread.join(_POLL_SECONDS)
-            yield
-        self._thread = None
-        if isinstance(found[0], BaseException):
-            raise found[0]
-        return found[0]
-
     def _change(self, schedule: Schedule) -> None:
         if self.recovery is None:  # not started: its preparation was for the former schedule
-            self._join()
-            self.work = Run(replace(self.job, schedule=schedule), self._note, self._threaded, _kept)
+            self._worker.wait()
+            self.work = Run(replace(self.job, schedule=schedule), self._note, self._worker.run, _kept)
             self._opening, self._paused_in = self._open(), "loading"
             return
         self.work.change(schedule)

@@ -149,7 +149,7 @@ def test_a_second_stop_does_not_wait_for_relighting_and_leaving_it_leaves_no_thr
         running.tick(0.05)
     running.tick(1e-6)
     running.finish()
-    assert (running.state, running.unseen, running._thread) == ("done", "", None)
+    assert (running.state, running.unseen, running._worker.busy) == ("done", "", False)
     running.close()
     assert running.fitted is None
 

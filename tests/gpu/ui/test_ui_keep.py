@@ -164,7 +164,7 @@ def test_probes_are_marked_in_the_picture_of_the_convergence(recovered):
 
     found = found_in(recovered, True)
     assert set(pictures_of(recovered, found)) == {"preview", "confidence"}
-    recovered.add_probe(3, 5)
+    recovered.probes.add(3, 5)
     recovered.probes[0].curve[:] = [(1, 0.1), (2, 0.05)]
     assert set(pictures_of(recovered, found)) == {"preview", "confidence", "convergence"}
 
@@ -176,11 +176,11 @@ def test_a_fifth_probe_replaces_the_oldest_with_a_message(recovered, capfd):
     bpy.ops.irpso.probe(row=3, column=7)
     assert "Probe 1 has moved here from texel 0, 2: there are four at most" in capfd.readouterr().out
     assert [(probe.number, probe.column) for probe in recovered.probes] == [(2, 1), (3, 2), (4, 3), (1, 7)]
-    assert recovered.probe(1).column == 7 and recovered.probe(3).column == 2
+    assert recovered.probes.numbered(1).column == 7 and recovered.probes.numbered(3).column == 2
     bpy.ops.irpso.probe_remove(index=0)
-    assert recovered.probe(2) == recovered.probes[0]
+    assert recovered.probes.numbered(2) == recovered.probes[0]
     bpy.ops.irpso.probe_clear()
-    assert recovered.probe(1) is None
+    assert recovered.probes.numbered(1) is None
 
 
 def test_image_nodes_are_called_as_the_sockets_that_they_drive(recovered):

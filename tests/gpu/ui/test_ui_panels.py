@@ -286,7 +286,7 @@ def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     view.observation = 900
     assert view.observation == len(LIGHTS)
     assert f"of {len(LIGHTS)}" in drawn().texts
-    running.add_probe(3, 4)
+    running.probes.add(3, 4)
     running.probes[0].curve.append((1, 0.0123))
     found = drawn()
     assert "1:  4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators

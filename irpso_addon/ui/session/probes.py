@@ -1,0 +1,48 @@
+"""The texels that the user watches during a recovery."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+MOST = 4
+
+
+@dataclass
+class Probe:
+    """A watched texel. curve: (iteration, error) pairs. slot: 0…3, of its colour."""
+
+    row: int
+    column: int
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    slot: int = 0
+
+    @property
+    def number(self) -> int:
+        """Its number, 1…4, which it keeps with its colour."""
+        return self.slot + 1
+
+
+class Probes(list[Probe]):
+    """Watched texels, the oldest first, at most four. changed: called after ``add`` and ``remove``."""
+
+    def __init__(self, changed: Callable[[], None]):
+        super().__init__()
+        self._changed = changed
+
+    def add(self, row: int, column: int) -> Probe | None:
+        """Watch a texel. Return the probe that a fifth one replaces, the oldest; else None."""
+        dropped = self.pop(0) if len(self) == MOST else None
+        free = set(range(MOST)) - {probe.slot for probe in self}
+        self.append(Probe(row, column, slot=min(free)))
+        self._changed()
+        return dropped
+
+    def remove_at(self, index: int) -> None:
+        """Stop watching a texel."""
+        del self[index]
+        self._changed()
+
+    def numbered(self, number: int) -> Probe | None:
+        """Return the probe with a number, else the oldest, else None."""
+        return next((probe for probe in self if probe.number == number), next(iter(self), None))

@@ -1,0 +1,36 @@
+"""A thread for numpy work, while the window stays responsive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from concurrent import futures
+from typing import TypeVar
+
+T = TypeVar("T")
+_POLL_SECONDS = 0.002
+
+
+class Worker:
+    """One thread, started for each piece of work."""
+
+    def __init__(self) -> None:
+        self._work: futures.Future | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether work is unfinished."""
+        return self._work is not None and not self._work.done()
+
+    def run(self, function: Callable[[], T]) -> Generator[None, None, T]:
+        """Run a function in the thread, yielding until it ends. Return its result, or raise its exception."""
+        with futures.ThreadPoolExecutor(1, "irpso prepare") as pool:
+            self._work = work = pool.submit(function)
+            while not work.done():
+                futures.wait([work], _POLL_SECONDS)
+                yield
+        return work.result()
+
+    def wait(self) -> None:
+        """Wait for unfinished work, whose arrays may then be freed; two seconds at most."""
+        if self._work is not None:
+            futures.wait([self._work])
