@@ -50,12 +50,7 @@ def normals_of_text(option: str, text: str | None) -> tuple[str, ...]:
 
 
 def derived_maps(
-    wanted: DerivedMaps,
-    found: Maps,
-    written: Maps,
-    bake: GeometryBake,
-    mesh: MeshData | None,
-    camera: Camera,
+    wanted: DerivedMaps, found: Maps, written: Maps, bake: GeometryBake, mesh: MeshData | None, camera: Camera
 ) -> tuple[list[DerivedMap], Height | None]:
     """Return the chosen maps, and the relief.
 

@@ -108,7 +108,4 @@ def cap(count, widest, seed=0):
     return np.stack([flat * np.cos(phi), flat * np.sin(phi), z], axis=-1)
 
 
-CAMERAS = {
-    "perspective": Camera.from_fov(200, 160, 40.0),
-    "orthographic": Camera.orthographic(200, 160, 4.0),
-}
+CAMERAS = {"perspective": Camera.from_fov(200, 160, 40.0), "orthographic": Camera.orthographic(200, 160, 4.0)}

@@ -35,11 +35,7 @@ _CHANNELS = ("Red", "Green", "Blue")
 
 
 def build_material(
-    maps: Maps,
-    subject: str,
-    images_folder: str | Path | None = None,
-    uv_map: str = "",
-    height: Height | None = None,
+    maps: Maps, subject: str, images_folder: str | Path | None = None, uv_map: str = "", height: Height | None = None
 ):
     """Return the bpy material of a subject, created or updated, with its maps as images.
 

@@ -12,16 +12,7 @@ from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness, Refinement
 from ..settings.resolve import ResolvedMaterials, ResolvedRefinement
 from .free_parameters import FreeParameters, build_slopes, build_starts
-from .kernels import (
-    FITNESS,
-    FLOAT_2D,
-    GEOMETRY,
-    OBSERVATIONS,
-    PACKING,
-    fitness_defines,
-    model_includes,
-    packed,
-)
+from .kernels import FITNESS, FLOAT_2D, GEOMETRY, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
 
 NO_PENALTY = SHADERS / "refine" / "no_penalty.glsl"
 STEP = {**FITNESS, "u_settles": "INT"}

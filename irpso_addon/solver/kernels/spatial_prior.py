@@ -89,12 +89,7 @@ def build_prior_passes(
     return PriorPasses(
         noise=make("prior/noise", (Output("o_noise"), mean), {**estimates, **OBSERVATIONS}),
         variance=make("prior/variance", (Output("o_noise"),), {**_NOISE, **PACKING}),
-        deviation=make(
-            "diagnostics/confidence",
-            (deviation,),
-            {**estimates, **OBSERVATIONS, **_NOISE},
-            NOISE_GIVEN=1,
-        ),
+        deviation=make("diagnostics/confidence", (deviation,), {**estimates, **OBSERVATIONS, **_NOISE}, NOISE_GIVEN=1),
         pool=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}),
         pool_last=make("prior/pool", (mean, deviation), {**estimates, **belief, **own, **PACKING}, LAST=1),
         begin=make(

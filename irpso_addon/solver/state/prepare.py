@@ -75,11 +75,7 @@ class Prepared:
 
 
 def prepare(
-    domain: Domain,
-    model: ReflectanceModel,
-    schedule: Schedule,
-    pack: bool = True,
-    report: Report = lambda part: None,
+    domain: Domain, model: ReflectanceModel, schedule: Schedule, pack: bool = True, report: Report = lambda part: None
 ) -> Prepared:
     """Return each texel's scale, its first guess (defaults, or a Lambertian fit where seeds ask for it), and the stack.
 

@@ -192,8 +192,4 @@ def _settings_panel(title: str, names: tuple[str, ...]) -> type[bpy.types.Panel]
     )  # fmt: skip
 
 
-CLASSES = (
-    IRPSO_PT_recover,
-    IRPSO_PT_search,
-    *(_settings_panel(title, names) for title, names in GROUPS.items()),
-)
+CLASSES = (IRPSO_PT_recover, IRPSO_PT_search, *(_settings_panel(title, names) for title, names in GROUPS.items()))

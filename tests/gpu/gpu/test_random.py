@@ -50,12 +50,7 @@ def gpu_numbers(request):
 
 @pytest.mark.parametrize(
     "key",
-    [
-        (0, 0, 0, 0, 0, 0),
-        (1, -16, 0, 0, 15, 7),
-        (2**31 - 1, 999_999, 4095, 16383, 1023, 4),
-        (-5, 3, 300, 70, 2, 1),
-    ],
+    [(0, 0, 0, 0, 0, 0), (1, -16, 0, 0, 15, 7), (2**31 - 1, 999_999, 4095, 16383, 1023, 4), (-5, 3, 300, 70, 2, 1)],
 )
 def test_the_gpu_draws_the_numbers_of_the_oracle_bit_for_bit(gpu_numbers, key):
     constants = dict(zip(CONSTANTS, key, strict=True))

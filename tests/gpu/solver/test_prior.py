@@ -18,15 +18,7 @@ from irpso_addon.solver.settings.resolve import resolve
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import (
-    bits_of,
-    make_domain,
-    pack_layers,
-    recoveries,
-    subject,
-    unit,
-    with_radiance,
-)
+from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, subject, unit, with_radiance
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles import spatial_prior as prior_oracle
 

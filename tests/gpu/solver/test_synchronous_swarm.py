@@ -112,8 +112,7 @@ def test_a_swarm_is_placed_where_the_oracle_places_it(name, seed, bench):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["albedo-solved-l1-on-a-mesh", "two-lobes-solved-with-their-weight", "eight-dimensions-searched-on-a-mesh"],
+    "name", ["albedo-solved-l1-on-a-mesh", "two-lobes-solved-with-their-weight", "eight-dimensions-searched-on-a-mesh"]
 )
 def test_fragment_and_compute_make_the_same_generation(name, bench):
     fragment, compute = bench(BY_NAME[name], "fragment"), bench(BY_NAME[name], "compute")

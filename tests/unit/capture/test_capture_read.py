@@ -91,10 +91,7 @@ def test_an_lp_file_finds_its_images_by_the_last_part_of_dead_paths(tmp_path):
 def two_cameras():
     """A capture with everything in it that the table can say."""
     turn = np.array([[0, 0, 1, 5], [1, 0, 0, -2.25], [0, 1, 0, 1 / 3], [0, 0, 0, 1]])
-    cameras = (
-        Camera.from_fov(8, 6, 37.5, turn),
-        Camera(8, 6, (2.5, 2.5), (3.0, 2.0), np.eye(4), perspective=False),
-    )
+    cameras = (Camera.from_fov(8, 6, 37.5, turn), Camera(8, 6, (2.5, 2.5), (3.0, 2.0), np.eye(4), perspective=False))
     mask = np.zeros((6, 8), bool)
     mask[1, 2] = mask[5, 7] = True
     stack = np.random.default_rng(7).random((4, 6, 8, 4)).astype(np.float32)
