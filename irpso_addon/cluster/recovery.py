@@ -41,7 +41,7 @@ class Leader:
         call = methodcaller(order.__name__, *arguments, **named)
         return self._do(call, call)
 
-    def tell(self, order: Callable[Concatenate[Worker, P], None], *arguments: P.args, **named: P.kwargs) -> None:
+    def send(self, order: Callable[Concatenate[Worker, P], None], *arguments: P.args, **named: P.kwargs) -> None:
         """Have all ranks call a method of their Worker that returns nothing."""
         call = methodcaller(order.__name__, *arguments, **named)
         self._do(call, call)
@@ -52,7 +52,7 @@ class Leader:
 
     def take_lights(self, lights: np.ndarray, intensities: np.ndarray) -> None:
         """Have all ranks replace the capture's lights."""
-        self.tell(Worker.take_lights, lights, intensities)
+        self.send(Worker.take_lights, lights, intensities)
         self.domain = with_lights(self.domain, lights, intensities)
 
     def end(self, code: int = 0) -> None:
@@ -120,7 +120,7 @@ class RankedRecovery(RecoveryEngine):
         self._progress = self._leader.deal(Worker.restore, saved)
 
     def close(self) -> None:
-        self._leader.tell(Worker.close)
+        self._leader.send(Worker.close)
 
     def __exit__(self, *_: object) -> None:
         if not self._leader.busy:  # else some ranks wait for one that has failed

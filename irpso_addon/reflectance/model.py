@@ -83,7 +83,7 @@ class Parameter:
 
     @property
     def is_albedo(self) -> bool:
-        """Whether it is a colour that radiance is proportional to: bounded by a texel's brightness, told by a seed."""
+        """Whether radiance is proportional to this colour: brightness bounds it, a seed starts it."""
         return self.kind == "linear" and self.components == 3
 
 

@@ -15,7 +15,7 @@
 #include "common/taps.glsl"
 
 // A number that is uncertain by more than this fraction of its range is not used: noise is not linear that far.
-#define TOLD 0.25
+#define MOST_DEVIATION 0.25
 // The smallest deviation, as a fraction of the range: the step of the differences that it comes from.
 #define FINEST (1.0 / 1024.0)
 
@@ -71,7 +71,7 @@ void pool(ivec2 texel, inout float x[12], inout float own[12], inout float t2[12
             float width;
             int kind;
             component_at(i, width, kind);
-            if (kind == COMPONENT_OTHER || !(theirs[i] < TOLD * width)) {
+            if (kind == COMPONENT_OTHER || !(theirs[i] < MOST_DEVIATION * width)) {
                 continue;
             }
             float sigma = max(theirs[i], FINEST * width);
@@ -124,7 +124,7 @@ bool texel_kernel(ivec2 texel)
             // 1e-6 of a neighbour: far below it weights are the tails of exp().
             if (kind != COMPONENT_OTHER && p.count[i] > 1e-6) {
 #ifndef LAST
-                if (own[i] < TOLD * width) {
+                if (own[i] < MOST_DEVIATION * width) {
                     continue;
                 }
 #endif

@@ -31,7 +31,7 @@ def paused(window, card):
         "settings = bpy.context.scene.irpso\nview = settings.view\n"
         "settings.subject, settings.model = 'CARD', 'lambert'"
     )
-    assert window.run("handlers.handler_count()") == 0
+    assert window.run("len(handlers.installed)") == 0
     window.run(f"bpy.ops.irpso.import_capture(directory={str(card[0]) + '/'!r})")
     window.wait("settings.summary != '' or settings.capture_path != ''")
     window.run(
@@ -71,7 +71,7 @@ TEXELS = [(1, 2), (1, 15), (10, 2), (10, 15), (5, 9)]
 
 
 def test_draw_handlers_are_there_while_a_session_is(paused):
-    assert paused.run("handlers.handler_count()") == 3
+    assert paused.run("len(handlers.installed)") == 3
 
 
 def test_the_base_colour_on_the_card_matches_the_photographs(paused, card):
@@ -187,7 +187,7 @@ def test_a_failed_drawing_ends_the_overlay_and_is_reported_once(paused):
         "overlay.draw_pixels = broken"
     )
     paused.run("redrawn()", area="")
-    paused.wait("handlers.handler_count() == 0")
+    paused.wait("len(handlers.installed) == 0")
     paused.run("redrawn()", area="")
     paused.run("redrawn()", area="")
     said = paused.run("import_module(handlers.__name__.replace('overlay.handlers', 'common.failures')).messages()")
@@ -199,9 +199,9 @@ def test_a_failed_drawing_ends_the_overlay_and_is_reported_once(paused):
 
 def test_draw_handlers_follow_the_session(paused):
     paused.run("bpy.ops.irpso.cancel()")
-    assert paused.run("(session.current() is None, handlers.handler_count())") == [True, 0]
+    assert paused.run("(session.current() is None, len(handlers.installed))") == [True, 0]
     paused.run("bpy.ops.irpso.recover('INVOKE_DEFAULT')")
-    assert paused.run("handlers.handler_count()") == 3
+    assert paused.run("len(handlers.installed)") == 3
     paused.wait("session.current().state in ('running', 'done')", 60)
     paused.run("bpy.ops.irpso.cancel()")
-    assert paused.run("handlers.handler_count()") == 0
+    assert paused.run("len(handlers.installed)") == 0

@@ -101,14 +101,14 @@ def _slopes(stepped: Sequence[int], central: bool, slopes: Sequence[str], channe
     if central:
         taken += [f"p.behind_{u} = moved(c, {u}, -p.by_{u}); p.by_{u} *= 2.0;" for u in stepped]
     cleared = [f"n.slope_{i} = 0.0;" for i in range(n)] + [f"n.a_{row}_{column} = 0.0;" for row, column in pairs]
-    told = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
-    told += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
+    copied = [f"slope[{i}] = n.slope_{i};" for i in range(n)]
+    copied += [f"a[{row * n + column}] = n.a_{row}_{column};" for row, column in pairs]
     parts = [
         ("struct Steps", ["float none;", *steps]),
         ("struct NormalSums", sums),
         ("void take_steps(inout float c[12], inout Steps p)", taken),
         ("void clear_sums(out NormalSums n)", cleared),
-        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", told),
+        ("void sums_to(NormalSums n, inout float a[FREE_COUNT * FREE_COUNT], inout float slope[FREE_COUNT])", copied),
         (
             "void add_slopes(Material s, Steps p, vec3 render, vec3 l, vec3 v, vec3 once, vec3 twice,"
             " inout NormalSums n)",

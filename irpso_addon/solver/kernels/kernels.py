@@ -145,7 +145,7 @@ def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, define
 def alternatives_pass(
     model: ReflectanceModel, free: FreeParameters, linear: LinearWeights, fitness: Fitness, defines: Defines
 ) -> Pass:
-    """Compile the pass that tells how well materials far from the estimates fit; ``linear`` is found anew for each."""
+    """Compile the pass that measures the fit of materials far from the estimates; ``linear`` is solved for each."""
     outputs = (Output("o_alternative", Packed(-(-int(defines["ALTERNATIVES"]) // 4))),)
     samplers = {"u_estimate": packed(model), **OBSERVATIONS}
     given = {**model_includes(model), "free_parameters.glsl": free.source, "basis.glsl": linear.source}

@@ -243,10 +243,10 @@ def _lambert_fit(domain: Domain, texels: Texels, start: int) -> tuple[np.ndarray
     albedo, squares = np.empty(normal.shape, np.float32), None
     for channel, shade in enumerate(shades):
         every = lights[..., channel].all()
-        told = cosine if every else cosine * lights[..., channel]
+        shading = cosine if every else cosine * lights[..., channel]
         if squares is None or not every:
-            squares = _over_lights(told**2)
-        albedo[:, channel] = _over_lights(told * shade) / np.maximum(squares, 1e-8)
+            squares = _over_lights(shading**2)
+        albedo[:, channel] = _over_lights(shading * shade) / np.maximum(squares, 1e-8)
         squares = squares if every else None
     return normal.astype(np.float32), albedo
 

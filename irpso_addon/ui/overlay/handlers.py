@@ -15,7 +15,7 @@ from .surface import why_unseen
 _OVERLAY = "The overlay"  # its name in messages of failures
 _IDLE_SECONDS = 0.1  # between reads of the settings while the session pauses
 
-_handles: list[tuple[type, Any]] = []
+installed: list[tuple[type, Any]] = []
 _overlay: SessionOverlay | None = None
 _failed: session.Session | None = None  # the session whose overlay has failed and does not restart
 
@@ -33,11 +33,6 @@ def why_hidden(context) -> str:
     if _failed is not None and _failed is session.current():
         return _failed.failure
     return "" if _overlay is None or context.space_data is None else _overlay.why_hidden(context)
-
-
-def handler_count() -> int:
-    """Return the number of draw handlers."""
-    return len(_handles)
 
 
 def redraw(only: int = 0) -> None:
@@ -72,15 +67,15 @@ def _begin(running: session.Session) -> None:
         (bpy.types.SpaceView3D, SessionOverlay.draw_pixels, "POST_PIXEL"),
         (bpy.types.SpaceImageEditor, SessionOverlay.draw_image, "POST_PIXEL"),
     ):
-        _handles.append((space, space.draw_handler_add(draw, (method,), "WINDOW", kind)))
+        installed.append((space, space.draw_handler_add(draw, (method,), "WINDOW", kind)))
     bpy.app.timers.register(_idle, first_interval=_IDLE_SECONDS)
     redraw()
 
 
 def _end() -> None:
     global _overlay
-    while _handles:
-        space, handle = _handles.pop()
+    while installed:
+        space, handle = installed.pop()
         space.draw_handler_remove(handle, "WINDOW")
     if bpy.app.timers.is_registered(_idle):
         bpy.app.timers.unregister(_idle)

@@ -71,7 +71,7 @@ class Bench:
         """(H, W, 4 n) of a group of n textures."""
         return self.pack.unpack(self.prior.read(group), np.nan).astype(np.float64)
 
-    def tell(self, **deviations):
+    def set_deviations(self, **deviations):
         """Say how well the samples tell numbers: name → (H, W)."""
         own = self.read("own")
         components = {p.name: p.components for p in self.model.parameters}
@@ -138,7 +138,7 @@ def test_the_pooling_is_that_of_float64(prior, rounds, entry):
     bench = prior(TWO_LOBES, domain, values, schedule_of(rounds=rounds, scales=3), entry=entry)
     bench.run(2)
     deviations = {name: 10 ** rng.uniform(-4, 0, shape) for name in ("r1", "r2", "w")}
-    bench.tell(**{name: np.minimum(d, 0.75) for name, d in deviations.items()})
+    bench.set_deviations(**{name: np.minimum(d, 0.75) for name, d in deviations.items()})
     own = bench.read("own")[..., : TWO_LOBES.components]
     bench.run(2 + rounds)
     mean, deviation = bench.read("mean"), bench.read("deviation")
@@ -209,7 +209,7 @@ def test_certain_texels_stay_and_uncertain_ones_follow_alike_texels(prior, entry
     bench = prior(TWO_LOBES, domain, values, schedule_of(scales=3, iterations=8, tolerance=1e3), entry=entry)
     bench.run(2)
     everywhere = np.where(ignorant, 0.75, 1e-3)
-    bench.tell(r1=everywhere, r2=everywhere, w=everywhere, base_color=everywhere / 100)
+    bench.set_deviations(r1=everywhere, r2=everywhere, w=everywhere, base_color=everywhere / 100)
     bench.run(4)
     mean = bench.read("mean")
     bench.run()
@@ -232,7 +232,7 @@ def test_a_texel_keeps_its_estimate_if_its_samples_contradict_its_neighbours(pri
     bench.run(2)
     low = np.full(domain.shape, 1e-3)
     low[3, 3] = 0.75  # told to know nothing, while its samples are as good as all
-    bench.tell(r1=low, r2=low, w=low)
+    bench.set_deviations(r1=low, r2=low, w=low)
     moved = bench.prior.read("mean")
     for name, wrong in (("r1", 0.5), ("r2", 0.75), ("w", 0.05)):
         moved[..., TWO_LOBES.offset(name)] = np.where(np.arange(64).reshape(8, 8) == 27, 0.5, wrong)
