@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from .core.errors import InputError, IrpsoError, ShaderError
 from .core.paths import DEFAULT_MODEL
+from .exports.names import FORMATS
 
 INTERRUPTED = 130  # the shell's own code for a program ended by Ctrl-C
 _ZIP = "install the extension from the zip that `make extension` builds, which holds it, or {} with pip"
@@ -181,7 +182,7 @@ def _add_export(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("export", help="write a result for other programs", epilog=_EPILOG)
     add.add_argument("result", help="folder that recover wrote")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="folder, or a .glb or .ptm file")
-    add.add_argument("--format", required=True, choices=("gltf", "openlime", "ptm", "textures"), help="format to write")
+    add.add_argument("--format", required=True, choices=list(FORMATS), help="format to write")
     add.add_argument("--convention", choices=("blender", "unreal", "unity", "substance"), default="blender",
                      help="names and normals of textures (default blender)")  # fmt: skip
     add.add_argument("--object", metavar="NAME", help="mesh object of gltf, if several have recovered materials")

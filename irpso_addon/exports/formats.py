@@ -1,4 +1,4 @@
-"""The export formats by name, for command line and panel."""
+"""Writes a result in the format of a name."""
 
 from __future__ import annotations
 
@@ -9,19 +9,12 @@ from typing import Any
 from ..core.errors import InputError
 from ..results.write import check_output_folder
 from .gltf import write_gltf
+from .names import FORMATS, ONE_FILE
 from .openlime import write_openlime
 from .place import file_stem
 from .ptm import write_ptm
 from .result import Result
 from .textures import write_textures
-
-FORMATS = {  # name: (title, what is written)
-    "gltf": ("glTF", "One .glb file: the mesh with the maps, for web viewers and game engines"),
-    "openlime": ("OpenLIME", "Images of a BRDF layer with a Ward lobe, for OpenLIME's viewer"),
-    "ptm": ("PTM", "Polynomial texture map, which RTI viewers show under any light"),
-    "textures": ("Textures", "PNG files with the names that another program expects"),
-}
-ONE_FILE = {"gltf": ".glb", "ptm": ".ptm"}  # the others are folders
 
 
 def export(result: Result, kind: str, out: str | Path, convention: str, subject: Callable[[], Any]) -> dict[str, Any]:

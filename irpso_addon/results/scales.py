@@ -60,7 +60,7 @@ def log_ticks(low: float, high: float, most: int = 6) -> tuple[list[float], list
         m * 10.0**d for d in decades for m in range(1, 10) if low * (1 - 1e-9) <= m * 10.0**d <= high * (1 + 1e-9)
     ]
     if last - first < 1:
-        major = [value for value in within if _leading(value) in (1, 2, 5)]
+        major = [value for value in within if f"{value:.0e}"[0] in "125"]
     else:
         every = max(1, math.ceil((last - first + 1) / most))
         major = [10.0**d for d in range(first, last + 1) if (d - last) % every == 0]
@@ -75,7 +75,3 @@ def tick_text(value: float) -> str:
         return f"{value:.6f}".rstrip("0").rstrip(".") if abs(value) < 1 else f"{value:.6g}"
     mantissa, exponent = f"{value:.0e}".split("e")
     return f"{mantissa}e{int(exponent)}"
-
-
-def _leading(value: float) -> int:
-    return round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))

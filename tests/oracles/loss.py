@@ -6,8 +6,9 @@ SMALLEST = 1e-4  # of an l1 error: under it no error weighs more
 
 
 def loss(kind, e):
-    """What errors cost: |e|, e², or log(1 + e²) for errors in δ."""
-    return {"l1": np.abs, "l2": np.square, "robust": lambda a: np.log1p(a**2)}[kind](e)
+    """What errors cost: |e|, e², or, for errors in δ, log(1 + e²) or e² / (1 + e²)."""
+    kinds = {"robust": lambda a: np.log1p(a**2), "geman_mcclure": lambda a: a**2 / (1 + a**2)}
+    return ({"l1": np.abs, "l2": np.square} | kinds)[kind](e)
 
 
 def loss_weight(kind, e):

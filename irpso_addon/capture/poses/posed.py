@@ -52,7 +52,7 @@ class PoseFile:
     def _matches(wanted: str, names: Mapping[str, object]) -> list[str]:
         if wanted in names:
             return [wanted]
-        for key in (_last, lambda name: _last(name).lower(), lambda name: _stem(_last(name).lower())):
+        for key in (_last, lambda name: _last(name).lower(), lambda name: PurePosixPath(_last(name).lower()).stem):
             if found := [name for name in names if key(name) == key(wanted)]:
                 return found
         return []
@@ -148,10 +148,6 @@ def _quarter_turn(camera: Camera) -> Camera:
 def _last(name: str) -> str:
     """Return the last part of a path of any system."""
     return PureWindowsPath(PurePosixPath(name).name).name
-
-
-def _stem(name: str) -> str:
-    return name.rpartition(".")[0] or name
 
 
 def _some(names: list[str]) -> str:

@@ -1,12 +1,11 @@
-"""The kernels of a stage: shader files with the declarations and constants that one model and stage give them."""
+"""Declarations that passes share, and the passes of single steps: halos, renders, residuals, confidence, copies."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from ...gpu.library import defined
-from ...gpu.passes import Defines, Entry, Includes, Kernel, Output, Packed, Pass, Samplers
+from ...gpu.passes import Defines, Includes, Kernel, Output, Packed, Pass, Samplers
 from ...reflectance.glsl import material_declaration, prior_declaration
 from ...reflectance.model import ReflectanceModel
 from ..settings.groups import Fitness
@@ -20,10 +19,10 @@ LAYERS = "FLOAT_2D_ARRAY"
 GEOMETRY: Samplers = {"u_geometry": LAYERS}
 PACKING: Samplers = {**GEOMETRY, "u_packed": FLOAT_2D}
 OBSERVATIONS: Samplers = {**GEOMETRY, "u_observation_table": FLOAT_2D, "u_stack": LAYERS}
-_SIZE = {"u_width": "INT", "u_height": "INT"}
+SIZE = {"u_width": "INT", "u_height": "INT"}
 FITNESS = {"u_observations": "INT", "u_delta": "FLOAT", "u_brightness": "FLOAT"}
 MOVE = {
-    **_SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
+    **SIZE, **FITNESS, "u_origin_x": "INT", "u_origin_y": "INT", "u_seed": "INT", "u_iteration": "INT",
     "u_particle": "INT", "u_seeded": "INT", "u_inertia": "FLOAT", "u_constriction": "FLOAT", "u_c1": "FLOAT",
     "u_c2": "FLOAT", "u_c3": "FLOAT", "u_v_max": "FLOAT", "u_threshold": "FLOAT",
     "u_seeded_dimensions": "INT", "u_seed_spread": "FLOAT", "u_start_speed": "FLOAT",
@@ -31,68 +30,10 @@ MOVE = {
 LOSSES, _WALLS = defined("fitness/loss.glsl", "FITNESS_"), defined("swarm/update.glsl", "WALLS_")
 
 
-@dataclass(frozen=True)
-class SequentialSwarmPasses:
-    """The compiled passes of a stage. ``resolve`` is always a fragment pass: what it wrote may be read back."""
-
-    start: Pass
-    move: Pass
-    commit_state: Pass
-    commit_personal: Pass
-    commit_global: Pass
-    resolve: Pass
-    take_halo: Pass
-
-    def close(self) -> None:
-        """Free the shaders."""
-        for name in self.__dataclass_fields__:
-            getattr(self, name).close()
-
-
-def build_sequential_swarm_passes(
-    model: ReflectanceModel,
-    encoding: Encoding,
-    schedule: Schedule,
-    particles: int,
-    across: int,
-    domain_defines: Defines,
-    entry: Entry,
-) -> SequentialSwarmPasses:
-    """Compile the passes of a stage for ``particles`` in an atlas ``across`` tiles wide."""
-    estimates = packed(model)
-    given = {**model_includes(model), "particle_encoding.glsl": encoding.source}
-    defines = {
-        **domain_defines, **encoding.defines, **schedule_defines(schedule), "PARTICLES": particles, "TILES_X": across
-    }  # fmt: skip
-    fixed = {"u_best": encoding.packed, "u_estimate": estimates, **PACKING}
-    particle = {f"u_particle_{name}": FLOAT_2D for name in ("position", "velocity", "best", "fitness")}
-    candidate = {f"u_candidate_{name}": encoding.packed for name in ("position", "velocity")} | {"u_verdict": FLOAT_2D}
-    moved = (*(Output(f"o_{name}", encoding.packed) for name in ("position", "velocity")), Output("o_verdict"))
-    fitness = Output("o_fitness", "R32F")
-
-    def make(
-        source: str, outputs: tuple[Output, ...], samplers: Samplers, constants: Mapping[str, str],
-        how: Entry = entry, **more: int,
-    ) -> Pass:  # fmt: skip
-        kernel = Kernel(f"swarm/sequential/{source}.glsl", outputs, samplers, constants, {**defines, **more}, given)
-        return Pass(kernel, how)
-
-    read = {**particle, "u_best_fitness": FLOAT_2D, **fixed, **OBSERVATIONS}
-    return SequentialSwarmPasses(
-        start=make("move", moved, read, MOVE, START=1),
-        move=make("move", moved, read, MOVE),
-        commit_state=make("commit_state", (Output("o_position"), Output("o_velocity")), candidate, _SIZE),
-        commit_personal=make("commit_personal", (Output("o_best"), fitness), candidate, _SIZE),
-        commit_global=make("commit_global", (Output("o_best", encoding.packed), fitness), candidate, _SIZE),
-        resolve=make("resolve", (Output("o_estimate", estimates),), fixed, _SIZE, how="fragment"),
-        take_halo=take_halo_pass(encoding, defines),
-    )
-
-
 def take_halo_pass(encoding: Encoding, defines: Defines) -> Pass:
     """Compile the pass that takes given bests at the texels of neighbouring tiles."""
     outputs, samplers = (Output("o_best", encoding.packed),), {"u_given": encoding.packed, **GEOMETRY}
-    return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, _SIZE, defines, {}))
+    return Pass(Kernel("swarm/take_halo.glsl", outputs, samplers, SIZE, defines, {}))
 
 
 def schedule_defines(schedule: Schedule) -> Defines:

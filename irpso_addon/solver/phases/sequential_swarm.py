@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry
-from ..kernels.kernels import SequentialSwarmPasses, build_sequential_swarm_passes
+from ..kernels.sequential_swarm import SequentialSwarmPasses, build_sequential_swarm_passes
 from ..state.phase_textures import PhaseTextures, sequential_swarm_table
 from .swarm import SwarmPhase
 

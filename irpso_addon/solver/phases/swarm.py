@@ -13,7 +13,7 @@ from ...gpu.passes import Entry
 from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.encoding import build_encoding
-from ..kernels.kernels import SequentialSwarmPasses
+from ..kernels.sequential_swarm import SequentialSwarmPasses
 from ..kernels.synchronous_swarm import SynchronousSwarmPasses
 from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import Schedule

@@ -145,8 +145,8 @@ class Prefit:
         soft_max=0.5, precision=4,
     )  # fmt: skip
     acceptance_ratio: float = setting(
-        "Acceptance Ratio", "Where the model's misfit exceeds this many times the prefit's plus 0.005, a texel keeps"
-        " its estimate from before the phase", 1.2, soft_max=4,
+        "Acceptance Ratio", "A texel whose misfit after a refinement or the prior exceeds this many times the prefit's,"
+        " plus 0.005, returns to its estimate from before that step", 1.2, soft_max=4,
     )  # fmt: skip
 
 

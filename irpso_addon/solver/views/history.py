@@ -74,8 +74,9 @@ class History:
         normal = next(p for p in maps.model.parameters if p.is_normal)
         image = display_image([normal], [maps.values[normal.name]]) * maps.covered[..., None]
         panels = [
-            Curves(name, np.array(self._iterations), np.stack(errors), self._unit(maps, name), log=True)
+            Curves(name, np.array(self._iterations), np.stack(errors), unit, log=True)
             for name, errors in self._errors.items()
+            for unit in ("%" if name == "residual" else error_unit(maps.model.parameter(name)),)
         ]
         marks = [(int(x), int(y)) for x, y in zip(self._columns, self._rows, strict=True)]
         return convergence(image, marks, panels)
@@ -85,6 +86,3 @@ class History:
         known = [p for p in maps.model.parameters if p.name in truth]
         errors = {p.name: parameter_error(p, maps.values[p.name], truth[p.name]) for p in known}
         return {"residual": 100 * present(maps.residual), **errors}
-
-    def _unit(self, maps: Maps, name: str) -> str:
-        return "%" if name == "residual" else error_unit(maps.model.parameter(name))

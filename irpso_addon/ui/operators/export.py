@@ -10,7 +10,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ...core.errors import InputError, IrpsoError
-from ...exports.formats import FORMATS, ONE_FILE, export
+from ...exports.formats import export
+from ...exports.names import FORMATS, ONE_FILE
 from ...exports.place import file_stem
 from ...exports.result import Result
 from ...exports.textures import CONVENTIONS

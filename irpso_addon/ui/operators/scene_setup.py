@@ -219,11 +219,8 @@ class _Images:
     """The open file's images by file, EXR part, layer and color space. Missing ones are loaded, without pixels."""
 
     def __init__(self):
-        self._images = {self._key_of(image): image for image in bpy.data.images if self._is_file(image)}
-
-    @staticmethod
-    def _is_file(image) -> bool:
-        return image.source == "FILE" and image.library is None and bool(image.filepath)
+        own = [image for image in bpy.data.images if image.source == "FILE" and image.filepath and not image.library]
+        self._images = {self._key_of(image): image for image in own}
 
     @staticmethod
     def _key_of(image) -> tuple:

@@ -1,8 +1,9 @@
 // Pass A of the synchronous swarm, over W×H texels: evaluates every particle at its new place.
-// Reads the swarm atlas, the global bests with their linear weights, the estimates, the geometry and the sample stack.
+// Reads the swarm atlas and u_mean, the global bests with their linear weights, the estimates, the geometry with its
+// packing, the sample stack and the observation table.
 // Writes o_fitness, a number a particle, and in o_linear the linear weights of the best of them.
-// The commit passes compute the new places again: cheaper than writing them, and six outputs would not suffice. With START
-// it evaluates the places at which particles begin.
+// It does not write the new places: a pass has at most six outputs, and the commit passes compute them again cheaply. With
+// START it evaluates the places at which particles begin.
 //
 // CHUNK particles share one read of an observation. There are two loops: linear weights, then residual. In float32 the
 // residual does not follow from the sums of the first loop: Σc² − bᵀA⁻¹b stalls at 5 % in roughness.

@@ -27,6 +27,7 @@ from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of, make_domain, masked, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
+from tests.oracles.loss import loss
 from tests.oracles.refinement import Texel
 
 STANDARD = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0)
@@ -216,7 +217,7 @@ def bounded_misfit(domain, model, values, settings, scale):
     weight = domain.stack.values[..., 3] * (grey_of >= settings.shadow * scale)
     # A highlight may be off in proportion to its brightness (Fitness.highlight_power).
     e = (render - grey_of) / (settings.acceptance_delta * np.maximum(scale, grey_of))
-    return (weight * e**2 / (1 + e**2)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
+    return (weight * loss("geman_mcclure", e)).sum(axis=0) / weight.sum(axis=0), (weight > 0).sum(axis=0)
 
 
 @pytest.fixture(scope="module")
