@@ -86,7 +86,7 @@ def alone(card, tmp_path_factory):
 
 def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
     """Prime sizes, empty ranks, near lights, wide windows, seams; and other numbers of ranks after a checkpoint."""
-    mpi_maker.start(7, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
+    mpi_maker.start(5, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
     assert len(found) == 5 and sum(len(reply) for reply in found.values()) == 19
     assert {name: set(reply.values()) - {reply["one process"]} for name, reply in found.items()} == dict.fromkeys(
