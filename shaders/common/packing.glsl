@@ -1,10 +1,10 @@
 // Solved texels lie densely packed in all textures of a recovery. Reads GEOMETRY_PLACE of u_geometry (the domain's texel
 // of a packed one) and u_packed (the packed texel of a domain's, −1 where none is solved).
 //
-// With SEAMS, the reach of a seam map (geometry/seams/seams.py), a place holds in z the chart and in w the island of a
-// texel; u_packed, which then begins SEAMS texels outside the domain, holds in z the chart at a place. Across a seam a
-// chart sees other texels at a place: u_packed holds in w the number of the place's first entry, −1 for none; entries
-// (packed x, y, the chart that sees it, next entry) fill the layers after GEOMETRY_PLACE, texel by texel.
+// With SEAMS, the reach of a seam map (geometry/seams/seams.py), written by solver/state/packing.py:
+//   GEOMETRY_PLACE: x, y, chart, island. Islands share edges in the UV map; a chart is an island or, beside a gap, a part.
+//   u_packed, with a border of SEAMS texels: packed x, y, chart, first entry of what other charts see here (−1: none).
+//   entries, in the layers after GEOMETRY_PLACE, texel by texel: packed x, y, the chart that sees it, next entry.
 
 #include "common/geometry.glsl"
 

@@ -5,8 +5,8 @@
 //   w = 1/σy²,  m₀ = Σ s w y / Σ s w,  t² = (Σ s w (y − m₀)² − (Σ s − 1)) / (Σ s w − Σ s w² / Σ s w),
 //   w = 1/(σy² + t²),  m = Σ s w y / Σ s w,  with the deviation √(t² + 1 / Σ s w).
 // Reads the estimates, their own deviations in u_own, the beliefs of the former round in u_mean and u_deviation (0: none),
-// and the packing. Writes o_mean and o_deviation: m and its deviation where LAST, else the beliefs for the next round, in
-// which a texel whose samples leave a number open passes on what its neighbours believe.
+// and the packing. Writes o_mean and o_deviation: in the LAST round m and its deviation; before, the beliefs for the next
+// round: a number that the texel's own samples determine keeps its belief, an open one takes m.
 
 #include "common/estimate.glsl"
 #include "common/frame.glsl"
