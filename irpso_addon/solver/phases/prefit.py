@@ -154,9 +154,11 @@ class PrefitPhase(Phase):
 
     def _begin_refinement(self) -> None:
         self.inner.close()
+        lights = self._domain.domain.lights  # the same for all parts of a domain
+        narrow = not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
         self.inner = RefinementPhase(
             self._resolved.refinement, self._model, self._schedule, self._domain, self.own, self._entry,
-            penalty=_PENALTY if _narrow(self._domain.domain.lights) else NO_PENALTY,
+            penalty=_PENALTY if narrow else NO_PENALTY,
         )  # fmt: skip
         self._refining = True
 
@@ -215,11 +217,6 @@ def _first_estimates(
         for p in own.parameters
     }
     return Estimates(own, values | {"normal": packed[..., at : at + 3], "base": domain.scale[..., None]})
-
-
-def _narrow(lights: np.ndarray) -> bool:
-    """Return whether lights (K, 4) are distant and close together: the same for all parts of a domain."""
-    return not lights[:, 3].any() and flatness(lights[:, :3].astype(np.float64)) < NARROW
 
 
 def _adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:

@@ -205,7 +205,9 @@ class _Measure:
         deadline = None if time_budget_s is None else now + time_budget_s
         if deadline is None and self._progress != progress:
             self._work = None
-        if self._work is None and progress != self.measured and (deadline is None or self._due(now, progress)):
+        rested = now - self._ended >= self._seconds * (1 / _SHARE - 1)
+        due = deadline is None or progress.done or self.measured is None or rested
+        if self._work is None and progress != self.measured and due:
             self._start(lent, progress, time_budget_s)
         if self._work is not None:
             self._inputs = lent
@@ -228,9 +230,6 @@ class _Measure:
         """Free shader and textures."""
         self._pass.close()
         self._whole, self._coming, self._work, self._inputs = [], [], None, {}
-
-    def _due(self, now: float, progress: Progress) -> bool:
-        return progress.done or self.measured is None or now - self._ended >= self._seconds * (1 / _SHARE - 1)
 
     def _start(self, lent: Mapping[str, Texture], progress: Progress, budget: float | None) -> None:
         if not self._coming:

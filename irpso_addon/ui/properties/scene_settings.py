@@ -132,10 +132,6 @@ def _capture_changed(self, context) -> None:
     self.near_lights, self.stated_distance, self.card_distance = False, 0.0, 0.0
 
 
-def _is_mesh(self, obj) -> bool:
-    return obj.type == "MESH"
-
-
 class FindingItem(bpy.types.PropertyGroup):
     """One fault of a capture."""
 
@@ -263,7 +259,7 @@ class Settings(bpy.types.PropertyGroup):
     subject: EnumProperty(name="Subject", items=_SUBJECTS, default="CARD")
     object: PointerProperty(
         name="Object", description="The mesh whose maps are recovered. Empty: the active object",
-        type=bpy.types.Object, poll=_is_mesh,
+        type=bpy.types.Object, poll=lambda self, obj: obj.type == "MESH",
     )  # fmt: skip
     card_distance: FloatProperty(
         name="Card Distance", description="From the camera to the card, along the camera's axis, in the unit of the"
