@@ -128,18 +128,22 @@ class Recovery(RecoveryEngine):
         return self._phase
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
-        self._bands.paced = deadline is not None
-        left = iterations
+        next(self._steps(iterations, time_budget_s), None)
+        return self.progress
+
+    def _steps(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
+        """Make iterations, None for all, and place the swarms after them; yields whenever the time is over."""
+        self._bands.paced = time_budget_s is not None
+        left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):
             if self._work is None:
                 self._work, self._finding = self._iteration(self._phase, band_seconds(time_budget_s)), None
             for _ in self._work:
-                if deadline is not None and time.perf_counter() >= deadline:
-                    return self.progress
+                if time_budget_s is not None and time.perf_counter() >= started + time_budget_s:
+                    yield
+                    started = time.perf_counter()
             self._work = None
             left = left - 1 if left is not None and self._counts else left
-        return self.progress
 
     @property
     def progress(self) -> Progress:

@@ -33,11 +33,12 @@ class TileRecovery(Recovery):
         self.step(iterations=0)
 
     def stepping(self, iterations: int, time_budget_s: float | None) -> Iterator[None]:
-        """Make iterations as ``step`` does; yields about every ``time_budget_s``."""
-        self.step(iterations, time_budget_s)
-        while self._work is not None:
-            yield
-            self.step(iterations, time_budget_s)
+        """Make exactly so many iterations, and place the swarms after them; yields about every ``time_budget_s``.
+
+        Not by calls of ``step``: one that stops after the iteration, while it places the next stage's swarms, would
+        make another iteration when it is called again.
+        """
+        return self._steps(iterations, time_budget_s)
 
     def _reached_threshold(self) -> bool:
         self.reached = super()._reached_threshold()
