@@ -27,7 +27,7 @@ def paused(window, card):
     window.run("bpy.ops.object.select_all(action='SELECT')\nbpy.ops.object.delete()")
     window.run(
         f"from importlib import import_module\nhandlers = import_module('{OVERLAY}.handlers')\n"
-        f"session = import_module('{OVERLAY.rpartition('.')[0]}.session')\n"
+        f"session = import_module('{OVERLAY.rpartition('.')[0]}.session.session')\n"
         "settings = bpy.context.scene.irpso\nview = settings.view\n"
         "settings.subject, settings.model = 'CARD', 'lambert'"
     )
