@@ -14,6 +14,7 @@ from irpso_addon.solver.engine.alternatives import Alternatives
 from irpso_addon.solver.engine.confidence import Confidence
 from irpso_addon.solver.kernels import kernels
 from irpso_addon.solver.kernels import refinement as refinement_kernels
+from irpso_addon.solver.kernels import sequential_swarm as sequential_kernels
 from irpso_addon.solver.kernels import spatial_prior as prior_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
@@ -71,7 +72,7 @@ def make_passes(resolved, model, schedule):
                 model, codec, linear, schedule, particles, 4, DOMAIN, "fragment"
             )  # fmt: skip
         else:
-            kernels.build_sequential_swarm_passes(model, codec, schedule, particles, 4, DOMAIN, "fragment")
+            sequential_kernels.build_sequential_swarm_passes(model, codec, schedule, particles, 4, DOMAIN, "fragment")
 
 
 @cache
