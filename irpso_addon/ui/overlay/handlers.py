@@ -63,9 +63,9 @@ def _begin(running: session.Session) -> None:
     global _overlay
     _overlay = SessionOverlay(running, bpy.context.scene.session_uid)
     for space, method, kind in (
-        (bpy.types.SpaceView3D, SessionOverlay.draw_view, "POST_VIEW"),
-        (bpy.types.SpaceView3D, SessionOverlay.draw_pixels, "POST_PIXEL"),
-        (bpy.types.SpaceImageEditor, SessionOverlay.draw_image, "POST_PIXEL"),
+        (bpy.types.SpaceView3D, "draw_view", "POST_VIEW"),
+        (bpy.types.SpaceView3D, "draw_pixels", "POST_PIXEL"),
+        (bpy.types.SpaceImageEditor, "draw_image", "POST_PIXEL"),
     ):
         installed.append((space, space.draw_handler_add(draw, (method,), "WINDOW", kind)))
     bpy.app.timers.register(_idle, first_interval=_IDLE_SECONDS)
@@ -111,11 +111,11 @@ def _guarded(running: session.Session, work: Callable[..., Any], *arguments: Any
     return None
 
 
-def draw(method: Callable[[SessionOverlay, Any], None]) -> None:
-    """Draw a part of the overlay: Blender's draw handler."""
+def draw(method: str) -> None:
+    """Draw a part of the overlay, by a method's name: Blender's draw handler."""
     # Handlers are not removed here, because Blender is iterating over them.
     if _overlay is not None and _overlay.running is not _failed and not _overlay.running.closed:
-        _guarded(_overlay.running, method, _overlay, bpy.context)
+        _guarded(_overlay.running, getattr(_overlay, method), bpy.context)
 
 
 def register() -> None:

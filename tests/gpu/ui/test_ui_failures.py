@@ -49,7 +49,7 @@ def test_a_failed_check_ends_and_is_reported_in_the_panel(scene, tmp_path, monke
 def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     running = SimpleNamespace(closed=False, active=False, failure="")
     due = dict.fromkeys(("in_own_context", "is_due"), lambda: True)
-    fails = dict.fromkeys(("update", "wants_redraw", "close"), broken)
+    fails = dict.fromkeys(("update", "wants_redraw", "close", "draw_view"), broken)
     overlay = SimpleNamespace(running=running, own_window=0, **due, **fails)
     monkeypatch.setattr(handlers, "_overlay", overlay)
     monkeypatch.setattr(handlers, "_failed", None)
@@ -57,7 +57,7 @@ def test_a_repeated_drawing_failure_is_reported_once(monkeypatch, caplog, name):
     monkeypatch.setattr(handlers.bpy, "app", SimpleNamespace(background=False, timers=bpy.app.timers))
     with caplog.at_level(logging.ERROR):
         for _ in range(3):
-            getattr(handlers, name)(*[broken] * (name == "draw"))
+            getattr(handlers, name)(*["draw_view"] * (name == "draw"))
             if name == "draw":
                 monkeypatch.setattr(handlers, "_failed", None)  # even so
     assert failures.messages() == ("The overlay has ended: index -1 is out of bounds",)
