@@ -128,11 +128,15 @@ class Recovery(RecoveryEngine):
         return self._phase
 
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
-        next(self._steps(iterations, time_budget_s), None)
+        next(self.stepping(iterations, time_budget_s), None)
         return self.progress
 
-    def _steps(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
-        """Make iterations, None for all, and place the swarms after them; yields whenever the time is over."""
+    def stepping(self, iterations: int | None, time_budget_s: float | None) -> Iterator[None]:
+        """Make exactly so many iterations, None for all, and place the swarms after them; yields when the time is over.
+
+        Repeated calls of ``step`` are no substitute: one that stops while the next stage's swarms are placed makes
+        another iteration when it is called again.
+        """
         self._bands.paced = time_budget_s is not None
         left, started = iterations, time.perf_counter()
         while self._phase is not None and (left is None or left > 0 or self._phase.iteration < 0):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -31,14 +31,6 @@ class TileRecovery(Recovery):
         for _ in self._end_stage(self._running(), BACKGROUND_BAND_SECONDS):
             pass
         self.step(iterations=0)
-
-    def stepping(self, iterations: int, time_budget_s: float | None) -> Iterator[None]:
-        """Make exactly so many iterations, and place the swarms after them; yields about every ``time_budget_s``.
-
-        Not by calls of ``step``: one that stops after the iteration, while it places the next stage's swarms, would
-        make another iteration when it is called again.
-        """
-        return self._steps(iterations, time_budget_s)
 
     def _reached_threshold(self) -> bool:
         self.reached = super()._reached_threshold()

@@ -19,7 +19,7 @@ class Worker:
     @property
     def busy(self) -> bool:
         """Whether work is unfinished."""
-        return self._work is not None and not self._work.done()
+        return self._work is not None
 
     def run(self, function: Callable[[], T]) -> Generator[None, None, T]:
         """Run a function in the thread, yielding until it ends. Return its result, or raise its exception."""
@@ -28,9 +28,11 @@ class Worker:
             while not work.done():
                 futures.wait([work], _POLL_SECONDS)
                 yield
+        self._work = None  # a finished future would keep the result's arrays
         return work.result()
 
     def wait(self) -> None:
         """Wait for unfinished work, whose arrays may then be freed; two seconds at most."""
         if self._work is not None:
             futures.wait([self._work])
+            self._work = None
