@@ -69,12 +69,12 @@ def measure(name: str, kind: str, subject: Subject, options: argparse.Namespace)
     preset = ["--preset", options.preset] if options.preset else []
     seconds = recover(shot.capture, out, *shot.arguments, "--model", options.model, *preset, *settings)
     found = recovered_maps(out, options.model)
-    pictures, neighbour_reads = card_captures.relight(subject, found, SHOOTINGS[kind].near, out / "relit")
+    pictures, as_seen = card_captures.relight(subject, found, SHOOTINGS[kind].near, out / "relit")
     row = {"card": name, "capture": kind, **_how(options)}
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
     row |= errors(found, shot.truth, coverage > 0) | beyond(found, shot.truth, coverage > 0, out)
     row |= picture_errors(pictures, shot) | {"seconds": seconds}
-    encode_png(options.out / f"{name}-{kind}.png", sheet(neighbour_reads, pictures, shot), bits=8)
+    encode_png(options.out / f"{name}-{kind}.png", sheet(as_seen, pictures, shot), bits=8)
     if not options.keep:
         shutil.rmtree(out)
     return row
@@ -158,14 +158,14 @@ def highlights(shot: Photographed) -> np.ndarray:
     return shot.unseen.mean(axis=-1) > 1.5 * card_captures.diffuse_part(shot) + 0.02
 
 
-def sheet(neighbour_reads: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
+def sheet(as_seen: TrueMaps, pictures: np.ndarray, shot: Photographed) -> np.ndarray:
     """Return a picture: above the truth, below what was recovered; base colour, metallic, roughness, normal, relit.
 
     looks: the recovered maps as the camera sees them. The unseen lamp with the most highlights is shown.
     """
     lamp = int(highlights(shot).sum(axis=(1, 2)).argmax())
     rows = []
-    for maps, picture in ((neighbour_reads, pictures[lamp]), (shot.neighbour_reads, shot.unseen[lamp])):
+    for maps, picture in ((as_seen, pictures[lamp]), (shot.as_seen, shot.unseen[lamp])):
         grey = (np.repeat(values[..., None], 3, axis=-1) for values in (maps.metallic, maps.roughness))
         colour, relit = srgb_from_linear(np.clip(maps.base_color, 0, 1)), srgb_from_linear(np.clip(picture, 0, 1))
         rows.append(np.concatenate([_framed(p) for p in (colour, *grey, encode_normal(maps.normal), relit)], axis=1))

@@ -58,7 +58,7 @@ class Subject(Protocol):
     @property
     def fine(self) -> bool: ...
     def build(self, found: TrueMaps | None = None) -> None: ...
-    def truth(self, neighbour_reads: TrueMaps) -> TrueMaps: ...
+    def truth(self, as_seen: TrueMaps) -> TrueMaps: ...
     def points(self, camera: Camera) -> np.ndarray: ...
     def arguments(self, folder: Path, shadows: bool) -> tuple[object, ...]: ...
     def domain(self, capture: Capture, shadows: bool) -> Domain: ...
@@ -95,14 +95,14 @@ SHOOTINGS = {
 class Photographed:
     """capture: its folder. arguments: further ones for ``recover``. truth: of the texels that are recovered.
 
-    looks: the truth as the camera sees it, normals in its axes. points: (H, W, 3) places that pixels show. shown:
+    as_seen: the truth as the camera sees it, normals in its axes. points: (H, W, 3) places that pixels show. shown:
     (H, W) bool, pixels of the subject alone. unseen: (8, H, W, 3) radiance under UNSEEN.
     """
 
     capture: Path
     arguments: tuple[object, ...]
     truth: TrueMaps
-    neighbour_reads: TrueMaps
+    as_seen: TrueMaps
     points: np.ndarray
     shown: np.ndarray
     unseen: np.ndarray
@@ -121,7 +121,7 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     if shooting.rim and subject.flat:
         cards.build_rim(shooting.rim)
     seen = render.truth(folder / "seen")
-    neighbour_reads, shown = _maps(seen), seen["coverage"] > 0.999
+    as_seen, shown = _maps(seen), seen["coverage"] > 0.999
     if not (folder / CAPTURE).exists():
         _write(name, subject, shooting, shown, folder)
     _empty(subject, shooting.near, _UNSEEN_SAMPLES, 0)
@@ -129,9 +129,7 @@ def photograph(name: str, subject: Subject, shooting: Shooting, cache: Path) -> 
     unseen = np.stack(list(render.photographs_near(folder / "unseen", UNSEEN, shadows=False)))
     points = subject.points(_camera(subject))
     arguments = subject.arguments(folder, shooting.shadows)
-    return Photographed(
-        folder / CAPTURE, arguments, subject.truth(neighbour_reads), neighbour_reads, points, shown, unseen
-    )
+    return Photographed(folder / CAPTURE, arguments, subject.truth(as_seen), as_seen, points, shown, unseen)
 
 
 def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tuple[np.ndarray, TrueMaps]:
@@ -141,8 +139,8 @@ def relight(subject: Subject, found: TrueMaps, near: bool, folder: Path) -> tupl
     """
     _empty(subject, near, _RELIT_SAMPLES, 0)
     subject.build(found)
-    neighbour_reads = _maps(render.truth(folder))
-    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), neighbour_reads
+    as_seen = _maps(render.truth(folder))
+    return np.stack(list(render.photographs_near(folder, UNSEEN, shadows=False))), as_seen
 
 
 def diffuse_part(shot: Photographed) -> np.ndarray:
@@ -152,8 +150,8 @@ def diffuse_part(shot: Photographed) -> np.ndarray:
     """
     toward = UNSEEN[:, None, None] - shot.points
     squared = (toward**2).sum(axis=-1)
-    cosine = (toward * shot.neighbour_reads.normal).sum(axis=-1) / np.sqrt(squared)
-    albedo = (1 - shot.neighbour_reads.metallic) * shot.neighbour_reads.base_color.mean(axis=-1)
+    cosine = (toward * shot.as_seen.normal).sum(axis=-1) / np.sqrt(squared)
+    albedo = (1 - shot.as_seen.metallic) * shot.as_seen.base_color.mean(axis=-1)
     strength = (UNSEEN**2).sum(axis=-1)[:, None, None] / squared
     return albedo * np.maximum(cosine, 0) * strength
 

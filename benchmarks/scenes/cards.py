@@ -62,9 +62,9 @@ class Card:
         """Put the card into the open scene; with recovered maps flat, as the picture shows them pixel for pixel."""
         build_true(self) if found is None else build_flat(found)
 
-    def truth(self, neighbour_reads: TrueMaps) -> TrueMaps:
+    def truth(self, as_seen: TrueMaps) -> TrueMaps:
         """Return the true maps of the texels that are recovered: of the pixels."""
-        return neighbour_reads
+        return as_seen
 
     def points(self, camera: Camera) -> np.ndarray:
         """Return (SIDE, SIDE, 3) the places on the flat card that the pixels show."""

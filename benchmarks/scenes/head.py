@@ -76,7 +76,7 @@ class Head:
         made.data.transform(Matrix.Translation([-v for v in _FACE]))
         made.data.materials.append(true_material(self.maps if found is None else found))
 
-    def truth(self, neighbour_reads: TrueMaps) -> TrueMaps:
+    def truth(self, as_seen: TrueMaps) -> TrueMaps:
         """Return the true maps of the texels that are recovered."""
         return self.maps
 

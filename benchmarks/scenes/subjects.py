@@ -67,10 +67,10 @@ def harvest():
     rng = np.random.default_rng(5)
     places = [(-0.55, 0.0, 0.35), (0.1, -0.05, 0.55), (0.65, 0.0, 0.2), (-0.2, 0.3, -0.2), (0.45, 0.35, -0.35),
               (-0.65, 0.1, -0.35), (0.05, 0.55, 0.2)]  # fmt: skip
-    neighbour_reads = [((0.7, 0.08, 0.05), 0.2, 0.0), ((0.8, 0.55, 0.08), 0.5, 0.0), ((0.25, 0.5, 0.1), 0.35, 0.0),
+    surfaces = [((0.7, 0.08, 0.05), 0.2, 0.0), ((0.8, 0.55, 0.08), 0.5, 0.0), ((0.25, 0.5, 0.1), 0.35, 0.0),
              ((0.9, 0.6, 0.3), 0.35, 1.0), ((0.3, 0.08, 0.3), 0.15, 0.0), ((0.75, 0.75, 0.7), 0.6, 0.0),
              ((0.6, 0.62, 0.65), 0.45, 1.0)]  # fmt: skip
-    for place, look in zip(places, neighbour_reads, strict=True):
+    for place, look in zip(places, surfaces, strict=True):
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=rng.uniform(0.3, 0.42), location=place)
         parts.append(bpy.context.object)
         parts[-1].scale = (1, rng.uniform(0.8, 1.2), 1)

@@ -75,10 +75,10 @@ def test_a_side_longer_than_a_picture_shows_fewer_texels(domain, wanted, monkeyp
 
 def test_swapped_tiles_show_their_last_state(domain, wanted):
     with tiled(domain, on_device=1) as recovery, closing(display_of(recovery)) as display:
-        neighbour_reads = 0
+        steps = 0
         while not recovery.step(time_budget_s=1e-6).done:
-            neighbour_reads += 1
-            if neighbour_reads % 5 == 0:
+            steps += 1
+            if steps % 5 == 0:
                 display.picture(COLOR)
         found = picture_of(display, COLOR)
     np.testing.assert_array_equal(found[..., 3], wanted[COLOR][..., 3])  # every tile was there once
