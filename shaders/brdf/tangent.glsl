@@ -11,8 +11,10 @@ Grain grain_of(vec3 n)
 {
     // n × x, of which no digit is lost however near n is to x.
     float squared = n.y * n.y + n.z * n.z;
-    vec3 across = squared > 1e-30 ? vec3(0.0, n.z, -n.y) * inversesqrt(squared) : vec3(0.0, 0.0, 1.0);
-    return Grain(cross(across, n), across);
+    Grain g;
+    g.across = squared > 1e-30 ? vec3(0.0, n.z, -n.y) * inversesqrt(squared) : vec3(0.0, 0.0, 1.0);
+    g.along = cross(g.across, n);
+    return g;
 }
 
 // The grain turned about n by half the angle of the vector ``twice`` (cos 2θ, sin 2θ) of any length; not turned where that
@@ -28,5 +30,8 @@ Grain turned_grain(Grain g, vec2 twice)
     if (d.y < 0.0) {
         half_turn.y = -half_turn.y;
     }
-    return Grain(half_turn.x * g.along + half_turn.y * g.across, half_turn.x * g.across - half_turn.y * g.along);
+    Grain turned;
+    turned.along = half_turn.x * g.along + half_turn.y * g.across;
+    turned.across = half_turn.x * g.across - half_turn.y * g.along;
+    return turned;
 }

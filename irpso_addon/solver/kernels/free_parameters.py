@@ -43,11 +43,15 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
         else:
             searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
             rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
-    cases = [f"    if (u == {u}) {{ free = FreeParameter{row}; }}" for u, row in enumerate(rows)]
+    cases = [
+        f"    if (u == {u}) {{ free.at = {at}; free.low = {low}; free.width = {width}; }}"
+        for u, (at, low, width) in enumerate(rows)
+    ]
     source = "\n".join(
         ["struct FreeParameter {", "    int at;", "    float low;", "    float width;", "};",
          "FreeParameter free_at(int u)", "{",
-         "    FreeParameter free = FreeParameter(0, 0.0, 1.0);", *cases, "    return free;", "}",
+         "    FreeParameter free;", "    free.at = 0;", "    free.low = 0.0;", "    free.width = 1.0;",
+         *cases, "    return free;", "}",
          *_predicate("is_normal", normal), *_predicate("searched", searched), ""]
     )  # fmt: skip
     return FreeParameters(len(rows), source, defines | {"FREE_COUNT": len(rows), "SEARCHED": len(searched)})
