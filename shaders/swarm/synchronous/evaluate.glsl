@@ -74,19 +74,17 @@ bool texel_kernel(ivec2 texel)
                 }
                 weights += o.weight;
             }
-            for (int p = 0; p < CHUNK; p++) {
+            for (int p = 0; p < CHUNK && first + p < PARTICLES; p++) {
                 float mean = with_priors(sum[p] / (3.0 * weights), weights, s[p]);
                 // NaN is unfit too: it must never become a best.
                 float worth = weights > 0.0 && mean < UNFIT ? mean : UNFIT;
-                if (first + p < PARTICLES) {
-                    fitness[first + p] = worth;
+                fitness[first + p] = worth;
 #if LINEAR_BLOCKS > 0
-                    if (worth < lowest) {
-                        lowest = worth;
-                        winner = linear[p];
-                    }
-#endif
+                if (worth < lowest) {
+                    lowest = worth;
+                    winner = linear[p];
                 }
+#endif
             }
         }
     }
