@@ -10,6 +10,7 @@
 
 // Blender's Specular IOR Level doubles F0 at 1 and leaves it at 0.5: F0 = 2 level ((ior − 1) / (ior + 1))², ior = 1.5.
 #define F0_PER_LEVEL 0.08
+#define F0_DEFAULT 0.04 // level 0.5
 
 // (1 − v·h)⁵, what Schlick 1994 adds toward white at grazing angles. 1 − v·h of a black metal is all that it reflects:
 // sin² of the angle is |l − v|² / 4, which does not cancel where light and view are near each other.

@@ -13,9 +13,7 @@
 #include "brdf/tangent.glsl"
 #include "brdf/v_smith_ggx_anisotropic.glsl"
 
-// F0 at Blender's Specular IOR Level of 0.5, and its IOR.
-#define ANISOTROPIC_F0 0.04
-#define ANISOTROPIC_IOR 1.5
+#define ANISOTROPIC_IOR 1.5 // of F0_DEFAULT
 
 // αx and αy, along and across the grain. Burley 2012: αx = r² / aspect, αy = r² aspect, aspect = √(1 − 0.9 a). Cycles
 // takes no α above 1.
@@ -38,13 +36,11 @@ float anisotropic_lobe(Material s, Angles a, vec2 widths, vec3 l, vec3 v)
     return 3.14159265358979 * D * V_SmithGGXAnisotropic(light, view, widths.x, widths.y) * a.NoL;
 }
 
-// What one unit of base colour reflects, and what is reflected whatever the colour.
-void anisotropic_parts(Material s, vec3 l, vec3 v, out float base, out float fixed_part)
+// x: what one unit of base colour reflects; y: what is reflected whatever the colour.
+vec2 anisotropic_parts(Material s, vec3 l, vec3 v)
 {
-    base = 0.0;
-    fixed_part = 0.0;
     if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
-        return;
+        return vec2(0.0);
     }
     Angles a = angles_of(s.normal, l, v);
     vec2 widths = anisotropic_widths(s);
@@ -52,31 +48,24 @@ void anisotropic_parts(Material s, vec3 l, vec3 v, out float base, out float fix
     float edge = grazing(l, v, a.VoH);
     // Cycles asks the layer's table with the roughness of an isotropic lobe of the same αx αy (measured on bpy 5.0.1).
     float roughness = sqrt(sqrt(widths.x * widths.y));
-    float diffuse = layered_diffuse(a.NoL, a.NoV, roughness, ANISOTROPIC_F0);
-    base = mix(diffuse, lobe * (1.0 - edge), s.metallic);
-    fixed_part = lobe * mix(F_Dielectric(a.VoH, ANISOTROPIC_IOR), edge, s.metallic);
+    float diffuse = layered_diffuse(a.NoL, a.NoV, roughness, F0_DEFAULT);
+    float base = mix(diffuse, lobe * (1.0 - edge), s.metallic);
+    float fixed_part = lobe * mix(F_Dielectric(a.VoH, ANISOTROPIC_IOR), edge, s.metallic);
+    return vec2(base, fixed_part);
 }
 
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {
-    float base;
-    float fixed_part;
-    anisotropic_parts(s, l, v, base, fixed_part);
-    return vec3(base);
+    return vec3(anisotropic_parts(s, l, v).x);
 }
 
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
 {
-    float base;
-    float fixed_part;
-    anisotropic_parts(s, l, v, base, fixed_part);
-    return vec3(fixed_part);
+    return vec3(anisotropic_parts(s, l, v).y);
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)
 {
-    float base;
-    float fixed_part;
-    anisotropic_parts(s, l, v, base, fixed_part);
-    return s.base_color * base + vec3(fixed_part);
+    vec2 parts = anisotropic_parts(s, l, v);
+    return s.base_color * parts.x + parts.y;
 }

@@ -6,20 +6,18 @@
 
 #include "brdf/principled_layers.glsl"
 
-#define DIELECTRIC_F0 0.04 // ((ior − 1) / (ior + 1))² of ior = 1.5
-
 vec3 basis_base_color(Material s, vec3 l, vec3 v)
 {
-    return vec3(base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v).x);
+    return vec3(base_and_fixed(s.normal, s.roughness, F0_DEFAULT, s.metallic, l, v).x);
 }
 
 vec3 basis_fixed(Material s, vec3 l, vec3 v)
 {
-    return vec3(base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v).y);
+    return vec3(base_and_fixed(s.normal, s.roughness, F0_DEFAULT, s.metallic, l, v).y);
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)
 {
-    vec2 parts = base_and_fixed(s.normal, s.roughness, DIELECTRIC_F0, s.metallic, l, v);
+    vec2 parts = base_and_fixed(s.normal, s.roughness, F0_DEFAULT, s.metallic, l, v);
     return s.base_color * parts.x + parts.y;
 }
