@@ -110,8 +110,7 @@ class Problem:
     @property
     def dimensions(self) -> int:
         """n."""
-        _, at, size = self.places[-1]
-        return at + size
+        return sum(size for _, _, size in self.places)
 
     @property
     def columns(self) -> int:
@@ -125,6 +124,16 @@ class Problem:
             np.minimum(1, reach * self.scale[..., None]) if p.kind == "linear" and p.components == 3 and reach else 1.0
         )
         return (p.range[1] - p.range[0]) * share
+
+    @property
+    def level(self) -> np.ndarray:
+        """(H, W): the texel's scale as radiance."""
+        return self.domain.intensities.astype(np.float64).mean() * self.scale
+
+    @property
+    def delta(self) -> np.ndarray:
+        """(K, H, W, 1): δ of every sample."""
+        return delta_of(self.domain.stack.values, self.level, self.schedule.fitness, self.domain.noise)
 
     def decode(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Return the material of places (H, W, D): the estimates with the searched parameters replaced."""
@@ -191,6 +200,7 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
     frame, position = frames(domain.bake), domain.bake.position.astype(np.float64)
     s = problem.decode(x)
     total, weights = np.zeros(domain.shape), np.zeros(domain.shape)
+    unit = problem.delta if settings.loss == "robust" else np.ones(domain.observations)
     for k in range(domain.observations):
         light, squared = direction_to(domain.lights[k], position)
         view, _ = direction_to(domain.views[k], position)
@@ -198,11 +208,7 @@ def fitness(problem: Problem, x: np.ndarray) -> np.ndarray:
         render = render * domain.intensities[k].astype(np.float64) / squared
         weight = domain.stack.values[k, ..., 3].astype(np.float64)
         error = render - np.where(weight[..., None] > 0, domain.stack.values[k, ..., :3], 0)
-        if settings.loss == "robust":
-            unit = problem.domain.intensities.astype(np.float64).mean()  # of radiance, for the scale is over intensity
-            unit = delta_of(domain.stack.values[k], unit * problem.scale, settings, domain.noise)
-            error = error / unit
-        total += weight * loss(settings.loss, error).sum(axis=-1)
+        total += weight * loss(settings.loss, error / unit[k]).sum(axis=-1)
         weights += weight
     return np.where(weights > 0, total / np.maximum(3 * weights, 1e-300), UNFIT)
 

@@ -24,11 +24,6 @@ class SynchronousSwarm(swarm.Problem):
     """A problem whose phase may have ``solved`` parameters and no searched ones."""
 
     @property
-    def dimensions(self) -> int:
-        """n."""
-        return sum(size for _, _, size in self.places)
-
-    @property
     def weights(self) -> list[tuple[str, int, float, float]]:
         """(name, component, lowest, highest) of every linear weight."""
         solved = sorted(self.stage.solved, key=lambda p: -p.components)
@@ -72,17 +67,14 @@ def on_edge(problem: SynchronousSwarm, n: np.ndarray) -> np.ndarray:
 
 def error(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> np.ndarray:
     """(K, …, H, W, 3): render of a material minus samples, in units of the loss."""
-    domain, settings = problem.domain, problem.schedule.fitness
+    domain = problem.domain
     seen = _expanded(domain.stack.values[..., 3:] > 0, s["normal"])
     reference = _expanded(
         np.where(domain.stack.values[..., 3:] > 0, domain.stack.values[..., :3], 0).astype(np.float64), s["normal"]
     )
     result = np.where(seen, radiance(problem, s) - reference, 0)
-    if settings.loss == "robust":
-        brightness = domain.intensities.astype(np.float64).mean()
-        result = result / _expanded(
-            swarm.delta_of(domain.stack.values, brightness * problem.scale, settings, domain.noise), s["normal"]
-        )
+    if problem.schedule.fitness.loss == "robust":
+        result = result / _expanded(problem.delta, s["normal"])
     return result
 
 
@@ -104,17 +96,7 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
     e = error(problem, incumbent)
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
     if problem.schedule.fitness.loss == "robust":  # of squares of radiance, in those of the texel's own δ
-        level = problem.domain.intensities.astype(np.float64).mean() * problem.scale
-        settings = problem.schedule.fitness
-        weight = (
-            weight
-            * (
-                settings.delta
-                * level[..., None]
-                / swarm.delta_of(problem.domain.stack.values, level, settings, problem.domain.noise)
-            )
-            ** 2
-        )
+        weight = weight * (problem.schedule.fitness.delta * problem.level[..., None] / problem.delta) ** 2
     return weight * loss_weight(problem.schedule.fitness.loss, e)
 
 
