@@ -36,6 +36,12 @@ def words(error: Exception) -> str:
     return text
 
 
+def refused(operator: bpy.types.Operator, error: Exception) -> set[str]:
+    """Report an IrpsoError or a MemoryError as the operator's, and return how the operator ends."""
+    operator.report({"ERROR"}, words(error))
+    return {"CANCELLED"}
+
+
 @contextmanager
 def reported(doing: str) -> Iterator[None]:
     """Context manager and decorator: catch an exception and show it in the panel.

@@ -20,6 +20,7 @@ from bpy.props import StringProperty
 from ...core.errors import InputError
 from ...core.files import replacing_file
 from ...solver.settings.schedule import SETTINGS, Schedule, load_schedule, shipped_presets
+from ..common import failures
 from ..common.file_paths import absolute
 from ..properties.schedule_settings import base_schedule, differences, fill, is_shipped, name_today, schedule_of
 
@@ -123,7 +124,7 @@ class IRPSO_OT_preset_choose(bpy.types.Operator):
         try:
             load_schedule(self.name)
         except InputError as error:
-            return _refused(self, error)
+            return failures.refused(self, error)
         settings.preset, settings.own = self.name, ""
         return {"FINISHED"}
 
@@ -143,7 +144,7 @@ class IRPSO_OT_preset_load(bpy.types.Operator):
         try:
             name, schedule = read_preset(self.filepath)
         except InputError as error:
-            return _refused(self, error)
+            return failures.refused(self, error)
         settings.preset = name
         fill(settings, schedule)
         _note_own(settings, self.filepath)
@@ -184,7 +185,7 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
             schedule_of(settings)
             return super().execute(context)
         except InputError as error:
-            return _refused(self, error)
+            return failures.refused(self, error)
 
     def add(self, context, filepath: str) -> None:
         """Write the file."""
@@ -202,11 +203,6 @@ class IRPSO_OT_preset_add(AddPresetBase, bpy.types.Operator):
 def _note_own(settings: Any, path: str) -> None:
     settings.own = bpy.path.display_name(os.path.basename(path), title_case=False)
     settings.own_text = preset_text(settings)
-
-
-def _refused(operator: bpy.types.Operator, error: InputError) -> set[str]:
-    operator.report({"ERROR"}, str(error))
-    return {"CANCELLED"}
 
 
 CLASSES = (IRPSO_MT_presets, IRPSO_OT_preset_choose, IRPSO_OT_preset_load, IRPSO_OT_preset_add)

@@ -10,6 +10,7 @@ from ...gpu import probe
 from ...solver.planning.machine import SOFTWARE_VULKAN
 from ..common import failures
 from ..common.polls import usable
+from ..overlay import handlers
 from ..properties import preferences
 from ..properties.recipe import schedule_recipe
 from ..properties.schedule_settings import schedule_of
@@ -45,8 +46,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
             session.begin(make_job(context)).run()
         except (IrpsoError, MemoryError) as error:
             session.end()
-            self.report({"ERROR"}, failures.words(error))
-            return {"CANCELLED"}
+            return failures.refused(self, error)
         return _keep(self)
 
     def invoke(self, context, event):
@@ -56,8 +56,7 @@ class IRPSO_OT_recover(bpy.types.Operator):
         try:
             begun = session.begin(make_job(context))
         except IrpsoError as error:
-            self.report({"ERROR"}, failures.words(error))
-            return {"CANCELLED"}
+            return failures.refused(self, error)
         if gpu_context.on_software_vulkan():
             self.report({"WARNING"}, SOFTWARE_VULKAN)
         follow(context, begun)
@@ -88,7 +87,7 @@ class IRPSO_OT_run(bpy.types.Operator):
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TIMER_SECONDS, window=context.window)
         manager.modal_handler_add(self)
-        _redraw(context)
+        handlers.redraw()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -119,7 +118,7 @@ class IRPSO_OT_run(bpy.types.Operator):
         self._drew = self._returned >= self._draw_at and running.state != "preparing"
         if self._drew:
             self._draw_at = self._returned + preferences.picture_seconds(context)
-            _redraw(context)
+            handlers.redraw()
         return {"PASS_THROUGH"} if running.active else self._leave(context)
 
     def cancel(self, context):
@@ -132,7 +131,7 @@ class IRPSO_OT_run(bpy.types.Operator):
 
     def _leave(self, context):
         context.window_manager.event_timer_remove(self._timer)
-        _redraw(context)
+        handlers.redraw()
         if self._session.failure:
             self.report({"ERROR"}, self._session.failure)
             return {"CANCELLED"}
@@ -179,8 +178,7 @@ class IRPSO_OT_resume(bpy.types.Operator):
             running.resume(schedule_of(scene.irpso.schedule))
             running.job.recipe["schedule"] = schedule_recipe(scene.irpso.schedule)
         except IrpsoError as error:
-            self.report({"ERROR"}, failures.words(error))
-            return {"CANCELLED"}
+            return failures.refused(self, error)
         if context.window is not None:
             bpy.ops.irpso.run("INVOKE_DEFAULT")
         return {"FINISHED"}
@@ -231,7 +229,7 @@ class IRPSO_OT_cancel(bpy.types.Operator):
         """End the session and delete its stored checkpoint."""
         unkept.forget(session.current().job.resumed)
         session.end()
-        _redraw(context)
+        handlers.redraw()
         return {"FINISHED"}
 
 
@@ -252,14 +250,6 @@ def _keep(operator) -> set[str]:
     except RuntimeError as error:
         operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
         return {"CANCELLED"}
-
-
-def _redraw(context) -> None:
-    """Redraw the editors that show the recovery, in all windows."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
-                area.tag_redraw()
 
 
 CLASSES = (IRPSO_OT_recover, IRPSO_OT_run, IRPSO_OT_pause, IRPSO_OT_resume, IRPSO_OT_stop, IRPSO_OT_cancel)

@@ -71,8 +71,7 @@ class IRPSO_OT_restore(_OfOne, bpy.types.Operator):
         try:
             begun = session.begin(restored_job(context, self._found()))
         except IrpsoError as error:
-            self.report({"ERROR"}, failures.words(error))
-            return {"CANCELLED"}
+            return failures.refused(self, error)
         if not bpy.app.background:
             follow(context, begun)
         return {"FINISHED"}

@@ -273,8 +273,7 @@ class CreateScene(bpy.types.Operator):
             on_card = settings.subject == "CARD" and len(capture.cameras) == 1
             depth = card_depth(capture) if on_card else None
         except InputError as error:
-            self.report({"ERROR"}, failures.words(error))
-            return {"CANCELLED"}
+            return failures.refused(self, error)
         lights = create_scene(scene, spec, capture)
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # so that the scene gives the same capture
