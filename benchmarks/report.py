@@ -28,7 +28,7 @@ MOST_BYTES = 60_000  # of a plot
 # Okabe & Ito 2008: told apart by all eyes. Black is the program itself.
 COLORS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
 # What a result depends on, besides its own program.
-_SOURCES = ("presets/*.toml", "shaders/**/*.*", "irpso_addon/solver/*.py", "benchmarks/subjects.py",
+_SOURCES = ("presets/*.toml", "shaders/**/*.*", "irpso_addon/solver/**/*.py", "benchmarks/subjects.py",
             "benchmarks/product.py", "benchmarks/peers/*.py")  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from benchmarks import (
     coarse_to_fine,
     convergence,
     fig7,
+    interreflection,
     joint,
     killed,
     large_mesh,
@@ -36,7 +37,7 @@ from benchmarks import (
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
-    swarm_scaling, recovery_scaling, killed, window,
+    swarm_scaling, recovery_scaling, killed, window, interreflection,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}

@@ -23,8 +23,9 @@ _DISTANCE = 10.0  # of the camera and the lamp from the origin
 class View:
     """width, height: pixels. world_width: of the picture. samples: for each pixel and light. bounces: of light paths.
 
-    clamp: the largest radiance that a path's indirect part may add: without it single pixels burn out. denoise: by
-    OpenImageDenoise, guided by albedo and normal, for what is lit by other surfaces more than by the lamp.
+    clamp: the largest radiance that a path's indirect part may add, 0 for any: without it single pixels burn out.
+    filter_glossy: Cycles' Filter Glossy, which lowers noise, and the light that lobes reflect after a bounce. denoise:
+    by OpenImageDenoise, guided by albedo and normal, for what is lit by other surfaces more than by the lamp.
     """
 
     width: int
@@ -33,6 +34,7 @@ class View:
     samples: int = 16
     bounces: int = 4
     clamp: float = 4.0
+    filter_glossy: float = 0.5
     denoise: bool = False
 
 
@@ -62,7 +64,7 @@ def set_up(scene, view: View) -> None:
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = view.bounces
     cycles.sample_clamp_indirect = view.clamp
-    cycles.blur_glossy = 0.5
+    cycles.blur_glossy = view.filter_glossy
 
 
 def photographs(

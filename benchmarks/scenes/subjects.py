@@ -9,19 +9,19 @@ import bmesh
 import bpy
 import numpy as np
 
-_SEGMENTS = 256  # around a lathed body: its facets are well below a pixel
+SEGMENTS = 256  # around a lathed body: its facets are well below a pixel
 
 
 def ball():
     """Return a sphere."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=7, radius=1)
-    return _finished(bpy.context.object)
+    return finished(bpy.context.object)
 
 
 def monkey(levels: int = 3):
     """Return Blender's monkey, ``levels`` times subdivided."""
     bpy.ops.mesh.primitive_monkey_add()
-    return _finished(bpy.context.object, levels, turn=(-np.pi / 2, 0, 0))
+    return finished(bpy.context.object, levels, turn=(-np.pi / 2, 0, 0))
 
 
 def scan(path: str | Path, levels: int = 2):
@@ -29,7 +29,7 @@ def scan(path: str | Path, levels: int = 2):
     bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")
     made = bpy.context.object
     made.data.materials.clear()
-    return _finished(made, levels)
+    return finished(made, levels)
 
 
 def pot():
@@ -47,14 +47,14 @@ def pot():
             major_radius=0.3, minor_radius=0.07, major_segments=128, minor_segments=48, location=(0.72 * side, 0.35, 0)
         )
         handles.append(bpy.context.object)
-    return _finished(_joined([body, *handles]), turn=(np.radians(15), np.radians(20), 0))
+    return finished(_joined([body, *handles]), turn=(np.radians(15), np.radians(20), 0))
 
 
 def goblet():
     """Return a goblet that leans toward the viewer: one sees into its bowl."""
     height = np.array([-1.0, -1.0, -0.96, -0.9, -0.6, -0.3, -0.15, 0.1, 0.5, 1.0, 1.03, 1.0, 0.5, 0.15, 0.0, -0.03])
     radius = np.array([0.0, 0.5, 0.52, 0.25, 0.09, 0.11, 0.3, 0.58, 0.68, 0.74, 0.71, 0.68, 0.62, 0.5, 0.25, 0.0])
-    return _finished(lathe(radius, height), turn=(np.radians(42), 0, np.radians(-6)))
+    return finished(lathe(radius, height), turn=(np.radians(42), 0, np.radians(-6)))
 
 
 def harvest():
@@ -80,7 +80,7 @@ def harvest():
         rotation=(0.9, 0.5, 0),
     )  # fmt: skip
     set_surface(bpy.context.object, (0.1, 0.25, 0.6), 0.25, 0.0)
-    return _finished(_joined([*parts, bpy.context.object]), turn=(np.radians(38), 0, 0))
+    return finished(_joined([*parts, bpy.context.object]), turn=(np.radians(38), 0, 0))
 
 
 def lathe(radius: Sequence[float], height: Sequence[float], bumps: Callable | None = None):
@@ -89,14 +89,14 @@ def lathe(radius: Sequence[float], height: Sequence[float], bumps: Callable | No
     bumps: returns, for (height, angle), what the radius is multiplied with.
     """
     r, y = (_spline(np.asarray(values, float), 16) for values in (radius, height))
-    around = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
-    scale = np.ones((len(r), _SEGMENTS)) if bumps is None else bumps(y[:, None], around[None])
+    around = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
+    scale = np.ones((len(r), SEGMENTS)) if bumps is None else bumps(y[:, None], around[None])
     rings = np.maximum(r, 1e-4)[:, None] * scale
     tall = np.broadcast_to(y[:, None], rings.shape)
     vertices = np.stack([rings * np.sin(around), tall, rings * np.cos(around)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(len(r) - 1), np.arange(_SEGMENTS), indexing="ij")
-    after = (j + 1) % _SEGMENTS
-    corners = (i * _SEGMENTS + j, i * _SEGMENTS + after, (i + 1) * _SEGMENTS + after, (i + 1) * _SEGMENTS + j)
+    i, j = np.meshgrid(np.arange(len(r) - 1), np.arange(SEGMENTS), indexing="ij")
+    after = (j + 1) % SEGMENTS
+    corners = (i * SEGMENTS + j, i * SEGMENTS + after, (i + 1) * SEGMENTS + after, (i + 1) * SEGMENTS + j)
     mesh = bpy.data.meshes.new("lathe")
     mesh.from_pydata(vertices.tolist(), [], np.stack(corners, axis=-1).reshape(-1, 4).tolist())
     made = bpy.data.objects.new("lathe", mesh)
@@ -143,7 +143,7 @@ def _joined(parts: Sequence):
     return bpy.context.object
 
 
-def _finished(obj, levels: int = 0, turn: tuple[float, float, float] = (0, 0, 0)):
+def finished(obj, levels: int = 0, turn: tuple[float, float, float] = (0, 0, 0)):
     """Subdivide, turn, recompute which side is out, shade smoothly; what is left is a mesh without modifiers."""
     bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)

@@ -29,6 +29,7 @@ from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.planning import covered_texels, uv_borders
+from ..solver.settings.schedule import refuse_interreflection
 from .job import Job
 from .run import READ, Run, in_solver_frames
 
@@ -130,6 +131,7 @@ def _one_level(job: Job) -> Job:
             f"levels = {job.schedule.levels}: several ranks do not solve a domain coarse to fine; set levels = 1, or"
             " start one process"
         )
+    refuse_interreflection(job.schedule, "several ranks do not find it", "start one process")
     return job
 
 

@@ -1,1 +1,1 @@
-"""Visibility of lights: shadows of the mesh, and the shape of the beam."""
+"""Light on its way to a mesh: shadows, the shape of the beam, and what the mesh exchanges with itself."""

@@ -80,6 +80,11 @@ class RecoveryEngine(ABC):
     def progress(self) -> Progress:
         """How far it is, bands of the current iteration included."""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Doubts about the recovery itself, for the report."""
+        return ()
+
     @abstractmethod
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, for about a time, or to the end; return the progress.

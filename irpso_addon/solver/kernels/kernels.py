@@ -75,6 +75,16 @@ def render_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
     return _model_pass(model, "view/render.glsl", "o_radiance", {"u_observation": "INT"}, domain_defines)
 
 
+def exchange_pass(model: ReflectanceModel, domain_defines: Defines) -> Pass:
+    """Compile the pass that gathers, over the elements of a surface, what they send one another and on to a camera."""
+    samplers = {
+        "u_estimate": packed(model), **OBSERVATIONS, "u_rays": LAYERS, "u_lit": FLOAT_2D, "u_received": FLOAT_2D
+    }  # fmt: skip
+    constants = {"u_observation": "INT", "u_ray_count": "INT", "u_columns": "INT", "u_to_camera": "INT"}
+    outputs = (Output("o_radiance"),)
+    return Pass(Kernel("view/exchange.glsl", outputs, samplers, constants, domain_defines, model_includes(model)))
+
+
 def confidence_pass(model: ReflectanceModel, free: str, fitness: Fitness, defines: Defines) -> Pass:
     """Compile the pass of standard deviations; ``free``: the source of free_parameters.glsl."""
     outputs, samplers = (Output("o_deviation", packed(model)),), {"u_estimate": packed(model), **OBSERVATIONS}

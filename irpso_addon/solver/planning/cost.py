@@ -58,7 +58,8 @@ class Cost:
     """Per-texel cost of a recovery.
 
     observations: fitted ones. observed: with those held out. components: of the model. compute: passes are compute
-    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives.
+    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives. stacks: sample
+    stacks on the host, two with rounds of interreflection.
     """
 
     observations: int
@@ -67,6 +68,7 @@ class Cost:
     phases: tuple[PhaseCost, ...]
     compute: bool = False
     alternatives: int = 0
+    stacks: int = 1
 
     @property
     def estimates(self) -> int:
@@ -115,7 +117,8 @@ def recovery_cost(
     phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
-    return Cost(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4))
+    stacks = 2 if schedule.interreflection.rounds else 1
+    return Cost(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4), stacks)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

@@ -306,7 +306,7 @@ def _places(
 
     texels: of the domain, covered or not.
     """
-    stack = FLOAT4 * cost.observed * texels
+    stack = FLOAT4 * cost.observed * cost.stacks * texels
     state = 0 if resident else cost.kept * sum(_places_of(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)

@@ -12,6 +12,7 @@ import numpy as np
 from ...capture.types import Capture
 from ...geometry.build import check_card
 from ...geometry.domain import Domain
+from ...geometry.light.exchange import Exchange
 from ...geometry.seams.edges import seam_edges
 from ...geometry.surface.bake import uv_coverage
 from ...geometry.surface.mesh import MeshData
@@ -19,9 +20,10 @@ from ...gpu import context
 from ...reflectance.model import ReflectanceModel
 from ..engine.coarse_to_fine import Pyramid
 from ..engine.engine import RecoveryEngine
+from ..engine.interreflection import InterreflectionRounds
 from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
-from ..settings.schedule import Schedule, refuse_levels
+from ..settings.schedule import Schedule, refuse_interreflection, refuse_levels
 from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import machine_memory
@@ -51,6 +53,8 @@ def make_plan(
     memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on: the
     sample stack's place where it exists. mesh: of the texels; its seams need memory too.
     """
+    if mesh is None:
+        refuse_interreflection(schedule, "a flat card has no hollows", "give the mesh with --blend")
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
@@ -59,6 +63,9 @@ def make_plan(
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
         refuse_levels(schedule)
+        refuse_interreflection(
+            schedule, "the domain does not fit in memory at once", "lower the resolution, allow more with --memory"
+        )
     return plan
 
 
@@ -86,13 +93,17 @@ def planned_recovery(
     entry: Literal["auto", "fragment", "compute"],
     scratch: Path,
     prepared: Prepared | None = None,
+    exchange: Exchange | None = None,
 ) -> RecoveryEngine:
     """Return the recovery of the plan and the schedule.
 
     scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of
-    several levels is prepared level by level.
+    several levels is prepared level by level. exchange: of the mesh, where the schedule has rounds of interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
+    if exchange is not None:
+        folder = scratch if plan.stack_on == "scratch" else None
+        return InterreflectionRounds(*settings, exchange, prepared, folder)
     if untiled(plan):
         return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
     folder = scratch if plan.state_on == "scratch" else None

@@ -247,6 +247,25 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Interreflection:
+    """Light that the subject throws on itself: found from the maps, taken off the photographs, then all is found again.
+
+    Nayar, Ikeuchi & Kanade 1991, Shape from Interreflections.
+    """
+
+    rounds: int = setting(
+        "Rounds", "How often the light that the subject throws on itself is found, and the maps are found again without"
+        " it; 0 for never. Needs a mesh", 0, soft_max=4,
+    )  # fmt: skip
+    resolution: int = setting(
+        "Resolution", "Elements along the longer side of the maps that light one another, at most", 96, least=8,
+        most=1024, soft_max=256,
+    )  # fmt: skip
+    rays: int = setting("Rays", "Directions from which an element receives light", 64, least=8, most=1024, soft_max=256)
+    bounces: int = setting("Bounces", "From surface to surface, at most", 3, least=1, most=16, soft_max=8)
+
+
+@dataclass(frozen=True)
 class Stage:
     """Parameters searched together, by name or by the stage that the model's table gives them; "all" for every one."""
 

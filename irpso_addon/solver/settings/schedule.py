@@ -12,7 +12,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import load_shipped_table, shipped_names
 from ...core.paths import PRESETS
-from .groups import Fitness, Materials, Prefit, Prior, Refinement, Stage, Swarm
+from .groups import Fitness, Interreflection, Materials, Prefit, Prior, Refinement, Stage, Swarm
 from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
@@ -28,7 +28,8 @@ _GROUPS = ("swarm", "fitness")  # their settings go by their bare names, those o
 class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
-    Order: prefit, whose normals the stages hold; stages; refinement; shared materials; spatial prior.
+    Order: prefit, whose normals the stages hold; stages; refinement; shared materials; spatial prior. All of it again
+    after each round of interreflection.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Schedule:
     refinement: Refinement = Refinement()
     materials: Materials = Materials()
     prior: Prior = Prior()
+    interreflection: Interreflection = Interreflection()
 
     def settings(self) -> dict[str, Any]:
         """Return every setting that ``replaced`` takes, by its name there, but for ``search``; see SETTINGS.
@@ -109,8 +111,17 @@ def refuse_levels(schedule: Schedule) -> None:
         )
 
 
+def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
+    """Raise InputError where a schedule has rounds of interreflection that cannot be made."""
+    if schedule.interreflection.rounds:
+        raise InputError(f"interreflection_rounds = {schedule.interreflection.rounds}: {why}; {remedy}, or set it to 0")
+
+
 # Groups with defaults: a preset sets what differs, and without their table there is no such phase.
-_OPTIONAL = {"prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior}
+_OPTIONAL = {
+    "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior,
+    "interreflection": Interreflection,
+}  # fmt: skip
 
 
 def _prefix(part: str) -> str:
@@ -189,6 +200,8 @@ def _check(schedule: Schedule, where: str = "") -> None:
         SETTINGS[name].check(name, value, where)
     if (schedule.swarm.update, schedule.swarm.linear) == ("one", "solve"):
         raise InputError(f'{where}: linear = "solve" needs update = "all"')
+    if schedule.levels > 1:
+        refuse_interreflection(schedule, f"{where} solves coarse to fine", "set levels = 1")
     if schedule.refinement.iterations == 0 and not any(stage.iterations for stage in schedule.stages):
         raise InputError(
             f"{where}: no stage has iterations, and there is no [refinement] either; give one of them some"

@@ -1,0 +1,175 @@
+"""What a mesh exchanges light with itself through: elements, the rays between them, and the lights that they see.
+
+Elements are texels, one for each cell of a grid over the UV square. Each looks in directions that are distributed as
+the cosine to its normal (Malley's method: a uniform disk, projected to the hemisphere), by the R2 sequence (Roberts
+2018) shifted for each element (Cranley & Patterson 1976).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ..surface.bake import SurfaceBake
+from ..surface.mesh import MeshData
+
+Cast = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # blender/ray_caster.py
+_PLASTIC = 1.32471795724474602596  # the real root of x³ = x + 1, of the R2 sequence
+_LIFT = 1e-4  # by which rays begin above the surface, as a fraction of the subject's size
+_BLOCK = 1 << 16  # rays at a time
+_LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: it counts only where no other is near
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
+
+    hits: (R, E) int32, the element that a ray meets, −1 where it meets none or the back of a face. lit: (K, E) bool,
+    whether the mesh leaves the way to each light free. near: (T, 4) int32 and share: (T, 4) float32, the elements
+    around each covered texel and their weights, by which ``at_texels`` interpolates.
+    """
+
+    texels: np.ndarray
+    directions: np.ndarray
+    hits: np.ndarray
+    lit: np.ndarray
+    near: np.ndarray
+    share: np.ndarray
+
+    def at_texels(self, values: np.ndarray) -> np.ndarray:
+        """Return (T, n) values of elements (E, n), interpolated at the covered texels, row by row."""
+        return sum(self.share[:, i, None] * values[self.near[:, i]] for i in range(4))
+
+
+def exchange_steps(
+    mesh: MeshData, bake: SurfaceBake, lights: np.ndarray, cast: Cast, resolution: int, rays: int
+) -> Generator[float, None, Exchange]:
+    """Yield the fraction of the work that is done; the Exchange is the value of the generator.
+
+    lights: (K, 4) as in Domain. resolution: cells along the longer side of the domain, at most. rays: of an element.
+    """
+    grid = _Grid(bake, resolution)
+    normals = bake.normal.reshape(-1, 3)[grid.texels].astype(np.float64)
+    face = bake.face_normal.reshape(-1, 3)[grid.texels].astype(np.float64)
+    points = bake.position.reshape(-1, 3)[grid.texels].astype(np.float64)
+    points += _LIFT * np.ptp(mesh.positions.reshape(-1, 3), axis=0).max() * face
+    directions = cosine_directions(normals, rays)
+    lit = np.zeros((len(lights), len(points)), bool)
+    hits = np.full(directions.shape[:2], -1, np.int32)
+    total = rays + len(lights)
+    for number, directed in enumerate(directions):
+        up = np.flatnonzero(np.einsum("ei,ei->e", directed, face) > 0)
+        triangle, place = cast(points[up], directed[up])
+        met = triangle >= 0
+        hits[number, up[met]] = grid.elements_at(mesh, triangle[met], place[met], directed[up[met]])
+        yield (number + 1) / total
+    for number, light in enumerate(lights.astype(np.float64)):
+        toward = light[:3] - light[3] * points
+        distance = np.linalg.norm(toward, axis=-1)
+        toward /= distance[:, None]
+        up = np.flatnonzero(np.einsum("ei,ei->e", toward, face) > 0)
+        triangle, place = cast(points[up], toward[up])
+        beyond = light[3] * np.linalg.norm(place - points[up], axis=-1) > distance[up]
+        lit[number, up] = (triangle < 0) | beyond
+        yield (rays + number + 1) / total
+    return Exchange(grid.texels, directions.astype(np.float32), hits, lit, *grid.around())
+
+
+def cosine_directions(normals: np.ndarray, rays: int) -> np.ndarray:
+    """Return (rays, E, 3) float64 unit directions with the density cos/π around unit normals (E, 3)."""
+    steps = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
+    shifts = np.random.default_rng(0).random((len(normals), 2))
+    places = (steps * np.arange(rays)[:, None, None] + shifts) % 1
+    radius, angle = np.sqrt(places[..., 0]), 2 * np.pi * places[..., 1]
+    aside = np.eye(3)[np.abs(normals).argmin(axis=-1)]
+    first = np.cross(aside, normals)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    second = np.cross(normals, first)
+    local = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - places[..., 0])
+    return sum(part[..., None] * axis for part, axis in zip(local, (first, second, normals), strict=True))
+
+
+class _Grid:
+    """The cells of a domain and their elements: in each the covered texel nearest to its middle."""
+
+    def __init__(self, bake: SurfaceBake, resolution: int):
+        self._bake = bake
+        height, width = bake.coverage.shape
+        self._stride = stride = -(-max(height, width) // resolution)
+        rows, columns = np.nonzero(bake.coverage)
+        self._cells = -(-height // stride), -(-width // stride)
+        cell = (rows // stride) * self._cells[1] + columns // stride
+        off = np.hypot(rows % stride - (stride - 1) / 2, columns % stride - (stride - 1) / 2)
+        order = np.lexsort((off, cell))
+        first = order[np.unique(cell[order], return_index=True)[1]]
+        self.texels = rows[first] * width + columns[first]
+        self._element = np.full(self._cells[0] * self._cells[1], -1, np.int32)
+        self._element[cell[first]] = np.arange(len(first))
+        self._places = bake.position.reshape(-1, 3)[self.texels]
+
+    def elements_at(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Return (N,) the elements nearest to places (N, 3) on triangles that rays meet; −1 on backs, and unsolved."""
+        corners = mesh.positions[triangle].astype(np.float64)
+        first, second, off = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], place - corners[:, 0]
+        across = np.cross(first, second)
+        area = np.maximum(np.einsum("ni,ni->n", across, across), 1e-300)
+        b = np.einsum("ni,ni->n", np.cross(off, second), across) / area
+        c = np.einsum("ni,ni->n", np.cross(first, off), across) / area
+        weights = np.stack([1 - b - c, b, c], axis=-1)
+        uv = np.einsum("nk,nki->ni", weights, mesh.uvs[triangle])
+        normal = np.einsum("nk,nki->ni", weights, mesh.normals[triangle])
+        height, width = self._bake.coverage.shape
+        row, column = ((uv[:, i] * size / self._stride).astype(int) for i, size in ((1, height), (0, width)))
+        best, least = np.full(len(place), -1, np.int32), np.full(len(place), np.inf)
+        for down, across in product((-1, 0, 1), repeat=2):
+            element = self._at(row + down, column + across)
+            squared = ((self._places[element] - place) ** 2).sum(axis=-1)
+            better = (element >= 0) & (squared < least)
+            best[better], least[better] = element[better], squared[better]
+        front = np.einsum("ni,ni->n", normal, direction) < 0
+        solved = True if mesh.solved is None else mesh.solved[triangle]
+        return np.where(front & solved, best, -1)
+
+    def around(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the elements (T, 4) of the cells around every covered texel, and their weights (T, 4).
+
+        Bilinear weights, lowered where the surface is another: the element far away, or turned away.
+        """
+        rows, columns = np.nonzero(self._bake.coverage)
+        normals, own = self._bake.normal.reshape(-1, 3), self._bake.normal[rows, columns]
+        position = self._bake.position[rows, columns]
+        reach = self._spacing()
+        y, x = ((at + 0.5) / self._stride - 0.5 for at in (rows, columns))
+        near, share = [], []
+        for down, across in product((0, 1), repeat=2):
+            row, column = np.floor(y).astype(int) + down, np.floor(x).astype(int) + across
+            element = self._at(row, column)
+            weight = (1 - np.abs(y - row)) * (1 - np.abs(x - column))
+            squared = ((self._places[element] - position) ** 2).sum(axis=-1)
+            facing = np.maximum(np.einsum("ti,ti->t", normals[self.texels[element]], own), 0) ** 4
+            alike = np.exp(-squared / (2 * reach) ** 2) * facing
+            near.append(np.maximum(element, 0))
+            share.append(np.where(element >= 0, weight * np.maximum(alike, _LEAST), 0))
+        total = np.sum(share, axis=0)
+        return np.stack(near, axis=-1), (np.stack(share, axis=-1) / total[:, None]).astype(np.float32)
+
+    def _at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return the elements of cells, −1 for none."""
+        rows, columns = self._cells
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        return np.where(
+            inside, self._element[np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)], -1
+        )
+
+    def _spacing(self) -> float:
+        """Return the median distance of an element from that of the next cell along a row."""
+        rows, columns = np.divmod(np.arange(len(self._element)), self._cells[1])
+        other = self._at(rows, columns + 1)
+        both = (self._element >= 0) & (other >= 0)
+        if not both.any():
+            return 1.0
+        gaps = self._places[self._element[both]] - self._places[other[both]]
+        return max(float(np.median(np.linalg.norm(gaps, axis=-1))), 1e-12)

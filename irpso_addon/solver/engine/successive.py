@@ -1,0 +1,150 @@
+"""The base class of recoveries that are made of several, each of which begins with what the one before has found."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from copy import copy
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from ...geometry.domain import Domain
+from ...gpu.passes import EntryChoice, Pass
+from ...gpu.textures import Texture
+from ...reflectance.model import ReflectanceModel
+from ..phases.phase import Phase
+from ..planning.cost import work_of
+from ..settings.resolve import resolve
+from ..settings.schedule import Schedule
+from .engine import Capabilities, RecoveryEngine
+from .progress import Progress
+from .recovery import Recovery
+
+
+class Successive(RecoveryEngine):
+    """A ``RecoveryEngine`` that runs one Recovery after another. A subclass makes them.
+
+    _live: the running one, number ``_at`` of ``_schedules``. _before: evaluations of those that are done.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        fixed: Mapping[str, np.ndarray] | None,
+        entry: EntryChoice,
+        schedules: Sequence[Schedule],
+    ):
+        """Begin nothing yet. schedules: of the recoveries; the others are as for RecoveryEngine."""
+        super().__init__(domain, model, schedule, seed, fixed, entry)
+        self._schedules = tuple(schedules)
+        self._at, self._before = 0, 0
+        self._passing: Iterator[None] | None = None
+        self._live: Recovery
+
+    @abstractmethod
+    def _texels(self, number: int) -> int:
+        """Return how many texels a recovery solves."""
+
+    @abstractmethod
+    def _ending(self, number: int) -> str:
+        """Return what is added to the titles of a recovery's stages."""
+
+    @abstractmethod
+    def _next(self) -> Iterator[None]:
+        """Close the live recovery, which is done, and make the next; yields often, while the live one is open."""
+
+    def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
+        """Advance as RecoveryEngine.step, through all recoveries: the step that ends one begins the next."""
+        deadline = None if time_budget_s is None else time.perf_counter() + time_budget_s
+        left = iterations
+        while True:
+            before = self._live.progress
+            budget = None if deadline is None else max(0.0, deadline - time.perf_counter())
+            after = self._live.step(left if not left else 1, budget)
+            if after.done and self._at == len(self._schedules) - 1:
+                return self.progress
+            if after.done and not self._passed(deadline):
+                return self.progress
+            made = after.iteration_in_all > before.iteration_in_all
+            left = left - 1 if left and made else left
+            placed = self._live.progress.iteration >= 0
+            if (left == 0 and placed) or (deadline is not None and time.perf_counter() >= deadline):
+                return self.progress
+
+    def _passed(self, deadline: float | None) -> bool:
+        """Work until a deadline on what is between two recoveries; return whether the next one is live."""
+        self._passing = self._passing or self._next()
+        for _ in self._passing:
+            if deadline is not None and time.perf_counter() >= deadline:
+                return False
+        self._passing = None
+        return True
+
+    @property
+    def progress(self) -> Progress:
+        """How far the run is: stages and iterations count through all recoveries, the fraction through their texels."""
+        live, at = self._live.progress, self._at
+        done = sum(self._costs[:at]) + live.fraction * self._costs[at]
+        return replace(
+            live,
+            stage=at * live.stages + live.stage,
+            stages=len(self._schedules) * live.stages,
+            title=live.title + self._ending(at),
+            iteration_in_all=sum(self._iterations[:at]) + live.iteration_in_all,
+            iterations_in_all=sum(self._iterations),
+            fraction=done / sum(self._costs),
+            stage_end=(done + (live.stage_end - live.fraction) * self._costs[at]) / sum(self._costs),
+            evaluations=self._before + live.evaluations,
+            done=live.done and at == len(self._schedules) - 1,
+        )
+
+    def mean_error(self) -> float:
+        return self._live.mean_error()
+
+    def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
+        return self._live.refresh_confidence(time_budget_s)
+
+    def view(self) -> AbstractContextManager[dict[str, Texture]]:
+        """Lend the live textures of the current recovery, as RecoveryEngine.view."""
+        return self._live.view()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self._live.capabilities
+
+    @property
+    def phase(self) -> Phase | None:
+        return self._live.phase
+
+    def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
+        return self._live.deviation_pass()
+
+    def close(self) -> None:
+        self._passing = None
+        self._live.close()
+
+    def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
+        """Return a run that continues from here under as many other schedules."""
+        result = copy(self)
+        result.schedule, result.seed = schedule, self.seed if seed is None else seed
+        result._schedules, result._passing = tuple(schedules), None
+        result._live = self._live.reconfigure(result._schedules[self._at], seed)
+        result._count()
+        return result
+
+    def _count(self) -> None:
+        """Find iterations and costs of all recoveries."""
+        fixed, observations = set(self.fixed), self.domain.observations
+        self._iterations, self._costs = [], []
+        for number, schedule in enumerate(self._schedules):
+            stages = resolve(schedule, self.model, fixed, observations)
+            work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
+            self._iterations.append(sum(stage.iterations for stage in stages))
+            self._costs.append(work * self._texels(number))

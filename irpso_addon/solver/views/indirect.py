@@ -1,0 +1,123 @@
+"""The light that a recovered subject throws on itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+
+import numpy as np
+
+from ...geometry.domain import Domain, GeometryBake
+from ...geometry.light.exchange import Exchange
+from ...gpu import context, textures
+from ...gpu.textures import Texture
+from ...reflectance.model import ReflectanceModel
+from ..kernels.kernels import exchange_pass
+from ..state.textures import Estimates, geometry_layers, observation_defines, upload_observations
+
+_CHUNK = 1 << 22  # distances at a time, of elements from each other
+_LEAST_ALBEDO = 0.02  # brings out the detail of albedo between elements, without the noise of black ones
+
+
+class IndirectLight:
+    """Finds what a subject's maps make it throw on itself, observation by observation. Close it after use.
+
+    domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
+    (H, W, components), the domain's solvable texels count. Elements that were not recovered have the material of the
+    nearest one that was, and the mesh's own normal.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        exchange: Exchange,
+        model: ReflectanceModel,
+        values: Mapping[str, np.ndarray],
+        bounces: int,
+    ):
+        context.ensure()
+        self._domain, self._exchange, self._bounces = domain, exchange, bounces
+        self._albedo = next((values[p.name] for p in model.parameters if p.is_albedo), None)
+        count = len(exchange.texels)
+        columns = math.isqrt(count - 1) + 1
+        self._shape = -(-count // columns), columns
+        flat = {item.name: self._laid(_flat(getattr(domain.bake, item.name))[exchange.texels])
+                for item in fields(GeometryBake)}  # fmt: skip
+        state = self._laid(np.ones(count, np.float32))
+        materials = {name: self._laid(value) for name, value in self._materials(model, values).items()}
+        rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
+        self._inputs: dict[str, Texture] = {
+            "u_geometry": textures.upload_layers(
+                geometry_layers(flat["position"], flat["normal"], flat["tangent"], state, np.ones_like(state))
+            ),
+            **Estimates(model, materials).bindings(),
+            "u_observation_table": upload_observations(domain.lights, domain.intensities, domain.views),
+            "u_rays": textures.upload_layers(np.stack([self._laid(ray) for ray in rays])),
+            # Never read; Vulkan requires a binding for every declared sampler.
+            "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
+        }
+        self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
+
+    def each(self) -> Iterator[np.ndarray]:
+        """Yield (T, 3) float32 for each observation: the radiance at the covered texels, row by row."""
+        albedo = None if self._albedo is None else np.maximum(_flat(self._albedo), _LEAST_ALBEDO)
+        covered = _flat(self._domain.bake.coverage)
+        for observation in range(self._domain.observations):
+            radiance = self._elements(observation)
+            if albedo is None:
+                yield self._exchange.at_texels(radiance)
+            else:
+                yield self._exchange.at_texels(radiance / albedo[self._exchange.texels]) * albedo[covered]
+
+    def _elements(self, observation: int) -> np.ndarray:
+        """Return (E, 3) float32: the radiance of the elements in one observation."""
+        lit = self._laid(self._exchange.lit[observation].astype(np.float32))
+        given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
+        received, target = (textures.empty(*self._shape[::-1], value=0.0) for _ in range(2))
+        constants = {
+            "u_observation": observation, "u_ray_count": len(self._exchange.hits), "u_columns": self._shape[1]
+        }  # fmt: skip
+        for left in reversed(range(self._bounces)):
+            to_camera = {"u_to_camera": int(left == 0)}
+            self._pass.run([target], {**given, "u_received": received}, constants | to_camera)
+            received, target = target, received
+        return textures.download(received).reshape(-1, 4)[: len(self._exchange.texels), :3]
+
+    def close(self) -> None:
+        """Free shader and textures."""
+        self._pass.close()
+        self._inputs.clear()
+
+    def _laid(self, values: np.ndarray) -> np.ndarray:
+        """Return (h, w, …) of elements (E, …), zeros at the end."""
+        laid = np.zeros((self._shape[0] * self._shape[1], *values.shape[1:]), values.dtype)
+        laid[: len(values)] = values
+        return laid.reshape(*self._shape, *values.shape[1:])
+
+    def _materials(self, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return parameter name → (E, components) of all elements."""
+        texels = self._exchange.texels
+        recovered = _flat(self._domain.solvable)[texels]
+        alike = self._nearest_recovered(recovered)
+        found = {}
+        for p in model.parameters:
+            found[p.name] = _flat(values[p.name])[texels[alike]]
+            if p.is_normal:
+                found[p.name][~recovered] = (0.0, 0.0, 1.0)
+        return found
+
+    def _nearest_recovered(self, recovered: np.ndarray) -> np.ndarray:
+        """Return (E,) for each element the nearest recovered one: itself, where it is."""
+        places = _flat(self._domain.bake.position)[self._exchange.texels]
+        nearest, others = np.arange(len(places)), np.flatnonzero(recovered)
+        missing = np.flatnonzero(~recovered)
+        for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):
+            squared = ((places[part, None] - places[others]) ** 2).sum(axis=-1)
+            nearest[part] = others[squared.argmin(axis=1)] if len(part) else part
+        return nearest
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    """(H·W, …) of (H, W, …)."""
+    return values.reshape(-1, *values.shape[2:])

@@ -1,0 +1,164 @@
+"""Light that a mesh throws on itself, where the answer is known: in hollow spheres. And the rounds that take it off."""
+
+from contextlib import closing
+from functools import cache
+
+import numpy as np
+import pytest
+
+from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.core.errors import InputError
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.interreflection import InterreflectionRounds
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.planning.planning import make_plan
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.views.indirect import IndirectLight
+from tests.builders.cavity import cavity, cavity_mesh, half_cavity
+from tests.builders.command_line import dome_lights
+from tests.builders.domains import bits_of
+
+LAMBERT = load_model("lambert")
+ALBEDO = (0.8, 0.5, 0.3)
+ROUNDS = load_schedule("standard").replaced(interreflection_rounds=2, interreflection_bounces=6)
+
+
+def exchange_of(mesh, domain, resolution=48, rays=64):
+    return run_steps(exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
+
+
+def indirect(mesh, domain, albedo, bounces, rays=64):
+    values = {
+        "base_color": np.broadcast_to(np.float32(albedo), (*domain.shape, 3)),
+        "normal": np.broadcast_to(np.float32([0, 0, 1]), (*domain.shape, 3)),
+    }
+    exchange = exchange_of(mesh, domain, rays=rays)
+    with closing(IndirectLight(domain, exchange, LAMBERT, values, bounces)) as light:
+        (found,) = light.each()
+    return found
+
+
+@pytest.mark.parametrize("bounces", [1, 2, 4])
+def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
+    # A light in the middle makes every place send its albedo ρ, and all of that meets others: bounce i adds ρ^(i + 1).
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    found = indirect(mesh, cavity(mesh), albedo, bounces)
+    wanted = sum(albedo ** (i + 1) for i in range(1, bounces + 1))
+    np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=0.01)
+    np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.05)
+
+
+def test_half_a_sphere_keeps_half_of_it():
+    mesh = cavity_mesh(opening=0.0)
+    found = indirect(mesh, cavity(mesh), (0.6, 0.6, 0.6), 1, rays=256)
+    np.testing.assert_allclose(found.mean(), 0.5 * 0.6**2, rtol=0.01)
+
+
+@pytest.fixture(scope="module")
+def bowl():
+    """(domain, exchange) of a matt half sphere, lit through its opening."""
+    mesh = cavity_mesh(opening=0.0)
+    lights = dome_lights(24, 50.0)[:, :3] * (1, 1, -1)
+    domain = half_cavity(mesh, ALBEDO, lights)
+    return domain, exchange_of(mesh, domain)
+
+
+def rounds_of(bowl, schedule=ROUNDS):
+    return InterreflectionRounds(bowl[0], LAMBERT, schedule, 1, None, "fragment", bowl[1])
+
+
+@pytest.fixture(scope="module")
+def whole(bowl):
+    """(maps, progress) of all rounds in one step."""
+
+    @cache
+    def run():
+        with rounds_of(bowl) as recovery:
+            recovery.step()
+            return recovery.maps(), recovery.progress
+
+    return run()
+
+
+def errors(maps):
+    """Return the mean error of the normals in degrees, and the base colour's mean over the true one."""
+    tilt = np.degrees(np.arccos(np.clip(maps.values["normal"][maps.covered][:, 2], -1, 1)))
+    return tilt.mean(), maps.values["base_color"][maps.covered].mean(axis=0) / ALBEDO
+
+
+def test_rounds_find_the_normals_and_the_colour_of_a_bowl(bowl, whole):
+    with Recovery(bowl[0], LAMBERT, ROUNDS.replaced(interreflection_rounds=0), 1, entry="fragment") as recovery:
+        recovery.step()
+        tilt, colour = errors(recovery.maps())
+    assert tilt > 3 and colour[0] > 1.15  # what it is about
+    tilt, colour = errors(whole[0])
+    assert tilt < 1 and abs(colour - 1).max() < 0.03
+
+
+def test_each_round_makes_all_iterations(bowl, whole):
+    progress = whole[1]
+    assert progress.done and progress.fraction == 1 and progress.stage == progress.stages - 1
+    assert progress.iteration_in_all == progress.iterations_in_all
+    with Recovery(bowl[0], LAMBERT, ROUNDS, 1, entry="fragment") as recovery:
+        assert progress.iterations_in_all == 3 * recovery.progress.iterations_in_all
+
+
+def test_time_slices_and_reads_change_nothing(bowl, whole):
+    fractions = []
+    with rounds_of(bowl) as recovery:
+        while not recovery.step(time_budget_s=0.02).done:
+            fractions.append(recovery.progress.fraction)
+            if len(fractions) % 7 == 0:
+                recovery.maps(confidence=False)
+        assert bits_of(recovery.maps()) == bits_of(whole[0])
+    assert fractions == sorted(fractions)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
+    with rounds_of(bowl) as recovery:
+        while recovery.progress.fraction < share:
+            recovery.step(5)
+        recovery.save(tmp_path / "checkpoint.npz")
+    with rounds_of(bowl) as recovery:
+        recovery.load(tmp_path / "checkpoint.npz")
+        recovery.step()
+        assert bits_of(recovery.maps()) == bits_of(whole[0])
+
+
+def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
+    with rounds_of(bowl) as recovery, pytest.raises(InputError, match="keeps its settings"):
+        recovery.reconfigure(ROUNDS.replaced(interreflection_rounds=1))
+
+
+def test_a_recovery_that_it_does_not_help_says_so(bowl):
+    # Photographs without any indirect light: what is taken off them was never there.
+    domain, exchange = bowl
+    direct = domain.stack.values.copy()
+    direct[..., :3] = np.where(
+        direct[..., 3:] > 0, direct[..., :3] - direct[..., :3].min(axis=(1, 2))[:, None, None], 0
+    )
+    with rounds_of((with_samples(domain, direct), exchange)) as recovery:
+        assert recovery.warnings == ()
+        recovery.step()
+        assert any("interreflection_rounds=0" in line for line in recovery.warnings)
+
+
+def test_a_recovery_that_it_helps_says_nothing(bowl):
+    with rounds_of(bowl) as recovery:
+        recovery.step()
+        assert recovery.warnings == ()
+
+
+@pytest.mark.parametrize(("change", "said"), [({}, "give the mesh"), ({"levels": 2}, "set levels = 1")])
+def test_what_has_no_rounds_is_refused(change, said):
+    with pytest.raises(InputError, match=said):
+        make_plan(np.ones((8, 8), bool), LAMBERT, ROUNDS.replaced(**change), (), 24)
+
+
+def test_a_domain_in_tiles_is_refused(bowl):
+    with pytest.raises(InputError, match="lower the resolution"):
+        make_plan(np.ones((64, 64), bool), LAMBERT, ROUNDS, (), 24, memory="device=2M", mesh=cavity_mesh(0.0))
