@@ -253,10 +253,9 @@ def test_a_fresh_clone_stays_small():
     # As a clone gets it: one pack of deltas, between files of like names.
     pack = ["git", "pack-objects", "--stdout", "-q"]
     history = len(subprocess.run(pack, cwd=ROOT, input=names.stdout.encode(), capture_output=True, check=True).stdout)
-    # Sources and tests take 3.1 MB, the pages, plots and pictures of docs/ 0.8 MB; no data.
-    assert files < 5_000_000
-    # 4.4 to 5.0 MB after 680 commits, by the deltas that git finds; a picture in docs/ adds 0.05 with every change.
-    assert history < 8_000_000
+    # Sources, tests and benchmarks take 3.9 MB, the pages, plots and pictures of docs/ 1.0 MB; no data.
+    assert files < 6_000_000
+    assert history < 5_000_000
 
 
 @pytest.mark.parametrize("name", [name for name in irpso_addon.__all__ if name not in ("register", "unregister")])
