@@ -68,7 +68,7 @@ def report_of(
     doubts = [*limit_warnings(maps, job.fixed), *mode_warnings(maps, priors), *_light_warnings(run, domain, maps)]
     doubts += run.doubts
     faults = [*job.warnings, *capture_warnings(job.capture)]
-    report |= run.relit[1] | {"warnings": [*doubts, *faults, *(warnings or [])]}
+    report |= run.findings | run.relit[1] | {"warnings": [*doubts, *faults, *(warnings or [])]}
     if job.capture.encoding is not None and job.capture.encoding.known_by != "format":
         report["colour_space"] = job.capture.encoding.colour_space
     if priors and (shares := prior_shares(maps, job.fixed)):

@@ -19,9 +19,8 @@ from ..core.optional import present
 from ..core.steps import map_steps, one_step, run_steps
 from ..geometry.build import card_steps, loading_steps, mesh_steps
 from ..geometry.domain import Domain, GeometryBake, subset
-from ..geometry.light.exchange import Exchange, exchange_steps
+from ..geometry.light.surroundings import CardSurroundings, MeshSurroundings, Surroundings
 from ..geometry.surface.bake import surface_bake
-from ..geometry.surface.mesh import MeshData
 from ..results.maps import Maps
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
@@ -38,7 +37,7 @@ from .job import Job
 
 T = TypeVar("T")
 MapsOf = Mapping[str, np.ndarray]  # parameter name → its map
-READ, LIGHTS, PREPARE, EXCHANGE = "read", "lights", "prepare", "interreflection"  # the steps, as shown
+READ, LIGHTS, PREPARE = "read", "lights", "prepare"  # the steps, as shown
 _KEPT_SHARE = 0.1  # of the free memory, for a kept preparation
 
 
@@ -65,8 +64,8 @@ class Run:
     """The run of a job. domain: of all observations, under the estimated lights; fitted: of those not held out.
 
     domain, fitted, recovery: None before ``open`` and after ``close``. fixed, truth: the job's, in the frames of the
-    domain's texels. lights: None where they stay as given. seconds: of each step. progress, settings, doubts: of the
-    last ``maps``, for the report.
+    domain's texels. lights: None where they stay as given. seconds: of each step. progress, settings, findings,
+    doubts: of the last ``maps``, for the report.
     """
 
     def __init__(
@@ -91,6 +90,7 @@ class Run:
         self.seconds: dict[str, float] = {}
         self.progress: Progress | None = None
         self.settings: dict[str, Any] = {}
+        self.findings: dict[str, Any] = {}
         self.doubts: tuple[str, ...] = ()
         self._plan: Plan | None = None
         self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
@@ -113,7 +113,7 @@ class Run:
         """Return the maps so far, in the solver's frames. confidence: as for a recovery."""
         recovery = present(self.recovery)
         self.progress, self.settings = recovery.progress, self._described(recovery)
-        self.doubts = recovery.warnings
+        self.findings, self.doubts = recovery.findings, recovery.warnings
         return with_modes(recovery.maps(confidence))
 
     def device_warnings(self) -> list[str]:
@@ -223,18 +223,29 @@ class Run:
         if job.schedule.levels == 1:  # else each level is prepared by itself
             prepared = yield from self._prepared(fitted, untiled(plan))
         yield
-        exchange = None
-        if job.mesh is not None and job.schedule.interreflection.rounds:
-            exchange = yield from self._exchange(fitted, job.mesh)
         self.recovery = planned_recovery(
-            plan, fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared, exchange
+            plan,
+            fitted,
+            job.model,
+            job.schedule,
+            job.seed,
+            self.fixed,
+            job.entry,
+            job.scratch,
+            prepared,
+            self._surroundings(),
         )
 
-    def _exchange(self, fitted: Domain, mesh: MeshData) -> Generator[None, None, Exchange]:
-        """Return what the mesh exchanges light with itself through."""
-        settings, bake = self.job.schedule.interreflection, surface_bake(fitted.bake)
-        steps = exchange_steps(mesh, bake, fitted.lights, ray_caster(mesh), settings.resolution, settings.rays)
-        return (yield from map_steps(steps, partial(self._show, EXCHANGE)))
+    def _surroundings(self) -> Surroundings | None:
+        """Return what lights the subject besides the lamps; None where the schedule does not ask for it."""
+        job, settings = self.job, self.job.schedule.interreflection
+        if settings.rounds == 0:
+            return None
+        fineness = settings.resolution, settings.rays
+        if job.mesh is not None:
+            return MeshSurroundings(job.mesh, ray_caster, *fineness)
+        normal = next(p.name for p in job.model.parameters if p.is_normal)
+        return CardSurroundings(job.capture.cameras[0], normal, ray_caster, *fineness)
 
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
         """Return the preparation, or that of an equal job before. pack: as for ``prepare``."""

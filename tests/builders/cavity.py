@@ -5,9 +5,12 @@ Siegel & Howell, Thermal Radiation Heat Transfer: the inside of a sphere.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from irpso_addon.geometry.domain import Domain, domain_of
+from irpso_addon.capture.camera import Camera
+from irpso_addon.geometry.domain import Domain, GeometryBake, domain_of
 from irpso_addon.geometry.surface.bake import bake_uv
 from irpso_addon.geometry.surface.mesh import MeshData
 from tests.oracles.geometry import mesh_from_grid
@@ -34,6 +37,38 @@ def cavity(mesh: MeshData, shape: tuple[int, int] = (24, 48)) -> Domain:
     return domain_of(bake, np.ones((1, *shape, 4), np.float32), middle, np.ones((1, 3), np.float32), middle, card=False)
 
 
+def cap_card(
+    albedo: tuple[float, float, float], lights: np.ndarray, side: int = 40
+) -> tuple[Domain, Camera, np.ndarray]:
+    """Return a card, its camera and its normals (H, W, 3): a matt hollow cap, 60° of a sphere of radius 1, from above.
+
+    With the light that it throws on itself, exactly: its opening, of area 3π/4, lets in that times cos θ, which falls
+    on an area of π; a quarter of what a place sends meets the cap again. Distant lights (K, 3).
+    """
+    camera = Camera.orthographic(side, side, 2.0)
+    along = ((np.arange(side) + 0.5) / side - 0.5) * 2
+    x, y = np.meshgrid(along, along)
+    covered = np.hypot(x, y) < np.sin(np.pi / 3)
+    place = np.stack([x, y, -np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
+    normal = np.where(covered[..., None], -place, (0.0, 0.0, 1.0))
+    rho, stack = np.array(albedo), np.zeros((len(lights), side, side, 4))
+    for sample, light in zip(stack, lights, strict=True):
+        cosine = normal @ light
+        beyond = place[..., 2] + 2 * cosine * light[2]  # height at which the way to the light meets the sphere
+        direct = np.where((cosine > 0) & (beyond > -0.5), cosine, 0)
+        received = 0.25 * rho * (0.75 * light[2]) / (1 - 0.25 * rho)
+        sample[covered] = np.concatenate([rho * (direct[..., None] + received), np.ones((side, side, 1))], axis=-1)[
+            covered
+        ]
+    flat = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    bake = GeometryBake(
+        flat.astype(np.float32), np.tile(np.float32([0, 0, 1]), (side, side, 1)),
+        np.tile(np.float32([1, 0, 0, 1]), (side, side, 1)), covered,
+        ((flat[..., :2] + 1) / 2).astype(np.float32),
+    )  # fmt: skip
+    return domain_of(bake, *_rows(stack, lights, (0, 0, 1, 0))), camera, normal
+
+
 def half_cavity(mesh: MeshData, albedo: tuple[float, float, float], lights: np.ndarray, shape=(16, 64)) -> Domain:
     """Return the domain of a matt half sphere, open to −z, photographed along z under distant lights (K, 3).
 
@@ -52,7 +87,11 @@ def half_cavity(mesh: MeshData, albedo: tuple[float, float, float], lights: np.n
         received = 0.5 * rho * (-light[2] / 2) / (1 - 0.5 * rho)
         sample[..., :3] = rho * ((cosine * lit)[..., None] + received)
         sample[..., 3] = lit
+    return domain_of(bake, *_rows(stack, lights, (0, 0, -1, 0)), card=False)
+
+
+def _rows(stack: np.ndarray, lights: np.ndarray, view: tuple[float, ...]) -> Iterator[np.ndarray]:
+    """Yield samples, lights, intensities and views as a Domain has them."""
     table = np.concatenate([lights, np.zeros((len(lights), 1))], axis=-1)
-    views = np.tile((0, 0, -1, 0), (len(lights), 1))
-    rows = (np.asarray(a, np.float32) for a in (stack, table, np.ones_like(lights), views))
-    return domain_of(bake, *rows, card=False)
+    for values in (stack, table, np.ones_like(lights), np.tile(view, (len(lights), 1))):
+        yield np.asarray(values, np.float32)

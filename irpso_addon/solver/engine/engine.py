@@ -85,6 +85,11 @@ class RecoveryEngine(ABC):
         """Doubts about the recovery itself, for the report."""
         return ()
 
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What it found besides the maps, for the report."""
+        return {}
+
     @abstractmethod
     def step(self, iterations: int | None = None, time_budget_s: float | None = None) -> Progress:
         """Advance by whole iterations, for about a time, or to the end; return the progress.

@@ -6,13 +6,15 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.steps import run_steps
+from ...core.optional import present
+from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
-from ...geometry.light.exchange import Exchange
+from ...geometry.light.surroundings import Surroundings
 from ...geometry.samples import ArrayStack, new_stack
 from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
@@ -31,15 +33,16 @@ _BASIS = "interreflection_of_{}_"  # before the maps that a round's light was fo
 # By how much the light that is taken off moves toward the new one. Too bright an albedo makes it too bright, and the
 # next albedo too dark: with 1 the rounds swing about the answer, with 0.75 two reach it.
 _RELAXATION = 0.75
+_LEAST_SHARE = 0.003  # of the light of the photographs: less is not worth a round
 
 
 class InterreflectionRounds(Successive):
     """A ``RecoveryEngine`` that recovers a domain, then ``interreflection.rounds`` times without indirect light.
 
     After each recovery the light that its maps make the subject throw on itself (views/indirect.py) is subtracted from
-    the photographs, and the domain is recovered again from them. exchange: of the domain's mesh. prepared: from
-    ``prepare``, of the photographs as they are. scratch: a folder for the second sample stack, None for memory. The
-    others are as for Recovery.
+    the photographs, and the domain is recovered again from them; it ends earlier where there is next to none of that
+    light. surroundings: what the light comes from. prepared: from ``prepare``, of the photographs as they are. scratch:
+    a folder for the second sample stack, None for memory. The others are as for Recovery.
     """
 
     def __init__(
@@ -50,14 +53,15 @@ class InterreflectionRounds(Successive):
         seed: int,
         fixed: Mapping[str, np.ndarray] | None,
         entry: EntryChoice,
-        exchange: Exchange,
+        surroundings: Surroundings,
         prepared: Prepared | None = None,
         scratch: Path | None = None,
     ):
         super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule))
-        self._exchange, self._scratch = exchange, scratch
+        self._surroundings, self._scratch = surroundings, scratch
         self._samples: ArrayStack | None = None  # without indirect light
         self._errors: list[float] = []  # mean errors of the renders at the ends of the rounds
+        self._strengths: list[float] = []  # by which each round's light was multiplied
         self._bases: list[dict[str, np.ndarray]] = []  # the maps that each round's light was found from
         self._count()
         self._live = self._begin(domain, prepared)
@@ -74,6 +78,10 @@ class InterreflectionRounds(Successive):
             f" error {last:.2g}, {self._errors[0]:.2g}); set interreflection_rounds=0",
         )
 
+    @property
+    def findings(self) -> dict[str, Any]:
+        return {"interreflection": {"rounds": len(self._strengths), "strength": self._strengths}}
+
     def state(self) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that the rounds' light was found from."""
         state, solved = self._live.state(), self.domain.solvable
@@ -89,14 +97,14 @@ class InterreflectionRounds(Successive):
         self.close()
         self._at, self._before = (int(number) for number in saved.arrays[_AT])
         self._errors = saved.arrays[_ERRORS].tolist()
-        self._bases, domain = [], self.domain
+        self._bases, self._strengths, domain = [], [], self.domain
         for number in range(self._at):
             self._bases.append(
                 {p.name: np.zeros((*domain.shape, p.components), np.float32) for p in self.model.parameters}
             )
             for name, value in self._bases[-1].items():
                 value[domain.solvable] = saved.arrays[_BASIS.format(number) + name]
-            domain = run_steps(self._without_indirect())
+            domain = present(run_steps(self._without_indirect()))
         self._live = self._begin(domain)
         own = {name: array for name, array in saved.arrays.items() if not name.startswith(_AT)}
         self._live.restore(replace(saved, arrays=own))
@@ -122,22 +130,40 @@ class InterreflectionRounds(Successive):
         self._bases.append(dict(self._live.maps(confidence=False).values))
         self._errors.append(self.mean_error())
         domain = yield from self._without_indirect()
+        if domain is None:
+            self._schedules = self._schedules[: self._at + 1]
+            self._count()
+            return
         self._before += self._live.progress.evaluations
         self._live.close()
         self._at += 1
         self._live = self._begin(domain)
 
-    def _without_indirect(self) -> Generator[None, None, Domain]:
-        """Return, yielding often, the domain with less of the light that its last maps make it throw on itself."""
+    def _without_indirect(self) -> Generator[None, None, Domain | None]:
+        """Return, yielding often, the domain with less of the light that its last maps make it throw on itself.
+
+        None where there is next to none.
+        """
         settings, domain = self.schedule.interreflection, self.domain
-        first, covered = len(self._bases) == 1, domain.bake.coverage
+        first = len(self._bases) == 1
         samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
-        light = IndirectLight(domain, self._exchange, self.model, self._bases[-1], settings.bounces)
-        with closing(light):
-            for sample, layer, indirect in zip(samples.layers(), domain.stack.layers(), light.each(), strict=True):
+        surface, exchange, values = yield from map_steps(
+            self._surroundings.steps(domain, self._bases[-1]), lambda part: None
+        )
+        covered = surface.bake.coverage
+        with closing(IndirectLight(surface, exchange, self.model, values, settings.bounces)) as light:
+            radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
+            for observation in range(domain.observations):
+                radiance[observation] = light.of_elements(observation)
+                yield
+            strength = light.strength(radiance)
+            self._strengths.append(strength)
+            if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
+                return None
+            for sample, layer, indirect in zip(samples.layers(), domain.stack.layers(), radiance, strict=True):
                 if first:
                     sample[:] = layer
-                off = layer[covered, :3] - indirect
+                off = layer[covered, :3] - strength * light.at_texels(indirect)
                 sample[covered, :3] += _RELAXATION * (np.maximum(off, 0) - sample[covered, :3])
                 yield
         return replace(domain, stack=samples)

@@ -12,7 +12,7 @@ import numpy as np
 from ...capture.types import Capture
 from ...geometry.build import check_card
 from ...geometry.domain import Domain
-from ...geometry.light.exchange import Exchange
+from ...geometry.light.surroundings import Surroundings
 from ...geometry.seams.edges import seam_edges
 from ...geometry.surface.bake import uv_coverage
 from ...geometry.surface.mesh import MeshData
@@ -53,8 +53,6 @@ def make_plan(
     memory: the budget, "4G" or "device=4G,host=8G", the free memory by default. entry: as for a Recovery. stack_on: the
     sample stack's place where it exists. mesh: of the texels; its seams need memory too.
     """
-    if mesh is None:
-        refuse_interreflection(schedule, "a flat card has no hollows", "give the mesh with --blend")
     device = context.describe()
     allowed = machine_memory(memory, str(device["renderer"]))
     limits = Limits(int(device["max_texture_size"]), int(device["max_texture_layers"]))
@@ -93,17 +91,18 @@ def planned_recovery(
     entry: Literal["auto", "fragment", "compute"],
     scratch: Path,
     prepared: Prepared | None = None,
-    exchange: Exchange | None = None,
+    surroundings: Surroundings | None = None,
 ) -> RecoveryEngine:
     """Return the recovery of the plan and the schedule.
 
     scratch: folder of scratch files. prepared: from ``prepare``, packed where the domain is one tile; a domain of
-    several levels is prepared level by level. exchange: of the mesh, where the schedule has rounds of interreflection.
+    several levels is prepared level by level. surroundings: of the domain, where the schedule has
+    rounds of interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
-    if exchange is not None:
+    if surroundings is not None:
         folder = scratch if plan.stack_on == "scratch" else None
-        return InterreflectionRounds(*settings, exchange, prepared, folder)
+        return InterreflectionRounds(*settings, surroundings, prepared, folder)
     if untiled(plan):
         return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
     folder = scratch if plan.state_on == "scratch" else None

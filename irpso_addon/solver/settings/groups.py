@@ -255,7 +255,7 @@ class Interreflection:
 
     rounds: int = setting(
         "Rounds", "How often the light that the subject throws on itself is found, and the maps are found again without"
-        " it; 0 for never. Needs a mesh", 0, soft_max=4,
+        " it; 0 for never", 0, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
         "Resolution", "Elements along the longer side of the maps that light one another, at most", 96, least=8,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
@@ -18,10 +18,14 @@ from ..state.textures import Estimates, geometry_layers, observation_defines, up
 
 _CHUNK = 1 << 22  # distances at a time, of elements from each other
 _LEAST_ALBEDO = 0.02  # brings out the detail of albedo between elements, without the noise of black ones
+_AWAY = -0.1  # cosine to a light from which on a normal that is off by 5° still faces away
+_LEAST_SHARE = 0.01  # of the brightness of the photographs: less tells nothing
+_LEAST_SAMPLES = 100
+_MOST_STRENGTH = 3.0
 
 
 class IndirectLight:
-    """Finds what a subject's maps make it throw on itself, observation by observation. Close it after use.
+    """Finds what a subject's maps make it throw on itself. Close it after use.
 
     domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
     (H, W, components), the domain's solvable texels count. Elements that were not recovered have the material of the
@@ -59,18 +63,46 @@ class IndirectLight:
         }
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
 
-    def each(self) -> Iterator[np.ndarray]:
-        """Yield (T, 3) float32 for each observation: the radiance at the covered texels, row by row."""
-        albedo = None if self._albedo is None else np.maximum(_flat(self._albedo), _LEAST_ALBEDO)
-        covered = _flat(self._domain.bake.coverage)
-        for observation in range(self._domain.observations):
-            radiance = self._elements(observation)
-            if albedo is None:
-                yield self._exchange.at_texels(radiance)
-            else:
-                yield self._exchange.at_texels(radiance / albedo[self._exchange.texels]) * albedo[covered]
+    def at_texels(self, radiance: np.ndarray) -> np.ndarray:
+        """Return (T, 3) float32 at the covered texels, row by row, of the radiance of elements (E, 3)."""
+        if self._albedo is None:
+            return self._exchange.at_texels(radiance)
+        albedo, covered = np.maximum(_flat(self._albedo), _LEAST_ALBEDO), _flat(self._domain.bake.coverage)
+        return self._exchange.at_texels(radiance / albedo[self._exchange.texels]) * albedo[covered]
 
-    def _elements(self, observation: int) -> np.ndarray:
+    @property
+    def shown(self) -> np.ndarray:
+        """(K, E) what the photographs show of the elements, mean of the channels; 0 where nothing was photographed."""
+        place = np.divmod(self._exchange.texels, self._domain.shape[1])
+        return self._domain.stack.texels(*place)[..., :3].mean(axis=-1)
+
+    def strength(self, radiance: np.ndarray) -> float:
+        """Return by how much to multiply radiances (K, E, 3) of the elements, to agree with what shadows show.
+
+        Where no lamp reaches, a photograph shows this light alone. It has a free factor: that of the lamps' intensities
+        and of the base colours, which the direct light cannot tell apart. 1 where there are no such samples.
+        """
+        domain, exchange = self._domain, self._exchange
+        rows, columns = np.divmod(exchange.texels, domain.shape[1])
+        shown = self.shown
+        place, normal = domain.bake.position[rows, columns], self._normals
+        toward = domain.lights[:, None, :3] - domain.lights[:, None, 3:] * place
+        cosine = (toward * normal).sum(axis=-1) / np.linalg.norm(toward, axis=-1)
+        views, camera = np.unique(domain.views, axis=0, return_inverse=True)
+        camera = camera.ravel()  # numpy 2.0 gives it another axis
+        seen = np.stack([(shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
+        mine = radiance.mean(axis=-1)
+        dark = ~exchange.lit | (cosine < _AWAY)
+        told = dark & seen & domain.solvable[rows, columns] & (mine > _LEAST_SHARE * np.percentile(shown[seen], 90))
+        if np.count_nonzero(told) < _LEAST_SAMPLES:
+            return 1.0
+        # A median: a lamp that reaches where it seemed not to is far brighter.
+        ratio, weight = shown[told] / mine[told], mine[told]
+        order = np.argsort(ratio)
+        middle = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
+        return float(min(ratio[order[middle]], _MOST_STRENGTH))
+
+    def of_elements(self, observation: int) -> np.ndarray:
         """Return (E, 3) float32: the radiance of the elements in one observation."""
         lit = self._laid(self._exchange.lit[observation].astype(np.float32))
         given = {**self._inputs, "u_lit": textures.upload(np.repeat(lit[..., None], 4, axis=-1))}
@@ -105,6 +137,8 @@ class IndirectLight:
             found[p.name] = _flat(values[p.name])[texels[alike]]
             if p.is_normal:
                 found[p.name][~recovered] = (0.0, 0.0, 1.0)
+                frames = self._domain.bake.frames(np.divmod(texels, self._domain.shape[1]))
+                self._normals = np.einsum("ei,eij->ej", found[p.name], frames)
         return found
 
     def _nearest_recovered(self, recovered: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from ...core.udim import ONE_SQUARE
 from ...geometry.domain import Domain
 from ...gpu import context
 from ...gpu.context_guard import ContextGuard
-from ...pipeline.run import EXCHANGE, LIGHTS, PREPARE, READ, Kept, Run
+from ...pipeline.run import LIGHTS, PREPARE, READ, Kept, Run
 from ...results.maps import Maps
 from ...solver.engine.engine import RecoveryEngine
 from ...solver.engine.progress import Progress, TimeLeft
@@ -34,10 +34,7 @@ from .worker import Worker
 
 _ERROR_EVERY = 0.5  # seconds between measurements of the mean error, each a small render
 
-_TITLES = {
-    READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess",
-    EXCHANGE: "Finding what lights what",
-}  # fmt: skip
+_TITLES = {READ: "Reading images", LIGHTS: "Finding the lights", PREPARE: "Fitting a first guess"}
 
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None

@@ -11,13 +11,14 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.exchange import exchange_steps
+from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.planning.planning import make_plan
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.indirect import IndirectLight
-from tests.builders.cavity import cavity, cavity_mesh, half_cavity
+from tests.builders.cavity import cap_card, cavity, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
 
@@ -37,8 +38,7 @@ def indirect(mesh, domain, albedo, bounces, rays=64):
     }
     exchange = exchange_of(mesh, domain, rays=rays)
     with closing(IndirectLight(domain, exchange, LAMBERT, values, bounces)) as light:
-        (found,) = light.each()
-    return found
+        return light.at_texels(light.of_elements(0))
 
 
 @pytest.mark.parametrize("bounces", [1, 2, 4])
@@ -59,11 +59,11 @@ def test_half_a_sphere_keeps_half_of_it():
 
 @pytest.fixture(scope="module")
 def bowl():
-    """(domain, exchange) of a matt half sphere, lit through its opening."""
+    """(domain, surroundings) of a matt half sphere, lit through its opening."""
     mesh = cavity_mesh(opening=0.0)
-    lights = dome_lights(24, 50.0)[:, :3] * (1, 1, -1)
+    lights = dome_lights(24, 50.0) * (1, 1, -1)
     domain = half_cavity(mesh, ALBEDO, lights)
-    return domain, exchange_of(mesh, domain)
+    return domain, MeshSurroundings(mesh, ray_caster, 48, 64)
 
 
 def rounds_of(bowl, schedule=ROUNDS):
@@ -134,14 +134,29 @@ def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
         recovery.reconfigure(ROUNDS.replaced(interreflection_rounds=1))
 
 
-def test_a_recovery_that_it_does_not_help_says_so(bowl):
-    # Photographs without any indirect light: what is taken off them was never there.
-    domain, exchange = bowl
-    direct = domain.stack.values.copy()
-    direct[..., :3] = np.where(
-        direct[..., 3:] > 0, direct[..., :3] - direct[..., :3].min(axis=(1, 2))[:, None, None], 0
-    )
-    with rounds_of((with_samples(domain, direct), exchange)) as recovery:
+@pytest.fixture(scope="module")
+def direct(bowl):
+    """(domain, surroundings) of the half sphere in photographs without any indirect light."""
+    domain, surroundings = bowl
+    values = domain.stack.values.copy()
+    darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # in shadow there is nothing else
+    values[..., :3] = np.where(values[..., 3:] > 0, values[..., :3] - darkest, 0)
+    return with_samples(domain, values), surroundings
+
+
+def test_photographs_without_such_light_end_with_the_first_maps(direct):
+    with Recovery(direct[0], LAMBERT, ROUNDS, 1, entry="fragment") as recovery:
+        recovery.step()
+        wanted = recovery.maps()
+    with rounds_of(direct) as recovery:
+        assert recovery.step().done and recovery.progress.fraction == 1
+        assert bits_of(recovery.maps()) == bits_of(wanted)
+        assert recovery.findings["interreflection"]["strength"] == [0.0]
+
+
+def test_a_recovery_that_it_does_not_help_says_so(direct, monkeypatch):
+    monkeypatch.setattr(IndirectLight, "strength", lambda self, radiance: 1.0)
+    with rounds_of(direct) as recovery:
         assert recovery.warnings == ()
         recovery.step()
         assert any("interreflection_rounds=0" in line for line in recovery.warnings)
@@ -153,12 +168,31 @@ def test_a_recovery_that_it_helps_says_nothing(bowl):
         assert recovery.warnings == ()
 
 
-@pytest.mark.parametrize(("change", "said"), [({}, "give the mesh"), ({"levels": 2}, "set levels = 1")])
-def test_what_has_no_rounds_is_refused(change, said):
-    with pytest.raises(InputError, match=said):
-        make_plan(np.ones((8, 8), bool), LAMBERT, ROUNDS.replaced(**change), (), 24)
+def test_several_levels_are_refused():
+    with pytest.raises(InputError, match="set levels = 1"):
+        ROUNDS.replaced(levels=2)
 
 
 def test_a_domain_in_tiles_is_refused(bowl):
     with pytest.raises(InputError, match="lower the resolution"):
         make_plan(np.ones((64, 64), bool), LAMBERT, ROUNDS, (), 24, memory="device=2M", mesh=cavity_mesh(0.0))
+
+
+def test_rounds_find_the_relief_of_a_hollow_card():
+    albedo = (0.8, 0.6, 0.4)
+    domain, camera, normals = cap_card(albedo, dome_lights(24, 50.0))
+    surroundings = CardSurroundings(camera, "normal", ray_caster, 40, 64)
+
+    def tilt(maps):
+        chord = np.linalg.norm(maps.values["normal"] - normals, axis=-1)[maps.covered]
+        return np.degrees(2 * np.arcsin(chord / 2)).mean()
+
+    with Recovery(domain, LAMBERT, ROUNDS.replaced(interreflection_rounds=0), 1, entry="fragment") as recovery:
+        recovery.step()
+        before = tilt(recovery.maps())
+    with rounds_of((domain, surroundings)) as recovery:
+        recovery.step()
+        maps, strength = recovery.maps(), recovery.findings["interreflection"]["strength"][-1]
+    print(f"{before:.2f}° → {tilt(maps):.2f}°, strength {strength:.2f}")
+    assert before > 2 and tilt(maps) < before / 3
+    assert abs(maps.values["base_color"][maps.covered].mean(axis=0) / albedo - 1).max() < 0.03

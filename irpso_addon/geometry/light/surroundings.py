@@ -1,0 +1,102 @@
+"""What lights a subject besides the lamps: itself, as its mesh is, or as the relief of a card."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ...capture.camera import Camera
+from ..domain import Domain
+from ..relief.relief import card_height
+from ..surface.bake import SurfaceBake, surface_bake
+from ..surface.mesh import MeshData
+from .exchange import Cast, Exchange, exchange_steps
+
+Values = Mapping[str, np.ndarray]  # parameter name → (H, W, components)
+Found = tuple[Domain, Exchange, Values]
+CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
+
+
+class Surroundings(Protocol):
+    """Makes of a domain and its maps the surface that lights itself."""
+
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+        """Yield the fraction of the work done; return the surface's domain, its exchange, and the maps on it."""
+
+
+@dataclass
+class MeshSurroundings:
+    """Those of a mesh, which maps do not change. resolution, rays: as for ``exchange_steps``."""
+
+    mesh: MeshData
+    caster_of: CasterOf
+    resolution: int
+    rays: int
+    _exchange: Exchange | None = None
+
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+        """Work as Surroundings; only the first call takes time."""
+        if self._exchange is None:
+            self._exchange = yield from exchange_steps(
+                self.mesh, surface_bake(domain.bake), domain.lights, self.caster_of(self.mesh),
+                self.resolution, self.rays,
+            )  # fmt: skip
+        return domain, self._exchange, values
+
+
+@dataclass
+class CardSurroundings:
+    """Those of a card: the relief that its normals integrate to. normal: the parameter's name."""
+
+    camera: Camera
+    normal: str
+    caster_of: CasterOf
+    resolution: int
+    rays: int
+
+    def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
+        """Work as Surroundings, every time anew: the relief follows the maps."""
+        mesh, bake = card_surface(self.camera, domain, values[self.normal])
+        cast = self.caster_of(mesh)
+        exchange = yield from exchange_steps(mesh, bake, domain.lights, cast, self.resolution, self.rays)
+        own = np.zeros((*domain.shape, 3), np.float32)
+        own[..., 2] = 1
+        return replace(domain, bake=bake, card=False), exchange, {**values, self.normal: own}
+
+
+def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[MeshData, SurfaceBake]:
+    """Return the relief of a card's normals (H, W, 3) as a mesh with a vertex at each texel, and as a bake.
+
+    The frames of the bake have the normals as z. Its coverage is the domain's solvable texels.
+    """
+    covered, flat = domain.solvable, domain.bake
+    up = np.where(covered[..., None], normals, (0.0, 0.0, 1.0)).astype(np.float64)
+    height = card_height(camera, up, covered).values.astype(np.float64)[..., None] / camera.scale[0]
+    places = flat.position * (1 - height) if camera.perspective else flat.position + height * (0, 0, 1)
+    along = np.stack([up[..., 2], np.zeros(covered.shape), -up[..., 0]], axis=-1)
+    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+    facing = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0)) if min(covered.shape) > 1 else up
+    facing = np.where((facing[..., 2:] > 0) & covered[..., None], facing, up)
+    facing /= np.linalg.norm(facing, axis=-1, keepdims=True)
+    tangent = np.concatenate([along, np.ones((*covered.shape, 1))], axis=-1)
+    bake = SurfaceBake(
+        places.astype(np.float32), up.astype(np.float32), tangent.astype(np.float32), covered, flat.uv,
+        facing.astype(np.float32), np.zeros(covered.shape, np.int32),
+    )  # fmt: skip
+    return _mesh_over(bake), bake
+
+
+def _mesh_over(bake: SurfaceBake) -> MeshData:
+    """Return two triangles for each four covered texels beside one another."""
+    covered = bake.coverage
+    row, column = np.nonzero(covered[:-1, :-1] & covered[1:, :-1] & covered[:-1, 1:] & covered[1:, 1:])
+    corners = np.array([[(0, 0), (0, 1), (1, 1)], [(0, 0), (1, 1), (1, 0)]])
+    at = (np.stack([row, column], axis=-1)[:, None, None] + corners).reshape(-1, 3, 2)
+    part = at[..., 0], at[..., 1]
+    return MeshData(
+        "relief", bake.position[part], bake.normal[part], bake.tangent[part], bake.uv[part],
+        np.zeros(len(at), np.int32), "", np.eye(4),
+    )  # fmt: skip
