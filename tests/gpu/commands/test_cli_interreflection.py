@@ -1,0 +1,78 @@
+"""``recover`` with rounds of interreflection, as a user asks for them: a hollow card, and what cannot have them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.builders.cavity import cap_card
+from tests.builders.command_line import angle, dome_lights, read_map, run_cli, write_card
+
+ALBEDO = (0.8, 0.6, 0.4)
+LIGHTS = dome_lights(24, 50.0)
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    """(capture of a hollow cap, its normals, its mask)."""
+    domain, _, normals = cap_card(ALBEDO, LIGHTS)
+    images = domain.stack.values[..., :3].astype(np.float64)
+    folder = tmp_path_factory.mktemp("cap") / "cap"
+    return write_card(folder, images, LIGHTS, domain.solvable), normals, domain.solvable
+
+
+def recover(capture, out, *more):
+    code, printed, _ = run_cli("recover", capture, "--model", "lambert", "-o", out, "--json", *more)
+    return code, json.loads(printed.splitlines()[-1])
+
+
+def test_rounds_lower_the_error_of_a_hollow_card_and_report_their_strength(card, tmp_path):
+    capture, normals, mask = card
+    tilt = {}
+    for rounds in (0, 2):
+        out = tmp_path / str(rounds)
+        code, report = recover(capture, out, "--set", f"interreflection_rounds={rounds}")
+        assert code == 0
+        tilt[rounds] = angle(read_map(out / "normal.exr"), normals)[mask].mean()
+    assert tilt[2] < tilt[0] / 3
+    found = report["interreflection"]
+    assert found["rounds"] == 2 and 0.8 < found["strength"][-1] < 1.3
+
+
+def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
+    from irpso_addon.pipeline import drive
+
+    capture, _, _ = card
+    settings = "--set", "interreflection_rounds=1"
+    assert recover(capture, tmp_path / "whole", *settings)[0] == 0
+    looks = iter([False] * 12 + [True] * 100)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drive, "_SLICE", 4)
+        patch.setattr(drive, "held_back", lambda: _Interrupted(looks))
+        assert run_cli("recover", capture, "--model", "lambert", "-o", tmp_path / "cut", *settings)[0] == 130
+    assert recover(capture, tmp_path / "cut", *settings, "--resume")[0] == 0
+    for name in ("maps.exr", "normal.exr", "confidence.exr"):
+        assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+class _Interrupted:
+    """What ``held_back`` returns: a signal comes when the looks say so."""
+
+    def __init__(self, looks):
+        self._looks = looks
+
+    def __enter__(self):
+        return lambda: next(self._looks)
+
+    def __exit__(self, *_):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [(("--memory", "device=1M"), "allow more with --memory"), (("--set", "levels=2"), "set levels = 1")],
+)
+def test_what_cannot_have_rounds_is_refused_before_anything_is_written(card, tmp_path, more, said):
+    code, printed = recover(card[0], tmp_path / "out", "--set", "interreflection_rounds=1", *more)
+    assert code == 2 and said in printed["error"]
+    assert not (tmp_path / "out").exists()
