@@ -104,7 +104,7 @@ def pictures_of(run: Run, found: Found) -> dict[str, np.ndarray]:
     """Return file stem → (H, W, 3) display values: renders beside photographs, confidence, held-out observations."""
     run.relight(found.solver)
     names = preview_names(run.job.capture, run.job.unseen)
-    preview = error_preview(present(run.domain), found.solver, run.truth, names)
+    preview = error_preview(present(run.domain), found.solver, run.truth, names, run.indirect)
     return {"preview": preview} | confidence_preview(found.solver) | run.relit[0]
 
 

@@ -116,6 +116,10 @@ class Run:
         self.findings, self.doubts = recovery.findings, recovery.warnings
         return with_modes(recovery.maps(confidence))
 
+    def indirect(self, observation: int) -> np.ndarray | float:
+        """Return the light that was taken off a photograph, (H, W, 3) or 0: off one that is held out, none."""
+        return present(self.recovery).indirect(observation) if observation in self.job.fitted else 0.0
+
     def device_warnings(self) -> list[str]:
         """Return doubts about the devices that it is solved on."""
         return []

@@ -9,19 +9,21 @@
 #include "common/observation.glsl"
 #include "model.glsl"
 
-// The largest share of a ray: one ray in a narrow lobe stands for all of the light that the others miss.
-#define MOST 8.0
+// The most that a ray brings, for light of intensity 1: one that meets a narrow highlight, or lies in a narrow lobe,
+// stands for many that do not, and would leave a lone bright element.
+#define MOST 4.0
 
-vec3 sent(ivec2 element, vec3 toward)
+// What an element sends in a direction, times the share that its receiver reflects.
+vec3 brought(ivec2 element, vec3 toward, vec3 share)
 {
-    vec3 passed_on = texelFetch(u_received, element, 0).rgb;
+    vec3 passed_on = share * texelFetch(u_received, element, 0).rgb;
     if (texelFetch(u_lit, element, 0).r == 0.0) {
         return passed_on;
     }
     Frame f = frame_at(element);
     vec3 intensity;
     vec3 l = light_at(f, u_observation, intensity);
-    return passed_on + intensity * reflectance(estimate_at(element), l, to_local(f, toward));
+    return passed_on + intensity * min(share * reflectance(estimate_at(element), l, to_local(f, toward)), vec3(MOST));
 }
 
 bool texel_kernel(ivec2 texel)
@@ -42,7 +44,7 @@ bool texel_kernel(ivec2 texel)
         }
         vec3 l = to_local(f, ray.xyz);
         vec3 share = min(reflectance(s, l, v) / max(l.z, 1e-4), vec3(MOST));
-        sum += share * sent(ivec2(hit % u_columns, hit / u_columns), -ray.xyz);
+        sum += brought(ivec2(hit % u_columns, hit / u_columns), -ray.xyz, share);
     }
     o_radiance = vec4(sum / float(u_ray_count), 1.0);
     return true;

@@ -112,6 +112,10 @@ class RecoveryEngine(ABC):
         The texels are drawn at random, once. It takes milliseconds, where maps() may take a second.
         """
 
+    def indirect(self, observation: int) -> np.ndarray | float:
+        """Return the light that was taken off a photograph before the maps were found, (H, W, 3) or 0."""
+        return 0.0
+
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.
 

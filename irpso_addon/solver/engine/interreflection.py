@@ -82,6 +82,11 @@ class InterreflectionRounds(Successive):
     def findings(self) -> dict[str, Any]:
         return {"interreflection": {"rounds": len(self._strengths), "strength": self._strengths}}
 
+    def indirect(self, observation: int) -> np.ndarray | float:
+        if self._at == 0 or self._samples is None:
+            return 0.0
+        return self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
+
     def state(self) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that the rounds' light was found from."""
         state, solved = self._live.state(), self.domain.solvable

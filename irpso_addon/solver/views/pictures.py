@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -20,13 +20,19 @@ _SHOWN = 3  # observations in a preview, with the median one
 _STRIPE = (0.93, 0.45, 0.12)
 SHOWN_WHITE = 99.5  # percentile of the reference: display white
 
+Indirect = Callable[[int], np.ndarray | float]
+
+
+def _none(observation: int) -> float:
+    return 0.0
+
 
 def error_preview(
-    domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str]
+    domain: Domain, maps: Maps, truth: Mapping[str, np.ndarray] | None, names: Sequence[str], indirect: Indirect = _none
 ) -> np.ndarray:
     """Return (H, W, 3) display values: reference | recovered | error, of maps with a truth, then of images.
 
-    names: of all observations.
+    names: of all observations. indirect: as for ``image_rows``.
     """
     rows = map_rows(maps, truth, maps.covered) if truth else []
     counted = (layer[layer[..., 3] > 0] for layer in domain.stack.layers())
@@ -35,7 +41,7 @@ def error_preview(
     chosen = [int(order[i]) for i in np.linspace(0, 0.6 * (len(order) - 1), _SHOWN).astype(int)]
     if rows:
         chosen = chosen[:1]
-    rows += image_rows(domain, maps, chosen, [names[k] for k in chosen])
+    rows += image_rows(domain, maps, chosen, [names[k] for k in chosen], indirect)
     return preview(rows, ("Reference", "Recovered", "Error"))
 
 
@@ -96,14 +102,16 @@ def map_rows(maps: Maps, truth: Mapping[str, np.ndarray], covered: np.ndarray) -
     return rows
 
 
-def image_rows(domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str]) -> list[PreviewRow]:
-    """Return the ``image_row`` of each observation."""
+def image_rows(
+    domain: Domain, maps: Maps, observations: Sequence[int], labels: Sequence[str], indirect: Indirect = _none
+) -> list[PreviewRow]:
+    """Return the ``image_row`` of each observation. indirect: returns what to add to the render of an observation."""
     rows = zip(observations, labels, rendered(domain, maps.model, maps.values, observations), strict=True)
-    return [image_row(domain, maps, k, label, render) for k, label, render in rows]
+    return [image_row(domain, maps, k, label, render[..., :3] + indirect(k)) for k, label, render in rows]
 
 
 def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray) -> PreviewRow:
-    """Return the photograph of an observation, its render (H, W, 4), and the difference in % of white.
+    """Return the photograph of an observation, its render (H, W, 3 or more), and the difference in % of white.
 
     Samples of weight 0 show the photograph, without a difference. Clipped samples differ where the render is darker:
     both pictures end at white.

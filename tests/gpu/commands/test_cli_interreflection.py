@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from irpso_addon.solver.views import pictures
 from tests.builders.cavity import cap_card
 from tests.builders.command_line import angle, dome_lights, read_map, run_cli, write_card
 
@@ -76,3 +77,21 @@ def test_what_cannot_have_rounds_is_refused_before_anything_is_written(card, tmp
     code, printed = recover(card[0], tmp_path / "out", "--set", "interreflection_rounds=1", *more)
     assert code == 2 and said in printed["error"]
     assert not (tmp_path / "out").exists()
+
+
+def test_the_preview_renders_what_the_photographs_show(card, tmp_path):
+    # Without the light that was taken off, the renders of the better maps would be too dark by 10 %.
+    from irpso_addon.pipeline import result
+
+    shown = {}
+    with pytest.MonkeyPatch.context() as patch:
+        kept = result.error_preview
+
+        def preview(domain, maps, truth, names, indirect):
+            rows = pictures.image_rows(domain, maps, range(len(names)), names, indirect)
+            shown["error"] = np.mean([row.error[row.compared].mean() for row in rows])
+            return kept(domain, maps, truth, names, indirect)
+
+        patch.setattr(result, "error_preview", preview)
+        assert recover(card[0], tmp_path / "out", "--set", "interreflection_rounds=2")[0] == 0
+    assert shown["error"] < 1.5  # % of white
