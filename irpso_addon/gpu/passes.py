@@ -79,6 +79,11 @@ class Kernel:
             if each in named or (isinstance(kind, Packed) and f"read_{name.removeprefix('u_')}" in named)
         }
 
+    def needed(self, source: str) -> dict[str, str]:
+        """Return the constants that the source of this kernel names, with their kinds: kernels share their tables."""
+        named = set(re.findall(r"\bu_\w+", source))
+        return {name: kind for name, kind in self.constants.items() if name in named}
+
 
 class Pass:
     """A kernel, compiled where it is first run. Fragment and compute entries take the same arguments, write the same.
@@ -95,6 +100,7 @@ class Pass:
         self._shader: Any = None
         self._triangle: Any = None
         self._framebuffers: dict[tuple[int, ...], Any] = {}
+        self._constants: dict[str, str] = {}
         self._active: set[str] = set()
         self._samplers: set[str] = set()
 
@@ -103,9 +109,10 @@ class Pass:
         if self._shader is None:
             source = self._sources()
             declared = _declared(self.kernel, source)
+            self._constants = self.kernel.needed(source)
             build = self._compute if self.entry == "compute" else self._fragment
             self._shader = build(source, declared)
-            self._active = {name for name in self.kernel.constants if _has_uniform(self._shader, name)}
+            self._active = {name for name in self._constants if _has_uniform(self._shader, name)}
             self._samplers = {name for name in declared if _has_uniform(self._shader, name)}
         return self
 
@@ -125,9 +132,10 @@ class Pass:
         try:
             for name in self._samplers:
                 shader.uniform_sampler(name, textures[name])
-            for name in self._active:
-                value = constants[name]
-                (shader.uniform_int if self.kernel.constants[name] == "INT" else shader.uniform_float)(name, value)
+            for name, kind in self._constants.items():
+                value = constants[name]  # on every backend: Vulkan keeps those that OpenGL's compiler removes
+                if name in self._active:
+                    (shader.uniform_int if kind == "INT" else shader.uniform_float)(name, value)
             if self.entry == "compute":
                 self._dispatch(targets, first, last)
             else:
@@ -193,7 +201,7 @@ class Pass:
             info.define(name, str(value))
         for slot, (name, kind) in enumerate(declared.items()):
             info.sampler(slot, kind, name)
-        for name, kind in self.kernel.constants.items():
+        for name, kind in self._constants.items():
             info.push_constant(kind, name)
         return info
 

@@ -62,7 +62,8 @@ def made_once(request):
             key = repr((self.kernel, self.entry))
             if key not in made:
                 compiled(self)
-                made[key] = {name: getattr(self, name) for name in ("_shader", "_triangle", "_active", "_samplers")}
+                kept = "_shader", "_triangle", "_constants", "_active", "_samplers"
+                made[key] = {name: getattr(self, name) for name in kept}
             vars(self).update(made[key])
         return self
 

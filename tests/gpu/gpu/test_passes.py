@@ -219,6 +219,21 @@ def test_unused_samplers_take_no_texture_unit(entry, monkeypatch):
         Pass(copy.kernel, entry).compile()
 
 
+def test_a_pass_takes_the_constants_that_its_source_names_on_every_backend(entry, tmp_path):
+    # OpenGL's compiler removes what it need not compute with; Vulkan keeps every declared constant and wants its value.
+    source = tmp_path / "named.glsl"
+    source.write_text(
+        "bool texel_kernel(ivec2 t)\n{\n    o_0 = vec4(float(u_mark) + 0.0 * float(u_skip * 0));\n    return true;\n}\n"
+    )
+    work = Pass(Kernel(source, (Output("o_0"),), {}, CONSTANTS, {}), entry)
+    target = textures.empty(2, 2, value=BEFORE)
+    work.run([target], {}, {"u_mark": 5, "u_skip": 0})
+    assert (read(target) == 5).all()
+    with pytest.raises(KeyError, match="u_skip"):
+        work.run([target], {}, {"u_mark": 5})
+    work.close()
+
+
 def test_packed_numbers_are_read_and_written_four_to_a_texture(entry, tmp_path):
     kernel = tmp_path / "shift.glsl"
     kernel.write_text(
