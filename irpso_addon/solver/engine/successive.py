@@ -131,10 +131,12 @@ class Successive(RecoveryEngine):
         self._live.close()
 
     def _reconfigured(self, schedule: Schedule, schedules: Sequence[Schedule], seed: int | None) -> Self:
-        """Return a run that continues from here under as many other schedules."""
+        """Return a run that continues from here, or from the next recovery if between two, under other schedules."""
+        if self._passing is not None:
+            self._passed(None)
         result = copy(self)
         result.schedule, result.seed = schedule, self.seed if seed is None else seed
-        result._schedules, result._passing = tuple(schedules), None
+        result._schedules = tuple(schedules)[: len(self._schedules)]
         result._live = self._live.reconfigure(result._schedules[self._at], seed)
         result._count()
         return result

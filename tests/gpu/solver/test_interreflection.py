@@ -129,6 +129,18 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
         assert bits_of(recovery.maps()) == bits_of(whole[0])
 
 
+def test_a_run_continues_wherever_it_takes_settings_again(bowl, whole):
+    recovery, slices = rounds_of(bowl), 0
+    while not recovery.step(time_budget_s=0.02).done:
+        slices += 1
+        if slices % 5 == 0:
+            before, recovery = recovery, recovery.reconfigure(ROUNDS)
+            before.close()
+    with recovery:
+        assert bits_of(recovery.maps()) == bits_of(whole[0])
+    assert slices > 20
+
+
 def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
     with rounds_of(bowl) as recovery, pytest.raises(InputError, match="keeps its settings"):
         recovery.reconfigure(ROUNDS.replaced(interreflection_rounds=1))
