@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -20,7 +19,7 @@ from irpso_addon.blender.scenes.scene import camera_from_object
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.formats.table import TABLE
 from irpso_addon.capture.images.exr import write_exr
-from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.types import Capture
 from irpso_addon.capture.write import write_capture
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.files import new_folder
@@ -30,7 +29,7 @@ from irpso_addon.geometry.domain import Domain
 from . import cards, render
 from .lights import dome_lights, lamp_places
 from .sensor import Sensor
-from .textured import TrueMaps, opaque
+from .textured import TrueMaps, opaque, shots
 
 CAPTURE = "capture"
 _MASK = "mask.exr"
@@ -178,11 +177,7 @@ def _write(name: str, subject: Subject, shooting: Shooting, shown: np.ndarray, f
     taken = render.photographs_near if shooting.near else render.photographs
     pictures = list(taken(folder / "seen", shooting.lights, shadows=shooting.shadows))
     if not shooting.near:
-        shots = tuple(
-            Observation(f"light {n}", partial(opaque, image), Light(tuple(map(float, direction))))
-            for n, (image, direction) in enumerate(zip(pictures, shooting.lights, strict=True))
-        )
-        write_capture(Capture(name, shots, (_camera(subject),), (shown,)), folder / CAPTURE)
+        write_capture(Capture(name, shots(pictures, shooting.lights), (_camera(subject),), (shown,)), folder / CAPTURE)
         return
     brightest = np.stack(pictures).max(axis=-1)[:, shown]
     sensor = Sensor(gain=float(1 / np.quantile(brightest, 1 - _CLIPPED)), **_NOISE)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from irpso_addon.blender.scenes.scene import camera_from_object
-from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.types import Capture
 from irpso_addon.capture.write import write_capture
 
 from . import materials, render, subjects
 from .lights import dome_lights
-from .textured import BLEND, CAPTURE, NAME, opaque, save_blend
+from .textured import BLEND, CAPTURE, NAME, save_blend, shots
 
 LIGHTS = dome_lights(40, 60.0)
 _BOUNCES = 8
@@ -83,16 +82,13 @@ def photograph(name: str, side: int, samples: int, cache: Path) -> tuple[Path, P
         bpy.data.objects[NAME].data.materials.append(materials.build(HOLLOWS[name].finish))
         mask = render.truth(folder / "seen")["coverage"] > 0.999
         camera = camera_from_object(bpy.context.scene.camera, side, side)
-        shots = tuple(
-            Observation(f"light {n}", partial(opaque, picture), Light(tuple(map(float, LIGHTS[n]))))
-            for n, picture in enumerate(render.photographs(folder / "seen", LIGHTS))
-        )
-        write_capture(Capture(name, shots, (camera,), (mask,)), folder / CAPTURE)
+        taken = shots(render.photographs(folder / "seen", LIGHTS), LIGHTS)
+        write_capture(Capture(name, taken, (camera,), (mask,)), folder / CAPTURE)
     return folders[0], folders[1]
 
 
 def arguments(folder: Path, texels: int) -> tuple[object, ...]:
-    """Return what ``recover`` is told besides the capture."""
+    """Return the arguments of ``recover`` besides the capture."""
     return "--blend", folder / BLEND, "--object", NAME, "--resolution", texels
 
 

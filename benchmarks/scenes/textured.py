@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -112,12 +112,16 @@ def photograph(
     radiances = list(render.photographs(folder / "seen", directions))
     if not (folder / CAPTURE).exists():
         camera = camera_from_object(bpy.context.scene.camera, view.width, view.height)
-        shots = tuple(
-            Observation(f"light {n}", partial(opaque, image), Light(tuple(map(float, direction))))
-            for n, (image, direction) in enumerate(zip(radiances, directions, strict=True))
-        )
-        write_capture(Capture(folder.name, shots, (camera,), (mask,)), folder / CAPTURE)
+        write_capture(Capture(folder.name, shots(radiances, directions), (camera,), (mask,)), folder / CAPTURE)
     return np.stack(list(render.photographs(folder / "unseen", unseen))), mask
+
+
+def shots(pictures: Iterable[np.ndarray], directions: np.ndarray) -> tuple[Observation, ...]:
+    """Return the observations of pictures (H, W, 3) under distant lights of intensity 1, (K, 3) directions."""
+    return tuple(
+        Observation(f"light {n}", partial(opaque, picture), Light(tuple(map(float, direction))))
+        for n, (picture, direction) in enumerate(zip(pictures, directions, strict=True))
+    )
 
 
 def photograph_result(blend: Path, view: render.View, folder: Path, unseen: np.ndarray) -> np.ndarray:

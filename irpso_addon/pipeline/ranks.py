@@ -92,7 +92,7 @@ def run_on_ranks(
     try:
         with going_down_together(ranks, lambda: leader is None or leader.busy):
             started = time.perf_counter()
-            job = ranks.agreed(lambda: _one_level(checked()))
+            job = ranks.agreed(lambda: _divisible(checked()))
             check_alike(ranks, options, job.capture)
             worker, found = _joined(ranks, options, job)
             if worker is None:
@@ -125,7 +125,7 @@ def refused(ranks: Ranks, options: Namespace, error: IrpsoError) -> dict[str, An
     return {"exit_code": error.exit_code}
 
 
-def _one_level(job: Job) -> Job:
+def _divisible(job: Job) -> Job:
     if job.schedule.levels > 1:
         raise InputError(
             f"levels = {job.schedule.levels}: several ranks do not solve a domain coarse to fine; set levels = 1, or"

@@ -228,17 +228,9 @@ class Run:
             prepared = yield from self._prepared(fitted, untiled(plan))
         yield
         self.recovery = planned_recovery(
-            plan,
-            fitted,
-            job.model,
-            job.schedule,
-            job.seed,
-            self.fixed,
-            job.entry,
-            job.scratch,
-            prepared,
+            plan, fitted, job.model, job.schedule, job.seed, self.fixed, job.entry, job.scratch, prepared,
             self._surroundings(),
-        )
+        )  # fmt: skip
 
     def _surroundings(self) -> Surroundings | None:
         """Return what lights the subject besides the lamps; None where the schedule does not ask for it."""

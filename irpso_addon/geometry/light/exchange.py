@@ -15,11 +15,11 @@ import numpy as np
 
 from ..surface.bake import SurfaceBake
 from ..surface.mesh import MeshData
+from .shadows import corner_weights
 
 Cast = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # blender/ray_caster.py
 _PLASTIC = 1.32471795724474602596  # the real root of x³ = x + 1, of the R2 sequence
 _LIFT = 1e-4  # by which rays begin above the surface, as a fraction of the subject's size
-_BLOCK = 1 << 16  # rays at a time
 _LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: it counts only where no other is near
 
 
@@ -112,13 +112,7 @@ class _Grid:
 
     def elements_at(self, mesh: MeshData, triangle: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return (N,) the elements nearest to places (N, 3) on triangles that rays meet; −1 on backs, and unsolved."""
-        corners = mesh.positions[triangle].astype(np.float64)
-        first, second, off = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], place - corners[:, 0]
-        across = np.cross(first, second)
-        area = np.maximum(np.einsum("ni,ni->n", across, across), 1e-300)
-        b = np.einsum("ni,ni->n", np.cross(off, second), across) / area
-        c = np.einsum("ni,ni->n", np.cross(first, off), across) / area
-        weights = np.stack([1 - b - c, b, c], axis=-1)
+        weights = corner_weights(mesh.positions[triangle].astype(np.float64), place)
         uv = np.einsum("nk,nki->ni", weights, mesh.uvs[triangle])
         normal = np.einsum("nk,nki->ni", weights, mesh.normals[triangle])
         height, width = self._bake.coverage.shape

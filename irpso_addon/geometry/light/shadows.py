@@ -170,7 +170,7 @@ def _lifted(mesh: MeshData, bake: SurfaceBake) -> np.ndarray:
         corners, normals = mesh.positions[numbers].astype(np.float64), mesh.normals[numbers].astype(np.float64)
         points = lifted[part].astype(np.float64)
         below = np.minimum(np.einsum("nkj,nkj->nk", points[:, None] - corners, normals), 0)
-        lifted[part] = points - np.einsum("nk,nkj->nj", _corner_weights(corners, points) * below, normals)
+        lifted[part] = points - np.einsum("nk,nkj->nj", corner_weights(corners, points) * below, normals)
     return lifted
 
 
@@ -183,7 +183,7 @@ def _toward(light: Light, points: np.ndarray) -> np.ndarray:
     return toward / np.maximum(np.linalg.norm(toward, axis=1), 1e-300)[:, None]
 
 
-def _corner_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+def corner_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return (N, 3) barycentric weights, 0…1, of points (N, 3) in triangles (N, 3, 3); thirds in collapsed ones."""
     a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
     aa, ab, bb = (np.einsum("ij,ij->i", u, v) for u, v in ((a, a), (a, b), (b, b)))

@@ -35,18 +35,10 @@ class Renderer:
         card: bool = False,
     ):
         context.ensure()
-        state = bake.coverage.astype(np.float32)
-        self._inputs: dict[str, Texture] = {
-            "u_geometry": textures.upload_layers(
-                geometry_layers(bake.position, bake.normal, bake.tangent, state, np.ones_like(state))
-            ),
-            **Estimates(model, dict(values)).bindings(),
-            "u_observation_table": upload_observations(lights, intensities, views),
-            # Never read; Vulkan requires a binding for every declared sampler.
-            "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
-        }
+        self._inputs = render_inputs(bake, model, values, lights, intensities, views)
         self._pass = render_pass(model, observation_defines(lights, views, card))
-        self._target = textures.empty(state.shape[1], state.shape[0])
+        height, width = bake.coverage.shape
+        self._target = textures.empty(width, height)
 
     def render(self, observation: int) -> np.ndarray:
         """Return (H, W, 4) float32 linear radiance under one light; alpha is 1 on the surface."""
@@ -58,6 +50,27 @@ class Renderer:
         self._pass.close()
         self._inputs.clear()
         del self._target
+
+
+def render_inputs(
+    bake: GeometryBake,
+    model: ReflectanceModel,
+    values: Mapping[str, np.ndarray],
+    lights: np.ndarray,
+    intensities: np.ndarray,
+    views: np.ndarray,
+) -> dict[str, Texture]:
+    """Return the textures of a pass that renders maps and reads no samples; the arguments are as for Renderer."""
+    state = bake.coverage.astype(np.float32)
+    return {
+        "u_geometry": textures.upload_layers(
+            geometry_layers(bake.position, bake.normal, bake.tangent, state, np.ones_like(state))
+        ),
+        **Estimates(model, dict(values)).bindings(),
+        "u_observation_table": upload_observations(lights, intensities, views),
+        # Never read; Vulkan requires a binding for every declared sampler.
+        "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
+    }
 
 
 def camera_renderer(

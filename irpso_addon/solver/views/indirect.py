@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from functools import cached_property
 
 import numpy as np
 
-from ...geometry.domain import Domain, GeometryBake
+from ...geometry.domain import Domain
 from ...geometry.light.exchange import Exchange
 from ...gpu import context, textures
-from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ..kernels.kernels import exchange_pass
-from ..state.textures import Estimates, geometry_layers, observation_defines, upload_observations
+from ..state.prepare import light_vectors
+from ..state.textures import observation_defines
+from .forward import render_inputs
 
 _CHUNK = 1 << 22  # distances at a time, of elements from each other
 _LEAST_ALBEDO = 0.02  # brings out the detail of albedo between elements, without the noise of black ones
@@ -42,39 +43,37 @@ class IndirectLight:
     ):
         context.ensure()
         self._domain, self._exchange, self._bounces = domain, exchange, bounces
-        self._albedo = next((values[p.name] for p in model.parameters if p.is_albedo), None)
+        albedo = next((values[p.name] for p in model.parameters if p.is_albedo), None)
+        self._albedo = None if albedo is None else np.maximum(_flat(albedo), _LEAST_ALBEDO)
         count = len(exchange.texels)
         columns = math.isqrt(count - 1) + 1
         self._shape = -(-count // columns), columns
-        flat = {item.name: self._laid(_flat(getattr(domain.bake, item.name))[exchange.texels])
-                for item in fields(GeometryBake)}  # fmt: skip
-        state = self._laid(np.ones(count, np.float32))
-        materials = {name: self._laid(value) for name, value in self._materials(model, values).items()}
+        found = self._materials(model, values)
+        self._normals = next(found[p.name] for p in model.parameters if p.is_normal)
+        bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
+        materials = {name: self._laid(value) for name, value in found.items()}
+        self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
-        self._inputs: dict[str, Texture] = {
-            "u_geometry": textures.upload_layers(
-                geometry_layers(flat["position"], flat["normal"], flat["tangent"], state, np.ones_like(state))
-            ),
-            **Estimates(model, materials).bindings(),
-            "u_observation_table": upload_observations(domain.lights, domain.intensities, domain.views),
-            "u_rays": textures.upload_layers(np.stack([self._laid(ray) for ray in rays])),
-            # Never read; Vulkan requires a binding for every declared sampler.
-            "u_stack": textures.upload_layers(np.zeros((1, 1, 1, 4))),
-        }
+        self._inputs["u_rays"] = textures.upload_layers(np.stack([self._laid(ray) for ray in rays]))
         self._pass = exchange_pass(model, observation_defines(domain.lights, domain.views, domain.card))
 
     def at_texels(self, radiance: np.ndarray) -> np.ndarray:
         """Return (T, 3) float32 at the covered texels, row by row, of the radiance of elements (E, 3)."""
         if self._albedo is None:
             return self._exchange.at_texels(radiance)
-        albedo, covered = np.maximum(_flat(self._albedo), _LEAST_ALBEDO), _flat(self._domain.bake.coverage)
-        return self._exchange.at_texels(radiance / albedo[self._exchange.texels]) * albedo[covered]
+        detail = self._albedo[_flat(self._domain.bake.coverage)]
+        return self._exchange.at_texels(radiance / self._albedo[self._exchange.texels]) * detail
 
-    @property
+    @cached_property
     def shown(self) -> np.ndarray:
         """(K, E) what the photographs show of the elements, mean of the channels; 0 where nothing was photographed."""
-        place = np.divmod(self._exchange.texels, self._domain.shape[1])
-        return self._domain.stack.texels(*place)[..., :3].mean(axis=-1)
+        return self._domain.stack.texels(*self._places)[..., :3].mean(axis=-1)
+
+    @property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the elements' texels."""
+        rows, columns = np.divmod(self._exchange.texels, self._domain.shape[1])
+        return rows, columns
 
     def strength(self, radiance: np.ndarray) -> float:
         """Return by how much to multiply radiances (K, E, 3) of the elements, to agree with what shadows show.
@@ -82,22 +81,20 @@ class IndirectLight:
         Where no lamp reaches, a photograph shows this light alone. It has a free factor: that of the lamps' intensities
         and of the base colours, which the direct light cannot tell apart. 1 where there are no such samples.
         """
-        domain, exchange = self._domain, self._exchange
-        rows, columns = np.divmod(exchange.texels, domain.shape[1])
-        shown = self.shown
-        place, normal = domain.bake.position[rows, columns], self._normals
-        toward = domain.lights[:, None, :3] - domain.lights[:, None, 3:] * place
-        cosine = (toward * normal).sum(axis=-1) / np.linalg.norm(toward, axis=-1)
+        domain, shown = self._domain, self.shown
+        toward, _ = light_vectors(domain, self._places)
+        cosine = (toward * self._normals).sum(axis=-1)
         views, camera = np.unique(domain.views, axis=0, return_inverse=True)
         camera = camera.ravel()  # numpy 2.0 gives it another axis
         seen = np.stack([(shown[camera == number] > 0).any(axis=0) for number in range(len(views))])[camera]
         mine = radiance.mean(axis=-1)
-        dark = ~exchange.lit | (cosine < _AWAY)
-        told = dark & seen & domain.solvable[rows, columns] & (mine > _LEAST_SHARE * np.percentile(shown[seen], 90))
-        if np.count_nonzero(told) < _LEAST_SAMPLES:
+        dark = ~self._exchange.lit | (cosine < _AWAY)
+        enough = mine > _LEAST_SHARE * np.percentile(shown[seen], 90)
+        counted = dark & seen & enough & domain.solvable[self._places]
+        if np.count_nonzero(counted) < _LEAST_SAMPLES:
             return 1.0
         # A median: a lamp that reaches where it seemed not to is far brighter.
-        ratio, weight = shown[told] / mine[told], mine[told]
+        ratio, weight = shown[counted] / mine[counted], mine[counted]
         order = np.argsort(ratio)
         middle = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
         return float(min(ratio[order[middle]], _MOST_STRENGTH))
@@ -137,8 +134,6 @@ class IndirectLight:
             found[p.name] = _flat(values[p.name])[texels[alike]]
             if p.is_normal:
                 found[p.name][~recovered] = (0.0, 0.0, 1.0)
-                frames = self._domain.bake.frames(np.divmod(texels, self._domain.shape[1]))
-                self._normals = np.einsum("ei,eij->ej", found[p.name], frames)
         return found
 
     def _nearest_recovered(self, recovered: np.ndarray) -> np.ndarray:
