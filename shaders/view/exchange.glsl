@@ -11,7 +11,7 @@
 
 // The most that a ray brings, for light of intensity 1: one that meets a narrow highlight, or lies in a narrow lobe,
 // stands for many that do not, and would leave a lone bright element.
-#define MOST 4.0
+#define MOST 64.0
 
 // What an element sends in a direction, times the share that its receiver reflects.
 vec3 brought(ivec2 element, vec3 toward, vec3 share)
@@ -34,7 +34,7 @@ bool texel_kernel(ivec2 texel)
     }
     Frame f = frame_at(texel);
     Material s = estimate_at(texel);
-    vec3 v = u_to_camera == 1 ? view_at(f, u_observation) : vec3(0.0, 0.0, 1.0);
+    vec3 v = view_at(f, u_observation);
     vec3 sum = vec3(0.0);
     for (int r = 0; r < u_ray_count; r++) {
         vec4 ray = texelFetch(u_rays, ivec3(texel, r), 0);
@@ -43,6 +43,9 @@ bool texel_kernel(ivec2 texel)
             continue;
         }
         vec3 l = to_local(f, ray.xyz);
+        if (u_to_camera == 0) {
+            v = to_local(f, texelFetch(u_rays, ivec3(texel, u_ray_count - 1 - r), 0).xyz);
+        }
         vec3 share = min(reflectance(s, l, v) / max(l.z, 1e-4), vec3(MOST));
         sum += brought(ivec2(hit % u_columns, hit / u_columns), -ray.xyz, share);
     }

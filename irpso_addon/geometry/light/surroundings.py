@@ -21,7 +21,12 @@ CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
 
 
 class Surroundings(Protocol):
-    """Makes of a domain and its maps the surface that lights itself."""
+    """Makes of a domain and its maps the surface that lights itself.
+
+    shape_known: whether the surface is the same whatever the maps are.
+    """
+
+    shape_known: bool
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
         """Yield the fraction of the work done; return the surface's domain, its exchange, and the maps on it."""
@@ -35,6 +40,7 @@ class MeshSurroundings:
     caster_of: CasterOf
     resolution: int
     rays: int
+    shape_known: bool = True
     _exchange: Exchange | None = None
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
@@ -56,6 +62,7 @@ class CardSurroundings:
     caster_of: CasterOf
     resolution: int
     rays: int
+    shape_known: bool = False
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
         """Work as Surroundings, every time anew: the relief follows the maps."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -24,25 +25,33 @@ from ..state import prepare
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from ..views.indirect import IndirectLight
+from .reconfigure import given
 from .recovery import Recovery
 from .successive import Successive
 
 _AT = "interreflection"  # in a checkpoint: the round, and the evaluations of those before it
 _ERRORS = "interreflection_errors"
+_EXPLAINED = "explained"  # beside the maps of a basis: (H, W, 1), 1 where they explain the photographs
 _BASIS = "interreflection_of_{}_"  # before the maps that a round's light was found from
 # By how much the light that is taken off moves toward the new one. Too bright an albedo makes it too bright, and the
 # next albedo too dark: with 1 the rounds swing about the answer, with 0.75 two reach it.
+# With held normals the first answer is nearer: there it moves all the way.
 _RELAXATION = 0.75
 _LEAST_SHARE = 0.003  # of the light of the photographs: less is not worth a round
+_MOST_RESIDUAL = 0.5  # of a texel's light: where more is left, what was found is not the material
+_MOST_SHARE = 0.5  # of a texel's light: where more of it is indirect, what is left tells of the errors of that light
 
 
 class InterreflectionRounds(Successive):
     """A ``RecoveryEngine`` that recovers a domain, then ``interreflection.rounds`` times without indirect light.
 
     After each recovery the light that its maps make the subject throw on itself (views/indirect.py) is subtracted from
-    the photographs, and the domain is recovered again from them; it ends earlier where there is next to none of that
-    light. surroundings: what the light comes from. prepared: from ``prepare``, of the photographs as they are. scratch:
-    a folder for the second sample stack, None for memory. The others are as for Recovery.
+    the photographs, and the domain is recovered again from them. Where the surroundings know the shape, all recoveries
+    but the last hold its normals: those that photographs with indirect light show in a hollow of metal lead astray. The
+    last one begins with their materials. Where there is next to none of that light, the maps are those of a Recovery.
+
+    surroundings: what the light comes from. prepared: from ``prepare``, of the photographs as they are. scratch: a
+    folder for the second sample stack, None for memory. The others are as for Recovery.
     """
 
     def __init__(
@@ -57,8 +66,10 @@ class InterreflectionRounds(Successive):
         prepared: Prepared | None = None,
         scratch: Path | None = None,
     ):
-        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule))
+        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, surroundings))
         self._surroundings, self._scratch = surroundings, scratch
+        self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
+        self._stand_in: dict[str, np.ndarray] = {}  # their maps
         self._samples: ArrayStack | None = None  # without indirect light
         self._errors: list[float] = []  # mean errors of the renders at the ends of the rounds
         self._strengths: list[float] = []  # by which each round's light was multiplied
@@ -67,7 +78,21 @@ class InterreflectionRounds(Successive):
         self._live = self._begin(domain, prepared)
 
     def maps(self, confidence: bool = True) -> Maps:
-        return self._live.maps(confidence)
+        """Return the maps of the current recovery, as RecoveryEngine.maps.
+
+        Where most light is indirect, those of the last have the mesh's normals, the material of the nearest texels
+        where it is not, and deviations as wide as can be.
+        """
+        maps = self._live.maps(confidence)
+        if self._held(self._at) or not self._dominated.any():
+            return maps
+        there = self._dominated[..., None]
+        values = {name: np.where(there, self._stand_in[name], value) for name, value in maps.values.items()}
+        widest = {p.name: math.pi / 2 if p.is_normal else p.range[1] - p.range[0] for p in self.model.parameters}
+        deviations = maps.confidence and {
+            name: np.where(there, np.float32(widest[name]), value) for name, value in maps.confidence.items()
+        }
+        return replace(maps, values=values, confidence=deviations)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -80,7 +105,8 @@ class InterreflectionRounds(Successive):
 
     @property
     def findings(self) -> dict[str, Any]:
-        return {"interreflection": {"rounds": len(self._strengths), "strength": self._strengths}}
+        found = {"rounds": len(self._strengths), "strength": self._strengths}
+        return {"interreflection": found | {"dominated_texels": int(np.count_nonzero(self._dominated))}}
 
     def indirect(self, observation: int) -> np.ndarray | float:
         if self._at == 0 or self._samples is None:
@@ -104,12 +130,12 @@ class InterreflectionRounds(Successive):
         self._errors = saved.arrays[_ERRORS].tolist()
         self._bases, self._strengths, domain = [], [], self.domain
         for number in range(self._at):
-            self._bases.append(
-                {p.name: np.zeros((*domain.shape, p.components), np.float32) for p in self.model.parameters}
-            )
+            sizes = {p.name: p.components for p in self.model.parameters} | {_EXPLAINED: 1}
+            self._bases.append({name: np.zeros((*domain.shape, n), np.float32) for name, n in sizes.items()})
             for name, value in self._bases[-1].items():
                 value[domain.solvable] = saved.arrays[_BASIS.format(number) + name]
-            domain = present(run_steps(self._without_indirect()))
+            domain = run_steps(self._without_indirect()) or self._without_rounds(number + 1)
+        self._count()
         self._live = self._begin(domain)
         own = {name: array for name, array in saved.arrays.items() if not name.startswith(_AT)}
         self._live.restore(replace(saved, arrays=own))
@@ -118,7 +144,7 @@ class InterreflectionRounds(Successive):
         """Return a run that continues from here, as Recovery.reconfigure; settings of interreflection must stay."""
         if schedule.interreflection != self.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or begin another")
-        return self._reconfigured(schedule, _schedules(schedule), seed)
+        return self._reconfigured(schedule, _schedules(schedule, self._surroundings), seed)
 
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self.domain.solvable))
@@ -126,23 +152,54 @@ class InterreflectionRounds(Successive):
     def _ending(self, number: int) -> str:
         return f", round {number} of interreflection" if number else ""
 
+    def _held(self, number: int) -> bool:
+        """Return whether a recovery holds the normals of the known shape."""
+        return self._surroundings.shape_known and number < len(self._schedules) - 1
+
+    def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
+        own = np.zeros((*self.domain.shape, 3), np.float32)
+        own[..., 2] = 1
+        held = {p.name: own for p in self.model.parameters if p.is_normal and self._held(number)}
+        return held | dict(self.fixed)
+
     def _begin(self, domain: Domain, prepared: Prepared | None = None) -> Recovery:
         schedule = self._schedules[self._at]
         prepared = prepared or prepare.prepare(domain, self.model, schedule)
-        return Recovery(domain, self.model, schedule, self.seed, self.fixed, self.entry, prepared)
+        if schedule.swarm.seed == "given" and self._bases:
+            prepared = replace(prepared, guess=self._bases[-1])
+        return Recovery(domain, self.model, schedule, self.seed, self._fixed_in(self._at), self.entry, prepared)
 
     def _next(self) -> Iterator[None]:
-        self._bases.append(dict(self._live.maps(confidence=False).values))
+        self._bases.append(self._basis())
         self._errors.append(self.mean_error())
         domain = yield from self._without_indirect()
-        if domain is None:
+        if domain is None and not self._held(self._at):
             self._schedules = self._schedules[: self._at + 1]
             self._count()
             return
+        domain = domain or self._without_rounds(self._at + 1)
         self._before += self._live.progress.evaluations
         self._live.close()
         self._at += 1
         self._live = self._begin(domain)
+
+    def _basis(self) -> dict[str, np.ndarray]:
+        """Return the live maps by name, and where they explain the photographs."""
+        maps, stack = self._live.maps(confidence=False), self._live.domain.stack
+        light, count = np.zeros(self.domain.shape), np.zeros(self.domain.shape)
+        for layer in stack.layers():
+            counted = layer[..., 3] > 0
+            light += counted * layer[..., :3].mean(axis=-1)
+            count += counted
+        explained = present(maps.residual) * np.maximum(count, 1) <= _MOST_RESIDUAL * light
+        return {**maps.values, _EXPLAINED: explained[..., None].astype(np.float32)}
+
+    def _without_rounds(self, last: int) -> Domain:
+        """Make a recovery the last one, without anything of those before it; return its domain."""
+        self._schedules = (*self._schedules[:last], self.schedule)
+        self._samples = None
+        self._count()
+        return self.domain
 
     def _without_indirect(self) -> Generator[None, None, Domain | None]:
         """Return, yielding often, the domain with less of the light that its last maps make it throw on itself.
@@ -150,13 +207,16 @@ class InterreflectionRounds(Successive):
         None where there is next to none.
         """
         settings, domain = self.schedule.interreflection, self.domain
-        first = len(self._bases) == 1
+        first, relaxation = len(self._bases) == 1, 1.0 if self._surroundings.shape_known else _RELAXATION
         samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
         surface, exchange, values = yield from map_steps(
             self._surroundings.steps(domain, self._bases[-1]), lambda part: None
         )
         covered = surface.bake.coverage
-        with closing(IndirectLight(surface, exchange, self.model, values, settings.bounces)) as light:
+        known = domain.solvable & (values[_EXPLAINED][..., 0] > 0) & ~self._dominated
+        if not known.any():
+            known = domain.solvable
+        with closing(IndirectLight(surface, exchange, self.model, values, known, settings.bounces)) as light:
             radiance = np.empty((domain.observations, len(exchange.texels), 3), np.float32)
             for observation in range(domain.observations):
                 radiance[observation] = light.of_elements(observation)
@@ -165,15 +225,27 @@ class InterreflectionRounds(Successive):
             self._strengths.append(strength)
             if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
                 return None
+            taken, shown = np.zeros((2, int(covered.sum())))
             for sample, layer, indirect in zip(samples.layers(), domain.stack.layers(), radiance, strict=True):
                 if first:
                     sample[:] = layer
-                off = layer[covered, :3] - strength * light.at_texels(indirect)
-                sample[covered, :3] += _RELAXATION * (np.maximum(off, 0) - sample[covered, :3])
+                light_of_texels = strength * light.at_texels(indirect)
+                off = np.maximum(layer[covered, :3] - light_of_texels, 0)
+                sample[covered, :3] += relaxation * (off - sample[covered, :3])
+                seen = layer[covered, 3] > 0
+                taken += seen * light_of_texels.mean(axis=-1)
+                shown += seen * layer[covered, :3].mean(axis=-1)
                 yield
+            if self._surroundings.shape_known:
+                self._dominated[covered] = taken > _MOST_SHARE * shown
+                self._dominated &= domain.solvable
+                for name, value in light.materials.items():
+                    self._stand_in[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)
+                    self._stand_in[name][covered] = exchange.at_texels(value)
         return replace(domain, stack=samples)
 
 
-def _schedules(schedule: Schedule) -> tuple[Schedule, ...]:
+def _schedules(schedule: Schedule, surroundings: Surroundings) -> tuple[Schedule, ...]:
     """Return the schedule of each recovery."""
-    return (schedule,) * (1 + schedule.interreflection.rounds)
+    rounds = schedule.interreflection.rounds
+    return (*(schedule,) * rounds, given(schedule) if surroundings.shape_known else schedule)

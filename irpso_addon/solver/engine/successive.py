@@ -94,8 +94,8 @@ class Successive(RecoveryEngine):
         done = sum(self._costs[:at]) + live.fraction * self._costs[at]
         return replace(
             live,
-            stage=at * live.stages + live.stage,
-            stages=len(self._schedules) * live.stages,
+            stage=sum(self._stages[:at]) + live.stage,
+            stages=sum(self._stages),
             title=live.title + self._ending(at),
             iteration_in_all=sum(self._iterations[:at]) + live.iteration_in_all,
             iterations_in_all=sum(self._iterations),
@@ -141,12 +141,17 @@ class Successive(RecoveryEngine):
         result._count()
         return result
 
+    def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
+        """Return the fixed parameters of a recovery."""
+        return self.fixed
+
     def _count(self) -> None:
-        """Find iterations and costs of all recoveries."""
-        fixed, observations = set(self.fixed), self.domain.observations
-        self._iterations, self._costs = [], []
+        """Find stages, iterations and costs of all recoveries."""
+        observations = self.domain.observations
+        self._stages, self._iterations, self._costs = [], [], []
         for number, schedule in enumerate(self._schedules):
-            stages = resolve(schedule, self.model, fixed, observations)
+            stages = resolve(schedule, self.model, set(self._fixed_in(number)), observations)
             work = sum(sum(work_of(stage, self.model, schedule, observations)) for stage in stages)
+            self._stages.append(len(stages))
             self._iterations.append(sum(stage.iterations for stage in stages))
             self._costs.append(work * self._texels(number))

@@ -258,10 +258,10 @@ class Interreflection:
         " it; 0 for never", 0, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
-        "Resolution", "Elements along the longer side of the maps that light one another, at most", 96, least=8,
+        "Resolution", "Elements along the longer side of the maps that light one another, at most", 64, least=8,
         most=1024, soft_max=256,
     )  # fmt: skip
-    rays: int = setting("Rays", "Directions from which an element receives light", 64, least=8, most=1024, soft_max=256)
+    rays: int = setting("Rays", "Directions that an element receives light from", 256, least=8, most=1024, soft_max=512)
     bounces: int = setting("Bounces", "From surface to surface, at most", 3, least=1, most=16, soft_max=8)
 
 

@@ -22,15 +22,16 @@ _LEAST_ALBEDO = 0.02  # brings out the detail of albedo between elements, withou
 _AWAY = -0.1  # cosine to a light from which on a normal that is off by 5° still faces away
 _LEAST_SHARE = 0.01  # of the brightness of the photographs: less tells nothing
 _LEAST_SAMPLES = 100
-_MOST_STRENGTH = 3.0
+_MOST_STRENGTH = 30.0
 
 
 class IndirectLight:
     """Finds what a subject's maps make it throw on itself. Close it after use.
 
     domain: of the maps. exchange: its elements. bounces: between surfaces. The maps are values: parameter name →
-    (H, W, components), the domain's solvable texels count. Elements that were not recovered have the material of the
-    nearest one that was, and the mesh's own normal.
+    (H, W, components). known: (H, W) bool, where they tell the material; elsewhere elements have that of the nearest
+    one where they do. Elements that are not solvable have the mesh's own normal. materials: those of the E elements,
+    parameter name → (E, components).
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class IndirectLight:
         exchange: Exchange,
         model: ReflectanceModel,
         values: Mapping[str, np.ndarray],
+        known: np.ndarray,
         bounces: int,
     ):
         context.ensure()
@@ -48,10 +50,10 @@ class IndirectLight:
         count = len(exchange.texels)
         columns = math.isqrt(count - 1) + 1
         self._shape = -(-count // columns), columns
-        found = self._materials(model, values)
-        self._normals = next(found[p.name] for p in model.parameters if p.is_normal)
+        self.materials = self._materials(model, values, known)
+        self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
         bake = domain.bake.each(lambda flat: self._laid(_flat(flat)[exchange.texels]))
-        materials = {name: self._laid(value) for name, value in found.items()}
+        materials = {name: self._laid(value) for name, value in self.materials.items()}
         self._inputs = render_inputs(bake, model, materials, domain.lights, domain.intensities, domain.views)
         rays = np.concatenate([exchange.directions, exchange.hits[..., None]], axis=-1, dtype=np.float32)
         self._inputs["u_rays"] = textures.upload_layers(np.stack([self._laid(ray) for ray in rays]))
@@ -124,23 +126,25 @@ class IndirectLight:
         laid[: len(values)] = values
         return laid.reshape(*self._shape, *values.shape[1:])
 
-    def _materials(self, model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return parameter name → (E, components) of all elements."""
+    def _materials(
+        self, model: ReflectanceModel, values: Mapping[str, np.ndarray], known: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return parameter name → (E, components) of all elements: their own, or those of the nearest known one."""
         texels = self._exchange.texels
-        recovered = _flat(self._domain.solvable)[texels]
-        alike = self._nearest_recovered(recovered)
+        alike = self._nearest(_flat(known)[texels])
         found = {}
         for p in model.parameters:
             found[p.name] = _flat(values[p.name])[texels[alike]]
             if p.is_normal:
-                found[p.name][~recovered] = (0.0, 0.0, 1.0)
+                own = _flat(self._domain.solvable)[texels, None]
+                found[p.name] = np.where(own, _flat(values[p.name])[texels], np.array((0, 0, 1), np.float32))
         return found
 
-    def _nearest_recovered(self, recovered: np.ndarray) -> np.ndarray:
-        """Return (E,) for each element the nearest recovered one: itself, where it is."""
+    def _nearest(self, known: np.ndarray) -> np.ndarray:
+        """Return (E,) for each element the nearest known one: itself, where it is."""
         places = _flat(self._domain.bake.position)[self._exchange.texels]
-        nearest, others = np.arange(len(places)), np.flatnonzero(recovered)
-        missing = np.flatnonzero(~recovered)
+        nearest, others = np.arange(len(places)), np.flatnonzero(known)
+        missing = np.flatnonzero(~known)
         for part in np.array_split(missing, -(-len(missing) * len(others) // _CHUNK) or 1):
             squared = ((places[part, None] - places[others]) ** 2).sum(axis=-1)
             nearest[part] = others[squared.argmin(axis=1)] if len(part) else part
