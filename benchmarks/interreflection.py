@@ -30,8 +30,9 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 
 _INSIDE = 0.05
+_WIDEST = 0.999 * np.pi / 2  # deviations of normals that no photograph tells
 _CACHE = report.CACHE.parent / "hollows"
-_RUNS = {"before": 0, "2 rounds": 2, "oracle": 0}
+_RUNS = {"standard": "standard", "thorough": "thorough", "oracle": "standard"}  # name → preset
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -41,10 +42,9 @@ def measure(quick: bool) -> dict[str, Any]:
     for name in list(hollows.HOLLOWS)[: 1 if quick else None]:
         with_all, with_none = hollows.photograph(name, side, samples, _CACHE)
         share = indirect_share(with_all, with_none, texels)
-        for run, rounds in _RUNS.items():
+        for run, preset in _RUNS.items():
             folder, out = with_none if run == "oracle" else with_all, _CACHE / "recovered" / f"{name}-{run}"
-            settings = "--set", f"interreflection_rounds={rounds}"
-            seconds = recover(folder / CAPTURE, out, *hollows.arguments(folder, texels), *settings)
+            seconds = recover(folder / CAPTURE, out, *hollows.arguments(folder, texels), "--preset", preset)
             report.say(f"{name}, {run}: {seconds:.0f} s")
             for where, texel in (("inside", share > _INSIDE), ("outside", (share >= 0) & (share <= _INSIDE))):
                 rows.append({"body": name, "run": run, "where": where, "seconds": seconds, **errors(name, out, texel)})
@@ -66,13 +66,16 @@ def indirect_share(with_all: Path, with_none: Path, texels: int) -> np.ndarray:
 def errors(name: str, out: Path, chosen: np.ndarray) -> dict[str, Any]:
     """Return the errors of a recovery at some texels, (H, W) bool."""
     body, found = hollows.HOLLOWS[name], read_maps(out, load_model("metallic_roughness"))
-    (coverage,) = read_exr(out / "maps.exr")["coverage"].values()
+    parts = read_exr(out / "maps.exr")
+    (coverage,), (deviation,) = (parts[name].values() for name in ("coverage", "confidence_normal"))
     chosen = chosen & (coverage > 0)
-    if not chosen.any():
+    unknown = deviation > _WIDEST
+    if not (chosen & ~unknown).any():
         return {"texels": 0}
     return {
         "texels": int(chosen.sum()),
-        "normal": asdict(Errors.of(angles(found["normal"], np.array((0.0, 0.0, 1.0)))[chosen])),
+        "unknown": float(unknown[chosen].mean()),
+        "normal": asdict(Errors.of(angles(found["normal"], np.array((0.0, 0.0, 1.0)))[chosen & ~unknown])),
         "color": float((found["base_color"][chosen].mean(axis=0) / body.color).mean() - 1),
         "roughness": float(np.abs(found["roughness"][chosen] - body.roughness).mean()),
         "metallic": float(np.abs(found["metallic"][chosen] - body.metallic).mean()),
@@ -81,21 +84,22 @@ def errors(name: str, out: Path, chosen: np.ndarray) -> dict[str, Any]:
 
 def write(data: dict[str, Any], folder: Path) -> list[str]:
     """Return the page's lines."""
-    heads = ["body", "where", "maps", "texels", "normal ° mean", "median", "95 %", "base colour", "roughness",
-             "metallic", "s"]  # fmt: skip
+    heads = ["body", "where", "maps", "texels", "unknown", "normal ° mean", "median", "95 %", "base colour",
+             "roughness", "metallic", "s"]  # fmt: skip
     rows = [
         [
             r["body"], r["where"], r["run"], f"{r['texels']}",
-            *(f"{r['normal'][key]:.2f}" for key in ("mean", "median", "p95")),
+            f"{100 * r['unknown']:.0f} %", *(f"{r['normal'][key]:.2f}" for key in ("mean", "median", "p95")),
             f"{100 * r['color']:+.1f} %", f"{r['roughness']:.3f}", f"{r['metallic']:.3f}", f"{r['seconds']:.0f}",
         ]
         for r in sorted(data["rows"], key=lambda r: (r["body"], r["where"])) if r["texels"]
     ]  # fmt: skip
     return [
         "Bodies of one material, their meshes known, rendered by Cycles with 8 bounces under 40 lights, one camera."
-        " *Before* and *2 rounds* are recovered from these pictures, without and with `interreflection_rounds`;"
-        " *oracle* from pictures without bounces. *Inside* owes more than 5 % of its light to the rest of the body;"
-        " base colour is the mean against the true one.",
+        " *Standard* and *thorough* are recovered from these pictures by these presets, without and with rounds of"
+        " interreflection; *oracle* from pictures without bounces. *Inside* owes more than 5 % of its light to the rest"
+        " of the body; base colour is the mean against the true one. *Unknown*: texels whose normal the maps"
+        " call unknown, for want of direct light; the errors of normals are those of the others.",
         "",
         *report.table(heads, rows),
     ]

@@ -196,7 +196,7 @@ class InterreflectionRounds(Successive):
 
     def _without_rounds(self, last: int) -> Domain:
         """Make a recovery the last one, without anything of those before it; return its domain."""
-        self._schedules = (*self._schedules[:last], self.schedule)
+        self._schedules = (*self._schedules[:last], self._schedules[0])
         self._samples = None
         self._count()
         return self.domain
@@ -247,5 +247,5 @@ class InterreflectionRounds(Successive):
 
 def _schedules(schedule: Schedule, surroundings: Surroundings) -> tuple[Schedule, ...]:
     """Return the schedule of each recovery."""
-    rounds = schedule.interreflection.rounds
-    return (*(schedule,) * rounds, given(schedule) if surroundings.shape_known else schedule)
+    single = schedule.replaced(interreflection_rounds=0)
+    return (*(single,) * schedule.interreflection.rounds, given(single) if surroundings.shape_known else single)

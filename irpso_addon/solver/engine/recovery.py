@@ -24,7 +24,7 @@ from ..phases.prefit import AcceptanceTest, PrefitPhase
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
 from ..settings.resolve import resolve
-from ..settings.schedule import Schedule
+from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
 from ..state.layout import TexelLayout
@@ -398,3 +398,4 @@ def _check(schedule: Schedule, seed: int) -> None:
     check_seed(seed)
     if schedule.levels > 1:
         raise InputError(f"levels = {schedule.levels}: a Recovery solves one size; use a Pyramid, or 1")
+    refuse_interreflection(schedule, "a Recovery makes no rounds", "use InterreflectionRounds")

@@ -151,12 +151,7 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
     What each constant means and may be: the classes of groups.py, in one table SETTINGS. Where the shipped values are
     from: the files in presets/. Raises InputError naming the file, the setting and what it may be.
     """
-    table, path = load_shipped_table("preset", name_or_path, PRESETS)
-    if (found := table.pop("format", 1)) != FORMAT:
-        raise InputError(
-            f"{path}: is of format {found!r}, not {FORMAT}: begin from a preset of this version and set your values"
-            f" again, or rename as docs/presets.md lists and write format = {FORMAT}"
-        )
+    table, path = _preset_table(name_or_path)
     _refuse_unknown(table, [*_TOP_KEYS, "swarm", "fitness", "stage", *_OPTIONAL], str(path))
     rows = table.get("stage", [])
     if not isinstance(rows, list):
@@ -170,6 +165,28 @@ def load_schedule(name_or_path: str | Path) -> Schedule:
     )
     _check(schedule, str(path))
     return schedule
+
+
+def _preset_table(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
+    """Return a preset's table, over that of the shipped preset that it extends, and its file."""
+    table, path = load_shipped_table("preset", name_or_path, PRESETS)
+    if (found := table.pop("format", 1)) != FORMAT:
+        raise InputError(
+            f"{path}: is of format {found!r}, not {FORMAT}: begin from a preset of this version and set your values"
+            f" again, or rename as docs/presets.md lists and write format = {FORMAT}"
+        )
+    base = table.pop("extends", None)
+    if base is None:
+        return table, path
+    if base not in shipped_presets() or base == path.stem:
+        raise InputError(f"{path}: extends {base!r}; name another preset: {', '.join(shipped_presets())}")
+    below, _ = _preset_table(base)
+    groups = {
+        name: {**below[name], **value}
+        for name, value in table.items()
+        if isinstance(value, dict) and isinstance(below.get(name), dict)
+    }
+    return {**below, **table, **groups}, path
 
 
 def _build(kind: type, table: Any, where: str) -> Any:

@@ -67,6 +67,29 @@ def test_every_constant_of_the_standard_preset_is_read_from_its_file(tmp_path):
             assert {k: v for k, v in others.items() if k != name} == {k: v for k, v in values.items() if k != name}
 
 
+def test_thorough_is_standard_without_interreflection():
+    thorough, standard = load_schedule("thorough"), load_schedule("standard")
+    assert thorough.interreflection.rounds > 0
+    wanted = standard.replaced(interreflection_rounds=thorough.interreflection.rounds)
+    assert dataclasses.replace(thorough, name=wanted.name, title=wanted.title) == wanted
+
+
+def test_a_preset_that_extends_another_sets_what_differs(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('format = 2\nextends = "thorough"\n[fitness]\ndelta = 0.5\n[interreflection]\nrays = 32\n')
+    mine = load_schedule(path)
+    wanted = load_schedule("thorough").replaced(delta=0.5, interreflection_rays=32)
+    assert dataclasses.replace(mine, title=wanted.title, name=wanted.name) == wanted
+
+
+@pytest.mark.parametrize("base", ['"nothing"', "3", '"mine.toml"'])
+def test_a_preset_that_extends_no_preset_is_refused(tmp_path, base):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"format = 2\nextends = {base}\n")
+    with pytest.raises(InputError, match="mine.toml: extends .* name another preset: .*standard"):
+        load_schedule(path)
+
+
 def toml_of(part, values):
     """Return a table as TOML."""
     rows = (f"{name} = {str(v).lower() if isinstance(v, bool) else json.dumps(v)}" for name, v in values.items())
