@@ -1,6 +1,6 @@
 // Over the elements of a surface: the radiance that other elements make each one send to the camera of one observation
-// (u_to_camera = 1), or along its normal (0), as what it passes on at the bounces before the last: to where does not matter
-// to a diffuse surface, and lobes are widest apart from it at grazing views.
+// (u_to_camera = 1), or the mean of what they make it send in all directions (0), as what it passes on at the bounces
+// before the last: each ray's light goes on in the direction of another ray.
 // Monte Carlo over the rays of geometry/light/exchange.py, whose density is cos/π.
 // Reads estimates, geometry and observation table; u_rays, one layer a ray: direction in the world and the element that it
 // meets, −1 for none; u_lit: whether the light reaches an element; u_received: this pass's result of the bounce before.

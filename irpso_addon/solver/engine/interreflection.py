@@ -34,8 +34,8 @@ _ERRORS = "interreflection_errors"
 _EXPLAINED = "explained"  # beside the maps of a basis: (H, W, 1), 1 where they explain the photographs
 _BASIS = "interreflection_of_{}_"  # before the maps that a round's light was found from
 # By how much the light that is taken off moves toward the new one. Too bright an albedo makes it too bright, and the
-# next albedo too dark: with 1 the rounds swing about the answer, with 0.75 two reach it.
-# With held normals the first answer is nearer: there it moves all the way.
+# next albedo too dark: with 1 the rounds swing about the answer, with 0.75 two reach it. With held normals the first
+# answer is nearer: there it moves all the way.
 _RELAXATION = 0.75
 _LEAST_SHARE = 0.003  # of the light of the photographs: less is not worth a round
 _MOST_RESIDUAL = 0.5  # of a texel's light: where more is left, what was found is not the material
@@ -66,7 +66,9 @@ class InterreflectionRounds(Successive):
         prepared: Prepared | None = None,
         scratch: Path | None = None,
     ):
-        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, surroundings))
+        free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
+        self._holds = surroundings.shape_known and free  # whether normals are held
+        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._holds))
         self._surroundings, self._scratch = surroundings, scratch
         self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
         self._stand_in: dict[str, np.ndarray] = {}  # their maps
@@ -86,12 +88,13 @@ class InterreflectionRounds(Successive):
         maps = self._live.maps(confidence)
         if self._held(self._at) or not self._dominated.any():
             return maps
-        there = self._dominated[..., None]
-        values = {name: np.where(there, self._stand_in[name], value) for name, value in maps.values.items()}
-        widest = {p.name: math.pi / 2 if p.is_normal else p.range[1] - p.range[0] for p in self.model.parameters}
-        deviations = maps.confidence and {
-            name: np.where(there, np.float32(widest[name]), value) for name, value in maps.confidence.items()
-        }
+        values, deviations = dict(maps.values), maps.confidence and dict(maps.confidence)
+        for p in self.model.parameters:
+            if p.name not in self.fixed:
+                values[p.name] = np.where(self._dominated[..., None], self._stand_in[p.name], values[p.name])
+                if deviations:
+                    widest = np.float32(math.pi / 2 if p.is_normal else p.range[1] - p.range[0])
+                    deviations[p.name] = np.where(self._dominated[..., None], widest, deviations[p.name])
         return replace(maps, values=values, confidence=deviations)
 
     @property
@@ -144,7 +147,7 @@ class InterreflectionRounds(Successive):
         """Return a run that continues from here, as Recovery.reconfigure; settings of interreflection must stay."""
         if schedule.interreflection != self.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or begin another")
-        return self._reconfigured(schedule, _schedules(schedule, self._surroundings), seed)
+        return self._reconfigured(schedule, _schedules(schedule, self._holds), seed)
 
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self.domain.solvable))
@@ -154,7 +157,7 @@ class InterreflectionRounds(Successive):
 
     def _held(self, number: int) -> bool:
         """Return whether a recovery holds the normals of the known shape."""
-        return self._surroundings.shape_known and number < len(self._schedules) - 1
+        return self._holds and number < len(self._schedules) - 1
 
     def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
         own = np.zeros((*self.domain.shape, 3), np.float32)
@@ -207,7 +210,7 @@ class InterreflectionRounds(Successive):
         None where there is next to none.
         """
         settings, domain = self.schedule.interreflection, self.domain
-        first, relaxation = len(self._bases) == 1, 1.0 if self._surroundings.shape_known else _RELAXATION
+        first, relaxation = len(self._bases) == 1, 1.0 if self._holds else _RELAXATION
         samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
         surface, exchange, values = yield from map_steps(
             self._surroundings.steps(domain, self._bases[-1]), lambda part: None
@@ -236,7 +239,7 @@ class InterreflectionRounds(Successive):
                 taken += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)
                 yield
-            if self._surroundings.shape_known:
+            if self._holds:
                 self._dominated[covered] = taken > _MOST_SHARE * shown
                 self._dominated &= domain.solvable
                 for name, value in light.materials.items():
@@ -245,7 +248,7 @@ class InterreflectionRounds(Successive):
         return replace(domain, stack=samples)
 
 
-def _schedules(schedule: Schedule, surroundings: Surroundings) -> tuple[Schedule, ...]:
-    """Return the schedule of each recovery."""
+def _schedules(schedule: Schedule, holds: bool) -> tuple[Schedule, ...]:
+    """Return the schedule of each recovery. holds: whether all but the last hold the normals."""
     single = schedule.replaced(interreflection_rounds=0)
-    return (*(single,) * schedule.interreflection.rounds, given(single) if surroundings.shape_known else single)
+    return (*(single,) * schedule.interreflection.rounds, given(single) if holds else single)

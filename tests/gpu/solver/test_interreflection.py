@@ -121,8 +121,8 @@ def bowl():
     return domain, MeshSurroundings(mesh, ray_caster, 48, 64)
 
 
-def rounds_of(bowl, schedule=ROUNDS):
-    return InterreflectionRounds(bowl[0], LAMBERT, schedule, 1, None, "fragment", bowl[1])
+def rounds_of(bowl, schedule=ROUNDS, fixed=None):
+    return InterreflectionRounds(bowl[0], LAMBERT, schedule, 1, fixed, "fragment", bowl[1])
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +223,34 @@ def test_a_run_continues_wherever_it_takes_settings_again(bowl, whole):
 def test_other_settings_of_interreflection_are_refused_in_mid_run(bowl):
     with rounds_of(bowl) as recovery, pytest.raises(InputError, match="keeps its settings"):
         recovery.reconfigure(ROUNDS.replaced(interreflection_rounds=1))
+
+
+def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch):
+    monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)
+    painted = np.broadcast_to(np.float32(ALBEDO), (*bowl[0].shape, 3))
+    with rounds_of(bowl, fixed={"base_color": painted}) as recovery:
+        recovery.step()
+        maps = recovery.maps()
+    assert errors(maps)[0] < 1.5
+    np.testing.assert_array_equal(maps.values["base_color"][maps.covered], painted[maps.covered])
+
+
+def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeypatch):
+    monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)
+    rough = np.linspace(0.5, 0.9, bowl[0].shape[1], dtype=np.float32)[None, :, None] * np.ones((*bowl[0].shape, 1))
+    with InterreflectionRounds(
+        bowl[0],
+        load_model("metallic_roughness"),
+        ROUNDS,
+        1,
+        {"roughness": rough.astype(np.float32)},
+        "fragment",
+        bowl[1],
+    ) as recovery:
+        recovery.step()
+        maps = recovery.maps()
+    assert recovery.findings["interreflection"]["dominated_texels"] > 0
+    np.testing.assert_array_equal(maps.values["roughness"][maps.covered], rough.astype(np.float32)[maps.covered])
 
 
 @pytest.fixture(scope="module")
