@@ -68,12 +68,13 @@ def bits(value):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_preset_left_alone_is_the_schedule_of_its_file_in_every_bit(name):
-    with open(PRESETS / f"{name}.toml", "rb") as file:
-        table = tomllib.load(file)
+    table = tomllib.loads((PRESETS / f"{name}.toml").read_text(encoding="utf-8"))
+    if base := table.get("extends"):
+        table = tomllib.loads((PRESETS / f"{base}.toml").read_text(encoding="utf-8")) | table
     settings().preset = "swarm" if name != "swarm" else "paper"
     settings().preset = name
     found = dataclasses.asdict(schedule())
-    for part in ("swarm", "fitness", "prefit", "refinement", "materials", "prior"):
+    for part in ("swarm", "fitness", "prefit", "refinement", "materials", "prior", "interreflection"):
         for key, value in table.get(part, {}).items():
             assert bits(found[part][key]) == bits(value)
     assert bits(list(found["stages"])) == bits(table["stage"])
