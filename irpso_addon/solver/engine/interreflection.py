@@ -68,7 +68,8 @@ class InterreflectionRounds(Successive):
     ):
         free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
         self._holds = surroundings.shape_known and free  # whether normals are held
-        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._holds))
+        self._warm = self._holds  # whether the last recovery begins with what those before have found
+        super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._warm))
         self._surroundings, self._scratch = surroundings, scratch
         self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
         self._stand_in: dict[str, np.ndarray] = {}  # their maps
@@ -129,6 +130,8 @@ class InterreflectionRounds(Successive):
 
     def restore(self, saved: Checkpoint) -> None:
         self.close()
+        self._warm, self._dominated = self._holds, np.zeros(self.domain.shape, bool)
+        self._schedules = _schedules(self.schedule, self._warm)
         self._at, self._before = (int(number) for number in saved.arrays[_AT])
         self._errors = saved.arrays[_ERRORS].tolist()
         self._bases, self._strengths, domain = [], [], self.domain
@@ -147,7 +150,7 @@ class InterreflectionRounds(Successive):
         """Return a run that continues from here, as Recovery.reconfigure; settings of interreflection must stay."""
         if schedule.interreflection != self.schedule.interreflection:
             raise InputError("Interreflection: a running recovery keeps its settings; set them back, or begin another")
-        return self._reconfigured(schedule, _schedules(schedule, self._holds), seed)
+        return self._reconfigured(schedule, _schedules(schedule, self._warm), seed)
 
     def _texels(self, number: int) -> int:
         return int(np.count_nonzero(self.domain.solvable))
@@ -160,8 +163,7 @@ class InterreflectionRounds(Successive):
         return self._holds and number < len(self._schedules) - 1
 
     def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
-        own = np.zeros((*self.domain.shape, 3), np.float32)
-        own[..., 2] = 1
+        own = np.broadcast_to(np.array((0, 0, 1), np.float32), (*self.domain.shape, 3))
         held = {p.name: own for p in self.model.parameters if p.is_normal and self._held(number)}
         return held | dict(self.fixed)
 
@@ -199,8 +201,8 @@ class InterreflectionRounds(Successive):
 
     def _without_rounds(self, last: int) -> Domain:
         """Make a recovery the last one, without anything of those before it; return its domain."""
-        self._schedules = (*self._schedules[:last], self._schedules[0])
-        self._samples = None
+        self._warm, self._samples = False, None
+        self._schedules = _schedules(self.schedule, self._warm)[: last + 1]
         self._count()
         return self.domain
 
@@ -211,7 +213,6 @@ class InterreflectionRounds(Successive):
         """
         settings, domain = self.schedule.interreflection, self.domain
         first, relaxation = len(self._bases) == 1, 1.0 if self._holds else _RELAXATION
-        samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
         surface, exchange, values = yield from map_steps(
             self._surroundings.steps(domain, self._bases[-1]), lambda part: None
         )
@@ -228,6 +229,7 @@ class InterreflectionRounds(Successive):
             self._strengths.append(strength)
             if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
                 return None
+            samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
             taken, shown = np.zeros((2, int(covered.sum())))
             for sample, layer, indirect in zip(samples.layers(), domain.stack.layers(), radiance, strict=True):
                 if first:
@@ -248,7 +250,7 @@ class InterreflectionRounds(Successive):
         return replace(domain, stack=samples)
 
 
-def _schedules(schedule: Schedule, holds: bool) -> tuple[Schedule, ...]:
-    """Return the schedule of each recovery. holds: whether all but the last hold the normals."""
+def _schedules(schedule: Schedule, warm: bool) -> tuple[Schedule, ...]:
+    """Return the schedule of each recovery. warm: whether the last begins with what those before have found."""
     single = schedule.replaced(interreflection_rounds=0)
-    return (*(single,) * schedule.interreflection.rounds, given(single) if holds else single)
+    return (*(single,) * schedule.interreflection.rounds, given(single) if warm else single)

@@ -34,12 +34,11 @@ def exchange_of(mesh, domain, resolution=48, rays=64):
     return run_steps(exchange_steps(mesh, domain.bake, domain.lights, ray_caster(mesh), resolution, rays))
 
 
-def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, known=None, **numbers):
+def indirect(mesh, domain, albedo, bounces, rays=64, model=LAMBERT, **numbers):
     values = {"base_color": albedo, "normal": (0, 0, 1), **{name: (value,) for name, value in numbers.items()}}
     maps = {name: np.broadcast_to(np.float32(value), (*domain.shape, len(value))) for name, value in values.items()}
     exchange = exchange_of(mesh, domain, rays=rays)
-    known = domain.solvable if known is None else known
-    with closing(IndirectLight(domain, exchange, model, maps, known, bounces)) as light:
+    with closing(IndirectLight(domain, exchange, model, maps, domain.solvable, bounces)) as light:
         return light.at_texels(light.of_elements(0))
 
 
@@ -121,8 +120,8 @@ def bowl():
     return domain, MeshSurroundings(mesh, ray_caster, 48, 64)
 
 
-def rounds_of(bowl, schedule=ROUNDS, fixed=None):
-    return InterreflectionRounds(bowl[0], LAMBERT, schedule, 1, fixed, "fragment", bowl[1])
+def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT):
+    return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1])
 
 
 @pytest.fixture(scope="module")
@@ -208,6 +207,19 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
         assert bits_of(recovery.maps()) == bits_of(whole[0])
 
 
+def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_path):
+    monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)
+    with rounds_of(bowl) as recovery:
+        while recovery.progress.fraction < 0.5:
+            recovery.step(5)
+        recovery.save(tmp_path / "checkpoint.npz")
+        recovery.step()
+        wanted = bits_of(recovery.maps())
+        recovery.load(tmp_path / "checkpoint.npz")
+        recovery.step()
+        assert bits_of(recovery.maps()) == wanted
+
+
 def test_a_run_continues_wherever_it_takes_settings_again(bowl, whole):
     recovery, slices = rounds_of(bowl), 0
     while not recovery.step(time_budget_s=0.02).done:
@@ -238,19 +250,12 @@ def test_a_fixed_base_colour_leaves_the_normals_to_every_round(bowl, monkeypatch
 def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeypatch):
     monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)
     rough = np.linspace(0.5, 0.9, bowl[0].shape[1], dtype=np.float32)[None, :, None] * np.ones((*bowl[0].shape, 1))
-    with InterreflectionRounds(
-        bowl[0],
-        load_model("metallic_roughness"),
-        ROUNDS,
-        1,
-        {"roughness": rough.astype(np.float32)},
-        "fragment",
-        bowl[1],
-    ) as recovery:
+    fixed = {"roughness": rough.astype(np.float32)}
+    with rounds_of(bowl, fixed=fixed, model=load_model("metallic_roughness")) as recovery:
         recovery.step()
         maps = recovery.maps()
     assert recovery.findings["interreflection"]["dominated_texels"] > 0
-    np.testing.assert_array_equal(maps.values["roughness"][maps.covered], rough.astype(np.float32)[maps.covered])
+    np.testing.assert_array_equal(maps.values["roughness"][maps.covered], fixed["roughness"][maps.covered])
 
 
 @pytest.fixture(scope="module")
@@ -271,6 +276,19 @@ def test_photographs_without_such_light_end_with_the_first_maps(direct):
         assert recovery.step().done and recovery.progress.fraction == 1
         assert bits_of(recovery.maps()) == bits_of(wanted)
         assert recovery.findings["interreflection"]["strength"] == [0.0]
+
+
+def test_a_run_without_such_light_continues_under_settings_again(direct):
+    schedule = ROUNDS.replaced(interreflection_rounds=1)
+    with rounds_of(direct, schedule) as recovery:
+        recovery.step()
+        wanted = bits_of(recovery.maps())
+    recovery = rounds_of(direct, schedule)
+    while not recovery.step(3).done:
+        before, recovery = recovery, recovery.reconfigure(schedule)
+        before.close()
+    with recovery:
+        assert bits_of(recovery.maps()) == wanted
 
 
 def test_a_recovery_that_it_does_not_help_says_so(direct, monkeypatch):
