@@ -18,7 +18,7 @@ from ..geometry.domain import Domain, subset
 from ..geometry.relief.height import Height
 from ..geometry.surface.bake import surface_bake
 from ..gpu import context
-from ..results.derived_map import DerivedMap
+from ..results.derived_map import DerivedMap, indirect_map
 from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, prior_shares
@@ -50,7 +50,10 @@ def found_of(run: Run, maps: Maps, wanted: DerivedMaps = _NONE) -> Found:
     job, domain = run.job, present(run.domain)
     wanted.check(maps.model)
     written = maps if job.mesh is None else blender_maps(maps, job.mesh, surface_bake(domain.bake), domain.seams)
-    return Found(maps, written, *derived_maps(wanted, maps, written, domain.bake, job.mesh, job.capture.cameras[0]))
+    derived, height = derived_maps(wanted, maps, written, domain.bake, job.mesh, job.capture.cameras[0])
+    if (share := run.indirect_share) is not None:
+        derived.append(indirect_map(share, maps.covered))
+    return Found(maps, written, derived, height)
 
 
 def report_of(

@@ -120,6 +120,11 @@ class Run:
         """Return the light that was taken off a photograph, (H, W, 3) or 0: off one that is held out, none."""
         return present(self.recovery).indirect(observation) if observation in self.job.fitted else 0.0
 
+    @property
+    def indirect_share(self) -> np.ndarray | None:
+        """The share of the light that was indirect, as ``RecoveryEngine.indirect_share``."""
+        return present(self.recovery).indirect_share
+
     def device_warnings(self) -> list[str]:
         """Return doubts about the devices that it is solved on."""
         return []

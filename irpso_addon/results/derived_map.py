@@ -1,4 +1,4 @@
-"""Derived maps: normals in other spaces, heights."""
+"""Derived maps: normals in other spaces, heights, indirect light."""
 
 from __future__ import annotations
 
@@ -54,3 +54,9 @@ def height_map(height: Height) -> DerivedMap:
     encoded = np.clip(values / height.scale + height.midlevel, 0, 1)
     text = f"(height in {height.unit}) / {height.scale:.9g} + {height.midlevel:.9g}"
     return DerivedMap("height", values, encoded, text)
+
+
+def indirect_map(share: np.ndarray, covered: np.ndarray) -> DerivedMap:
+    """Return the map of the share (H, W) of the light of the photographs that was indirect, 0…1."""
+    values = fill_margin(share[..., None], covered, far=(0.0,))
+    return DerivedMap("indirect", values, values, "indirect light / light of the photographs")

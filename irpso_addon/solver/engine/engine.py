@@ -116,6 +116,15 @@ class RecoveryEngine(ABC):
         """Return the light that was taken off a photograph before the maps were found, (H, W, 3) or 0."""
         return 0.0
 
+    @property
+    def indirect_share(self) -> np.ndarray | None:
+        """(H, W) float32, the part 0…1 of the light of the photographs that others of the subject sent to a texel.
+
+        Over all photographs that show it, as last found. None before that, and without rounds of interreflection. A
+        later round returns another array.
+        """
+        return None
+
     def refresh_confidence(self, time_budget_s: float | None = None) -> bool:
         """Work for about a time on what ``maps`` returns; return whether it is ready, so that maps() is quick.
 

@@ -74,6 +74,8 @@ class InterreflectionRounds(Successive):
         self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
         self._stand_in: dict[str, np.ndarray] = {}  # their maps
         self._samples: ArrayStack | None = None  # without indirect light
+        self._share: np.ndarray | None = None  # (H, W) of the light of the photographs, as the last round found it
+        self._mean_share = 0.0  # over the texels
         self._errors: list[float] = []  # mean errors of the renders at the ends of the rounds
         self._strengths: list[float] = []  # by which each round's light was multiplied
         self._bases: list[dict[str, np.ndarray]] = []  # the maps that each round's light was found from
@@ -109,13 +111,17 @@ class InterreflectionRounds(Successive):
 
     @property
     def findings(self) -> dict[str, Any]:
-        found = {"rounds": len(self._strengths), "strength": self._strengths}
+        found = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
         return {"interreflection": found | {"dominated_texels": int(np.count_nonzero(self._dominated))}}
 
     def indirect(self, observation: int) -> np.ndarray | float:
         if self._at == 0 or self._samples is None:
             return 0.0
         return self.domain.stack.layer(observation)[..., :3] - self._samples.layer(observation)[..., :3]
+
+    @property
+    def indirect_share(self) -> np.ndarray | None:
+        return self._share
 
     def state(self) -> Checkpoint:
         """Return the state of the current round, its number, and the maps that the rounds' light was found from."""
@@ -134,6 +140,7 @@ class InterreflectionRounds(Successive):
         self._schedules = _schedules(self.schedule, self._warm)
         self._at, self._before = (int(number) for number in saved.arrays[_AT])
         self._errors = saved.arrays[_ERRORS].tolist()
+        self._share, self._mean_share = None, 0.0
         self._bases, self._strengths, domain = [], [], self.domain
         for number in range(self._at):
             sizes = {p.name: p.components for p in self.model.parameters} | {_EXPLAINED: 1}
@@ -202,6 +209,7 @@ class InterreflectionRounds(Successive):
     def _without_rounds(self, last: int) -> Domain:
         """Make a recovery the last one, without anything of those before it; return its domain."""
         self._warm, self._samples = False, None
+        self._take_share(np.zeros(self.domain.shape))
         self._schedules = _schedules(self.schedule, self._warm)[: last + 1]
         self._count()
         return self.domain
@@ -228,6 +236,8 @@ class InterreflectionRounds(Successive):
             strength = light.strength(radiance)
             self._strengths.append(strength)
             if strength * radiance.mean() < _LEAST_SHARE * light.shown.mean():
+                if first:
+                    self._take_share(np.zeros(domain.shape))
                 return None
             samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
             taken, shown = np.zeros((2, int(covered.sum())))
@@ -241,6 +251,9 @@ class InterreflectionRounds(Successive):
                 taken += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)
                 yield
+            share = np.zeros(domain.shape)
+            share[covered] = np.divide(taken, shown, out=np.zeros_like(taken), where=shown > 0)
+            self._take_share(share)
             if self._holds:
                 self._dominated[covered] = taken > _MOST_SHARE * shown
                 self._dominated &= domain.solvable
@@ -248,6 +261,11 @@ class InterreflectionRounds(Successive):
                     self._stand_in[name] = np.zeros((*domain.shape, value.shape[-1]), np.float32)
                     self._stand_in[name][covered] = exchange.at_texels(value)
         return replace(domain, stack=samples)
+
+    def _take_share(self, share: np.ndarray) -> None:
+        """Take the share (H, W) of the light of the photographs that is indirect."""
+        self._share = np.where(self.domain.solvable, np.minimum(share, 1), 0).astype(np.float32)
+        self._mean_share = float(self._share[self.domain.solvable].mean())
 
 
 def _schedules(schedule: Schedule, warm: bool) -> tuple[Schedule, ...]:

@@ -22,7 +22,7 @@ from ..engine.engine import RecoveryEngine
 from ..engine.progress import Progress
 from ..kernels import kernels
 from ..phases.phase import BACKGROUND_BAND_SECONDS, BAND_SECONDS
-from ..state.packing import level_size
+from ..state.packing import Packing, level_size
 from ..state.textures import kernel_defines
 
 KEPT = 4  # pictures: two areas, each with two side by side
@@ -39,12 +39,13 @@ _MEASURE = {"u_at": "INT", "u_components": "INT", "u_limit": "FLOAT"}
 class Shown:
     """Content of a picture.
 
-    parameter: for kinds "parameter" and "confidence". observation: for "render" and "reference". limit: the error or
-    standard deviation shown as red, in radiance or the parameter's unit (radians of a normal). exposure: factor on
-    radiance. unknown: the deviation from which a parameter of one number is unknown, shown in alpha; 0 for never.
+    parameter: for kinds "parameter" and "confidence". observation: for "render" and "reference". limit: the value
+    shown as red: an error in radiance, a standard deviation in the parameter's unit (radians of a normal), a share of
+    the light for "indirect". exposure: factor on radiance. unknown: the deviation from which a parameter of one number
+    is unknown, shown in alpha; 0 for never.
     """
 
-    kind: Literal["parameter", "error", "render", "reference", "confidence"]
+    kind: Literal["parameter", "error", "render", "reference", "confidence", "indirect"]
     parameter: str = ""
     observation: int = 0
     limit: float = 0.1
@@ -76,9 +77,10 @@ class Display:
     def picture(self, shown: Shown, time_budget_s: float | None = None) -> Texture:
         """Return an RGBA16F texture of the domain's size (or the coarse level's); later pictures may overwrite it.
 
-        Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range, errors
-        and deviations (the largest of a parameter's components) in false colours. Alpha is 1 for solved texels, 0.5 for
-        an unknown parameter (see ``Shown.unknown``) or a reference's sample without weight, 0 without a photograph.
+        Display values: colours encoded as sRGB, normals as n/2 + 1/2, numbers as a fraction of their range; errors,
+        deviations (the largest of a parameter's components) and indirect light in false colours. Alpha is 1 for solved
+        texels, 0.5 for an unknown parameter (see ``Shown.unknown``) or a reference's sample without weight, 0 without a
+        photograph, and where no indirect light has been found yet.
 
         time_budget_s: about the time for measuring errors or deviations now. Until a measurement is complete the last
         complete one is shown; the first one is shown as it grows. Without a budget the measurement is current. Raises
@@ -116,6 +118,7 @@ class Display:
         # With the progress and the version of the measurement that each was drawn from.
         self._pictures: OrderedDict[Shown, tuple[Texture, tuple[Progress, int] | None]] = OrderedDict()
         self._ramp: Texture | None = None
+        self._share: tuple[np.ndarray, Texture] | None = None  # the recovery's, and the same on the GPU
 
     def _check(self, shown: Shown) -> None:
         if shown.kind in ("parameter", "confidence"):
@@ -159,6 +162,8 @@ class Display:
             inputs |= {"u_ramp": self._colors()}
         if shown.measured:
             inputs |= self._measure(shown.measured).bindings()
+        elif shown.kind == "indirect":
+            inputs["u_measure_0"] = self._indirect(lent["u_estimate_0"])
         kind = "unknown" if shown.unknown else shown.kind
         if kind not in self._passes:
             self._passes[kind] = _picture_pass(model, kind, self._defines)
@@ -175,6 +180,15 @@ class Display:
                 work, constants = self._recovery.deviation_pass()
                 self._measures[kind] = _Measure(work, kernels.packed(model).textures, "RGBA32F", constants)
         return self._measures[kind]
+
+    def _indirect(self, alike: Texture) -> Texture:
+        """Return the recovery's ``indirect_share``, packed, in the size of ``alike``; below 0 where it has none."""
+        domain, share = self._recovery.domain, self._recovery.indirect_share
+        if share is None:
+            return textures.empty(alike.width, alike.height, "R32F", _UNMEASURED)
+        if self._share is None or self._share[0] is not share:
+            self._share = share, textures.upload(Packing(domain.solvable, domain.seams).pack(share))
+        return self._share[1]
 
     def _colors(self) -> Texture:
         if self._ramp is None:
@@ -272,7 +286,8 @@ def _parameter_constants(model: ReflectanceModel, parameter: Parameter) -> dict[
 def _picture_pass(model: ReflectanceModel, kind: str, domain_defines: Mapping[str, str | int]) -> Pass:
     """Return the pass that draws a kind of picture."""
     packed = kernels.packed(model)
-    measured = Packed({"error": 1, "confidence": packed.textures, "unknown": packed.textures}.get(kind, 0))
+    numbers = {"error": 1, "indirect": 1, "confidence": packed.textures, "unknown": packed.textures}
+    measured = Packed(numbers.get(kind, 0))
     own = {"u_estimate": packed, "u_measure": measured}
     samplers = {**own, "u_ramp": kernels.FLOAT_2D, **kernels.OBSERVATIONS, **kernels.PACKING}
     name, constants = f"show_{kind}", _OBSERVATION

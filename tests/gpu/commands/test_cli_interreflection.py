@@ -15,11 +15,11 @@ LIGHTS = dome_lights(24, 50.0)
 
 @pytest.fixture(scope="module")
 def card(tmp_path_factory):
-    """(capture of a hollow cap, its normals, its mask)."""
+    """(capture of a hollow cap, its normals, its mask, and what its photographs (K, H, W) show)."""
     domain, _, normals = cap_card(ALBEDO, LIGHTS)
     images = domain.stack.values[..., :3].astype(np.float64)
     folder = tmp_path_factory.mktemp("cap") / "cap"
-    return write_card(folder, images, LIGHTS, domain.solvable), normals, domain.solvable
+    return write_card(folder, images, LIGHTS, domain.solvable), normals, domain.solvable, images.mean(axis=-1)
 
 
 def recover(capture, out, *more):
@@ -28,7 +28,7 @@ def recover(capture, out, *more):
 
 
 def test_rounds_lower_the_error_of_a_hollow_card_and_report_their_strength(card, tmp_path):
-    capture, normals, mask = card
+    capture, normals, mask, light = card
     tilt = {}
     for rounds in (0, 2):
         out = tmp_path / str(rounds)
@@ -38,12 +38,18 @@ def test_rounds_lower_the_error_of_a_hollow_card_and_report_their_strength(card,
     assert tilt[2] < tilt[0] / 3
     found = report["interreflection"]
     assert found["rounds"] == 2 and 0.8 < found["strength"][-1] < 1.3
+    assert (tmp_path / "2" / "indirect.png").exists() and not (tmp_path / "0" / "indirect.png").exists()
+    share, rho = read_map(tmp_path / "2" / "indirect.exr")[..., 0], np.array(ALBEDO)
+    sent = (rho * 0.25 * rho / (1 - 0.25 * rho)).mean() * 0.75 * LIGHTS[:, 2].sum()  # as cap_card has it
+    inner = np.all([np.roll(mask, step, axis) for step in (-1, 1) for axis in (0, 1)], axis=0)
+    np.testing.assert_allclose(share[inner], sent / light.sum(axis=0)[inner], rtol=0.15)
+    assert found["share"] == pytest.approx(share[mask].mean(), rel=1e-4)
 
 
 def test_an_interrupted_run_resumes_to_the_same_maps(card, tmp_path):
     from irpso_addon.pipeline import drive
 
-    capture, _, _ = card
+    capture, *_ = card
     settings = "--set", "interreflection_rounds=1"
     assert recover(capture, tmp_path / "whole", *settings)[0] == 0
     looks = iter([False] * 12 + [True] * 100)

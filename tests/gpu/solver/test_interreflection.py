@@ -12,12 +12,15 @@ from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.exchange import exchange_steps
 from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
+from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.results.false_color import false_color
 from irpso_addon.solver.engine import interreflection
 from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.planning.planning import make_plan
 from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.views.display import Display, Shown
 from irpso_addon.solver.views.indirect import IndirectLight
 from tests.builders.cavity import cap_card, cavity, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
@@ -184,6 +187,39 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
     assert (maps.confidence["base_color"][there] == 1).all()
 
 
+def test_the_share_of_indirect_light_is_that_of_the_half_sphere(bowl):
+    domain = bowl[0]
+    with rounds_of(bowl) as recovery:
+        assert recovery.indirect_share is None
+        recovery.step()
+        share, mean = recovery.indirect_share, recovery.findings["interreflection"]["share"]
+    light = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1) * (domain.stack.values[..., 3] > 0)
+    # As half_cavity has it: what a place receives from others is the same everywhere.
+    rho, slant = np.array(ALBEDO), -domain.lights[:, 2].astype(np.float64)
+    sent = (rho * 0.5 * rho / (1 - 0.5 * rho)).mean() * slant / 2
+    indirect = (sent[:, None, None] * (domain.stack.values[..., 3] > 0)).sum(axis=0)
+    wanted = indirect / light.sum(axis=0)
+    np.testing.assert_allclose(share, wanted, rtol=0.1)
+    np.testing.assert_allclose(mean, wanted.mean(), rtol=0.02)
+
+
+def test_the_share_is_shown_in_false_colours_once_it_is_known(bowl):
+    shown = Shown("indirect", limit=0.5)
+    with rounds_of(bowl) as recovery, closing(Display(recovery)) as display:
+        recovery.step(1)
+        assert textures.download(display.picture(shown)).max() == 0
+        while recovery.indirect_share is None or recovery.progress.iteration < 0:
+            recovery.step(time_budget_s=0.05)
+        assert display.pending(shown)
+        picture = textures.download(display.picture(shown))
+        assert not display.pending(shown)
+        np.testing.assert_allclose(picture[..., :3], false_color(recovery.indirect_share, 0.5), atol=1e-3)
+        recovery.step()
+        np.testing.assert_allclose(
+            textures.download(display.picture(shown))[..., :3], false_color(recovery.indirect_share, 0.5), atol=1e-3
+        )
+
+
 def test_time_slices_and_reads_change_nothing(bowl, whole):
     fractions = []
     with rounds_of(bowl) as recovery:
@@ -201,8 +237,10 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
         while recovery.progress.fraction < share:
             recovery.step(5)
         recovery.save(tmp_path / "checkpoint.npz")
+        shown = recovery.indirect_share
     with rounds_of(bowl) as recovery:
         recovery.load(tmp_path / "checkpoint.npz")
+        np.testing.assert_array_equal(recovery.indirect_share, shown)  # None, too
         recovery.step()
         assert bits_of(recovery.maps()) == bits_of(whole[0])
 
@@ -210,6 +248,8 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
 def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_path):
     monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)
     with rounds_of(bowl) as recovery:
+        recovery.step(1)
+        recovery.save(tmp_path / "first.npz")
         while recovery.progress.fraction < 0.5:
             recovery.step(5)
         recovery.save(tmp_path / "checkpoint.npz")
@@ -218,6 +258,8 @@ def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_pat
         recovery.load(tmp_path / "checkpoint.npz")
         recovery.step()
         assert bits_of(recovery.maps()) == wanted
+        recovery.load(tmp_path / "first.npz")
+        assert recovery.indirect_share is None and recovery.findings["interreflection"]["share"] == 0
 
 
 def test_a_run_continues_wherever_it_takes_settings_again(bowl, whole):
@@ -276,6 +318,7 @@ def test_photographs_without_such_light_end_with_the_first_maps(direct):
         assert recovery.step().done and recovery.progress.fraction == 1
         assert bits_of(recovery.maps()) == bits_of(wanted)
         assert recovery.findings["interreflection"]["strength"] == [0.0]
+        assert recovery.findings["interreflection"]["share"] == recovery.indirect_share.max() == 0
 
 
 def test_a_run_without_such_light_continues_under_settings_again(direct):
