@@ -20,7 +20,7 @@ _BAR, _LEAST_BAR, _WIDTH = 150.0, 70.0, 104.0  # height of the bar, width of its
 _SHARE = 0.3  # the bar's height over that of a small region
 _AROUND = 62.0  # height of the panel without the bar, in pixels at scale 1
 _TICK = 15.0  # least distance of ticks, in pixels at scale 1
-_OF_WHITE = "% of white"
+_OF_WHITE, _OF_LIGHT = "% of white", "% of the light"
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ def words(shown: Shown, model: ReflectanceModel, names: Sequence[str], numbers: 
         return bpy.path.display_name(shown.parameter)
     if shown.kind == "error":
         return "Error"
+    if shown.kind == "indirect":
+        return "Indirect light"
     if shown.kind == "confidence":
         return f"{bpy.path.display_name(shown.parameter)}, uncertainty"
     kind = "Render" if shown.kind == "render" else "Photograph"
@@ -48,6 +50,8 @@ def scale_of(shown: Shown, model: ReflectanceModel) -> Scale | None:
     """Return the scale of a picture's false colours, None if it has none."""
     if shown.kind == "error":
         return Scale("Error", _OF_WHITE, PERCENT * shown.limit)
+    if shown.kind == "indirect":
+        return Scale("Indirect", _OF_LIGHT, PERCENT * shown.limit)
     if shown.kind != "confidence":
         return None
     title = bpy.path.display_name(shown.parameter)

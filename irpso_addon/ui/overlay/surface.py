@@ -20,6 +20,7 @@ _BLINKS = 2.0  # pictures per second
 _MEAN_TO_RED = 4.0  # red error over the mean error: about the spread of errors
 _RED_SHARE = 0.1  # red deviation over the parameter's range
 _RED_ANGLE = math.radians(10)
+_RED_INDIRECT = 0.5  # of a texel's light: from here on its material is unknown (solver/engine/interreflection.py)
 _SECONDS_OF_PAIR = {"SPLIT", "BLINK"}
 _CARD_UVS = np.float32([(0, 0), (1, 0), (1, 1), (0, 1)])
 _TWO_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -41,6 +42,8 @@ def wanted(view, running: Session, former_limit: float) -> tuple[Shown, ...]:
         return (Shown("error", limit=limit),)
     if view.shown == "CONFIDENCE":
         return (Shown("confidence", parameter, limit=_deviation_limit(view, model, parameter)),)
+    if view.shown == "INDIRECT":
+        return (Shown("indirect", limit=_RED_INDIRECT),)
     exposure = 2.0**view.exposure
     render = Shown("render", observation=observation, exposure=exposure)
     reference = Shown("reference", observation=observation, exposure=exposure)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ...pipeline.result import capture_warnings
@@ -51,6 +53,7 @@ def _draw_start(layout, context, text: str) -> None:
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(context.scene.irpso, "hold_out")  # below the button: a row above could push it out of view
+    column.prop(context.scene.irpso.schedule, "interreflection")
     if wanting := missing(context):
         drawing.wrapped(layout, context, wanting, "INFO")
 
@@ -64,7 +67,8 @@ def draw_progress(layout, context, running: session.Session) -> None:
     layout.progress(factor=running.fraction, type="BAR", text=text, translate=False)
     column = layout.column(align=True)
     column.scale_y = 0.9
-    drawing.fact(column, context, "Now", title[:1].upper() + title[1:], lines=2)  # buttons must not jump
+    lines = 3 if running.job.schedule.interreflection.rounds else 2  # buttons must not jump
+    drawing.fact(column, context, "Now", title[:1].upper() + title[1:], lines)
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
         drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
@@ -107,7 +111,10 @@ def draw_result(layout, context, running: session.Session) -> None:
         drawing.fact(column, context, "Lights", running.lights.summary())
         for text in running.lights.warnings(running.job.lights.intensities != "auto"):
             drawing.wrapped(layout, context, text[:1].upper() + text[1:], "ERROR")
-    for text in capture_warnings(running.job.capture):
+    if (found := running.recovery.findings.get("interreflection")) is not None:
+        _draw_interreflection(column, context, found)
+    for text in (*running.doubts, *capture_warnings(running.job.capture)):
+        text = text[:1].upper() + text[1:]
         drawing.wrapped(layout, context, text, "ERROR")
     if stopped:
         layout.operator("irpso.resume", icon="PLAY")
@@ -123,6 +130,17 @@ def draw_result(layout, context, running: session.Session) -> None:
             layout, context, "The scene's view transform changes colors; to compare with photographs:", "INFO"
         )
         layout.operator("irpso.standard_view", icon="COLOR")
+
+
+def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
+    """Draw what the rounds of interreflection have found."""
+    if not found["rounds"]:
+        return
+    drawing.fact(layout, context, "Indirect Light", f"{drawing.percent(found['share'])} of all")
+    drawing.fact(layout, context, "Rounds", str(found["rounds"]))
+    drawing.fact(layout, context, "Strength", f"{found['strength'][-1]:.2f}")
+    if count := found["dominated_texels"]:
+        drawing.fact(layout, context, "Left Unknown", "1 texel" if count == 1 else f"{count} texels")
 
 
 def _draw_displacement(layout, context) -> None:

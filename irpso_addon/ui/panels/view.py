@@ -42,6 +42,10 @@ def draw_shown(layout, context, running: session.Session) -> None:
         column.prop(view, "mark_unused")
     if view.shown == "SPLIT":
         column.prop(view, "split", slider=True)
+    if view.shown == "INDIRECT" and running.recovery.indirect_share is None:
+        on = running.job.schedule.interreflection.rounds > 0
+        text = "Known when the first round begins" if on else "Not looked for: recover with Interreflection on"
+        drawing.wrapped(column, context, text, "INFO")
     if reason := why_hidden(context):
         drawing.wrapped(layout, context, reason, "HIDE_ON")
 

@@ -62,6 +62,12 @@ _SHOWN = (
     ("PARAMETER", "Map", "A recovered map"),
     ("ERROR", "Error", "Difference between render and photographs: blue is small, red is large"),
     ("CONFIDENCE", "Uncertainty", "Standard deviation of a map: blue is certain, red is uncertain"),
+    (
+        "INDIRECT",
+        "Indirect Light",
+        "The part of the photographed light that other parts of the subject sent: blue is none, red is half or more."
+        " Interreflection finds it",
+    ),
     ("RENDER", "Render", "The recovered material under the light of one observation"),
     ("REFERENCE", "Photograph", "The photograph of the observation"),
     ("SPLIT", "Split", "Render on the left, photograph on the right"),

@@ -57,6 +57,7 @@ class Session:
         self.probes = Probes(_notify)
         self.history: list[tuple[int, float]] = []
         self.error: float | None = None
+        self.doubts: tuple[str, ...] = ()  # of the recovery, once it has ended
         self.seconds = 0.0
         self.longest_stall_s = 0.0
         self.closed = False
@@ -222,7 +223,7 @@ class Session:
             _notify()
             return
         self._leave_relighting()
-        self.state = "done"
+        self.state, self.doubts = "done", self.recovery.warnings
         self.title = "Stopped" if self.stopped else "Done"
         _notify()
 

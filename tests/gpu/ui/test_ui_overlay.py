@@ -129,6 +129,12 @@ def test_observations_are_counted_from_one_in_the_legend():
     assert legend.words(shown, model, ("a", "b", "c"), (0, 2, 1)) == "Photograph 2: c"
 
 
+def test_the_legend_of_the_indirect_light_is_in_percent_of_the_light():
+    shown, model = surface.Shown("indirect", limit=0.5), load_model("lambert")
+    assert legend.scale_of(shown, model) == legend.Scale("Indirect", "% of the light", 50)
+    assert legend.words(shown, model, ("a",), (0,)) == "Indirect light"
+
+
 @pytest.mark.parametrize(
     ("component", "words"),
     [("base_color.g", "Base Color G"), ("normal.x", "Normal X -1 to 1"), ("roughness", "Roughness 0.02 to 1")],

@@ -274,12 +274,14 @@ def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
         "RENDER": {"observation", "exposure"},
         "REFERENCE": {"observation", "exposure", "mark_unused"},
         "SPLIT": {"observation", "exposure", "mark_unused", "split"},
+        "INDIRECT": set(),
     }.items():
         view.shown = shown
         found = set(drawn("IMAGE_EDITOR").props) & {
             "parameter", "red_error", "red_angle", "red_deviation", "observation", "exposure", "mark_unused", "split",
         }  # fmt: skip
         assert found == expected, shown
+    assert any("Interreflection on" in text for text in drawn().texts)  # the view of the indirect light is empty
     view.shown, view.parameter = "CONFIDENCE", "normal"
     assert {"red_angle"} == set(drawn().props) & {"red_error", "red_angle", "red_deviation"}
     view.shown = "SPLIT"
@@ -292,6 +294,31 @@ def test_the_view_panel_shows_only_settings_of_the_chosen_view(settings, card):
     assert "1:  4, 3   1.23 %" in found.texts and "irpso.probe_remove" in found.operators
     view.show = False
     assert "shown" not in drawn().props
+
+
+def test_the_panels_show_rounds_of_interreflection_and_what_they_found(settings, card):
+    from irpso_addon.ui.session import session
+    from irpso_addon.ui.session.job import make_job
+
+    settings.capture_path, settings.view.shown = str(card), "INDIRECT"
+    settings.model, settings.schedule.interreflection = "lambert", True
+    settings.schedule.interreflection_rounds = 1
+    assert drawn().props.count("interreflection") == 1
+    running = session.begin(make_job(bpy.context))
+    while running.state != "running":
+        running.tick(0.01)
+    assert any("first round" in text for text in drawn().texts)
+    while running.recovery.indirect_share is None:
+        running.tick(0.01)
+    assert not any("first round" in text for text in drawn().texts)
+    running.run()
+    running.doubts = ("they are explained worse than before",)
+    texts = drawn().texts
+    found = running.recovery.findings["interreflection"]
+    assert texts[texts.index("Rounds") + 1] == "1" and "They are explained worse than before" in texts
+    assert texts[texts.index("Strength") + 1] == f"{found['strength'][-1]:.2f}"
+    assert texts[texts.index("Indirect Light") + 1].endswith("% of all") and "Left Unknown" not in texts
+    bpy.ops.irpso.cancel()
 
 
 @pytest.mark.bpy_only

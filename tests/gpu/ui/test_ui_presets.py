@@ -132,6 +132,17 @@ def test_settings_that_contradict_each_other_are_refused_with_what_to_do():
         schedule()
 
 
+def test_the_switch_of_interreflection_sets_the_rounds_of_the_thorough_preset():
+    rounds = irpso_addon.load_schedule("thorough").interreflection.rounds
+    assert rounds > 0 and not settings().interreflection
+    settings().interreflection = True
+    assert schedule().interreflection.rounds == rounds
+    settings().interreflection = False
+    assert schedule() == irpso_addon.load_schedule("standard")
+    settings().preset = "thorough"
+    assert settings().interreflection
+
+
 def test_an_own_preset_holds_its_schedules_name_and_what_differs_and_comes_back(user_folder):
     settings().preset = "swarm"
     settings().delta, settings().particles = 0.07, 24
