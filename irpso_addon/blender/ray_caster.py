@@ -11,11 +11,11 @@ from ..geometry.surface.mesh import MeshData
 
 def ray_caster(mesh: MeshData) -> Any:
     """Return a function of origins (N, 3) and directions (N, 3): the triangle (N,) int first hit by each ray, −1 for
-    none, and its place (N, 3) float32.
+    none, and its place (N, 3) float32. Triangles of occluders are numbered after those of the mesh.
     """
     from mathutils.bvhtree import BVHTree
 
-    corners = mesh.positions.reshape(-1, 3)
+    corners = mesh.opaque.reshape(-1, 3)
     tree = BVHTree.FromPolygons(corners.tolist(), np.arange(len(corners)).reshape(-1, 3).tolist())
 
     def cast(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

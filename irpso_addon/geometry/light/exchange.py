@@ -27,9 +27,9 @@ _LEAST = 1e-9  # weight of a cell whose surface is unlike a texel's: it counts o
 class Exchange:
     """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
 
-    hits: (R, E) int32, the element that a ray meets, −1 where it meets none or the back of a face. lit: (K, E) bool,
-    whether the mesh leaves the way to each light free. near: (T, 4) int32 and share: (T, 4) float32, the elements
-    around each covered texel and their weights, by which ``at_texels`` interpolates.
+    hits: (R, E) int32, the element that a ray meets, −1 where it meets none, the back of a face or an occluder. lit:
+    (K, E) bool, whether mesh and occluders leave the way to each light free. near: (T, 4) int32 and share: (T, 4)
+    float32, the elements around each covered texel and their weights, by which ``at_texels`` interpolates.
     """
 
     texels: np.ndarray
@@ -63,7 +63,7 @@ def exchange_steps(
     for number, directed in enumerate(directions):
         up = np.flatnonzero(np.einsum("ei,ei->e", directed, face) > 0)
         triangle, place = cast(points[up], directed[up])
-        met = triangle >= 0
+        met = (triangle >= 0) & (triangle < len(mesh.positions))
         hits[number, up[met]] = grid.elements_at(mesh, triangle[met], place[met], directed[up[met]])
         yield (number + 1) / total
     for number, light in enumerate(lights.astype(np.float64)):

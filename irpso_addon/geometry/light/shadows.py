@@ -36,21 +36,22 @@ _TURNED = 0.12
 class ShadowCaster:
     """Shadows of a mesh under the lights of a capture; ``weights`` draws one shadow map at a time.
 
-    mesh: all of its triangles cast shadows. bake: the texels that receive them. texel: a texel's width in the world
-    (``texel_size``); maps have about 1.5 pixels per texel along each side, 256 to 4096 in all.
+    mesh: all of its triangles and its occluders cast shadows. bake: the texels that receive them. texel: a texel's
+    width in the world (``texel_size``); maps have about 1.5 pixels per texel along each side, 256 to 4096 in all. They
+    show the mesh, and of the occluders what stands before or behind it.
     """
 
     def __init__(self, mesh: MeshData, bake: SurfaceBake, texel: float):
         self._mesh, self._bake, self._texel = mesh, bake, texel
-        corners = mesh.positions.astype(np.float64)
+        corners = mesh.opaque.astype(np.float64)
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
         offset = -np.einsum("ij,ij->i", across, corners[:, 0])
         self._planes = np.concatenate([across, offset[:, None]], axis=1)
-        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-        self._centre = (low + high) / 2
-        self._radius = float(np.linalg.norm(corners - self._centre, axis=-1).max())
         self._rounding = ROUNDING * float(np.abs(corners).max())
+        own = corners[: len(mesh.positions)]
+        self._centre = (own.min(axis=(0, 1)) + own.max(axis=(0, 1))) / 2
+        self._radius = float(np.linalg.norm(own - self._centre, axis=-1).max())
         self._points = _lifted(mesh, bake)
 
     def weights(self, light: Light, texels: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -23,10 +24,14 @@ CasterOf = Callable[[MeshData], Cast]  # blender/ray_caster.py
 class Surroundings(Protocol):
     """Makes of a domain and its maps the surface that lights itself.
 
-    shape_known: whether the surface is the same whatever the maps are.
+    shape_known: whether the surface is the same whatever the maps are. identity: what must be equal besides the domain
+    for a checkpoint to be resumed.
     """
 
     shape_known: bool
+
+    @property
+    def identity(self) -> dict[str, str]: ...
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
         """Yield the fraction of the work done; return the surface's domain, its exchange, and the maps on it."""
@@ -42,6 +47,11 @@ class MeshSurroundings:
     rays: int
     shape_known: bool = True
     _exchange: Exchange | None = None
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """As Surroundings: samples do not always show another occluder."""
+        return {"occluders": hashlib.sha256(self.mesh.occluders.tobytes()).hexdigest()}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
         """Work as Surroundings; only the first call takes time."""
@@ -63,6 +73,11 @@ class CardSurroundings:
     resolution: int
     rays: int
     shape_known: bool = False
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """As Surroundings."""
+        return {}
 
     def steps(self, domain: Domain, values: Values) -> Generator[float, None, Found]:
         """Work as Surroundings, every time anew: the relief follows the maps."""

@@ -87,8 +87,9 @@ def uv_coverage(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 
 def bake_camera(mesh: MeshData, camera: Camera) -> SurfaceBake:
-    """Return the nearest surface at the centre of each of a camera's pixels, back faces included.
+    """Return the nearest surface at the centre of each of a camera's pixels, back faces and occluders included.
 
+    Triangles of occluders are numbered after those of the mesh, and have their flat normals and no texture coordinates.
     A perspective camera's near plane is at 1e-4 of the farthest depth; an orthographic one sees its full direction.
     Triangles are drawn with straight edges: for a lens with distortion a camera without it is drawn, at the same scale,
     and each pixel takes that camera's nearest pixel.
@@ -170,6 +171,10 @@ def _repeated(mesh: MeshData, first: np.ndarray, last: np.ndarray) -> bool:
 
 def _bake(mesh: MeshData, places: np.ndarray, width: int, height: int, nearest: bool) -> SurfaceBake:
     corners = {name: getattr(mesh, name) for name in ("positions", "normals", "tangents", "uvs")}
+    if beside := len(places) - len(mesh.positions):
+        rest = {name: np.zeros((beside, *values.shape[1:]), np.float32) for name, values in corners.items()}
+        rest["positions"] = mesh.occluders
+        corners = {name: np.concatenate([values, rest[name]]) for name, values in corners.items()}
     drawn = raster.rasterize(places, corners, width, height, nearest)
     return SurfaceBake(
         position=drawn["position"][..., :3].copy(),
@@ -190,9 +195,9 @@ def _uv_places(mesh: MeshData, width: int, height: int) -> np.ndarray:
 
 
 def _camera_places(mesh: MeshData, camera: Camera) -> np.ndarray:
-    """Return (T, 3, 4) a camera's pixel coordinates x·w, y·w, depth·w (depth in −1…1) and w."""
+    """Return (T + M, 3, 4) a camera's pixel coordinates x·w, y·w, depth·w (depth in −1…1) and w, occluders last."""
     inverse = np.linalg.inv(np.asarray(camera.matrix, np.float64))
-    local = mesh.positions.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+    local = mesh.opaque.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
     depth = -local[..., 2]
     w = depth if camera.perspective else np.ones_like(depth)
     plane = local[..., :2] * np.asarray(camera.scale) + w[..., None] * np.asarray(camera.centre)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,8 @@ class MeshData:
     object to world. tiles: the domain's UDIM tiles, side by side from the left: ``uvs`` span all of them, tangents are
     of the UV map itself. slots: names of the object's material slots. solved: (T,) bool, triangles of the requested
     slots, None for all; the others occlude and cast shadows, but have no texels. copied_by: names of modifiers that may
-    repeat faces with their UVs.
+    repeat faces with their UVs. occluders: (M, 3, 3) positions of the triangles of other objects, which hide and shade
+    these.
     """
 
     name: str
@@ -39,6 +40,12 @@ class MeshData:
     slots: tuple[str, ...] = ()
     solved: np.ndarray | None = None
     copied_by: tuple[str, ...] = ()
+    occluders: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
+
+    @property
+    def opaque(self) -> np.ndarray:
+        """(T + M, 3, 3) positions of all that light and views do not pass: the mesh's triangles, then the occluders."""
+        return np.concatenate([self.positions, self.occluders]) if len(self.occluders) else self.positions
 
     @property
     def texel_uvs(self) -> np.ndarray:

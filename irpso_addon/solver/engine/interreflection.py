@@ -114,6 +114,10 @@ class InterreflectionRounds(Successive):
         found = {"rounds": len(self._strengths), "strength": self._strengths, "share": self._mean_share}
         return {"interreflection": found | {"dominated_texels": int(np.count_nonzero(self._dominated))}}
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        return super().identity | self._surroundings.identity
+
     def indirect(self, observation: int) -> np.ndarray | float:
         if self._at == 0 or self._samples is None:
             return 0.0

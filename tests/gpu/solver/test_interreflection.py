@@ -1,13 +1,14 @@
 """Light that a mesh throws on itself, where the answer is known: in hollow spheres. And the rounds that take it off."""
 
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from irpso_addon.blender.ray_caster import ray_caster
-from irpso_addon.core.errors import InputError
+from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
 from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.exchange import exchange_steps
@@ -243,6 +244,19 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
         np.testing.assert_array_equal(recovery.indirect_share, shown)  # None, too
         recovery.step()
         assert bits_of(recovery.maps()) == bits_of(whole[0])
+
+
+def test_a_run_among_other_occluders_is_another(bowl, tmp_path):
+    domain, surroundings = bowl
+    with rounds_of(bowl) as recovery:
+        recovery.step(1)
+        recovery.save(tmp_path / "checkpoint.npz")
+    table = replace(surroundings.mesh, occluders=surroundings.mesh.positions[:2] + np.float32(3))
+    with (
+        rounds_of((domain, MeshSurroundings(table, ray_caster, 48, 64))) as recovery,
+        pytest.raises(CheckpointError, match="is of another recovery: occluders differs"),
+    ):
+        recovery.load(tmp_path / "checkpoint.npz")
 
 
 def test_a_run_that_is_done_takes_up_an_earlier_state(bowl, monkeypatch, tmp_path):
