@@ -110,6 +110,8 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
         metavar="A,B",
         help="recover only these material slots, by name or by number from 0; each: all, one by one",
     )
+    add.add_argument("--occluder", action="append", default=[], metavar="NAME",
+                     help="object in FILE that hides and shades the mesh; may be repeated")  # fmt: skip
     add.add_argument("--resolution", metavar="N", help="texels of a UV square or UDIM tile: N or WxH (default 512)")
     add.add_argument("--no-shadows", dest="shadows", action="store_false",
                      help="do not predict the shadows that the mesh casts on itself")  # fmt: skip

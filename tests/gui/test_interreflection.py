@@ -85,3 +85,18 @@ def test_the_result_says_what_it_changed(ready):
     assert found["rounds"] == 3 and 0.05 < found["share"] < 0.3
     ready.run("settings.view.shown = 'PARAMETER'\nsettings.view.parameter = 'normal'")
     ready.screenshot("interreflection: normals")
+
+
+def test_occluders_are_a_collection_in_the_subject_panel(ready):
+    ready.run(
+        "bpy.ops.irpso.cancel()\nbpy.ops.mesh.primitive_plane_add()\n"
+        "around = bpy.data.collections.new('Around')\nbpy.context.scene.collection.children.link(around)\n"
+        "settings.subject = 'MESH'"
+    )
+    ready.click(*ready.find_button("irpso.occluders"))
+    ready.settle()
+    ready.screenshot("interreflection: choosing occluders")
+    ready.type("Aro")
+    ready.key("Return")
+    ready.wait("settings.occluders == around")
+    ready.screenshot("interreflection: occluders", ready.region(region="UI"))

@@ -10,6 +10,7 @@ from typing import Any
 from ...blender.images import decode
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
+from ...blender.occluders import named_occluders, with_occluders
 from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
 from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
 from ...capture.inspect.damage import naming_remedy
@@ -105,7 +106,7 @@ def _check_mesh_options(options: Namespace) -> None:
     """Raise InputError for an option of meshes without a mesh, or of cards with one."""
     if options.blend and options.distance is not None:
         raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own position")
-    for option in ("object", "slots", "resolution"):
+    for option in ("object", "slots", "resolution", "occluder"):
         if getattr(options, option) and not options.blend:
             raise InputError(f"--{option} is for meshes: give --blend FILE (a card's maps have the images' size)")
 
@@ -147,10 +148,12 @@ def _subject(options: Namespace, opened: bool) -> tuple[Any, MeshData | None, st
     if not opened:
         open_blend(options.blend)
     subject = mesh_object(options.object)
+    beside = named_occluders(options.occluder, subject, "--occluder")
     if options.slots is None:
-        return subject, extract_mesh(subject), subject.name
+        return subject, with_occluders(extract_mesh(subject), beside), subject.name
     slots = slots_of_text(options.slots, slot_names(subject))
-    return subject, extract_mesh(subject, slots), material.slots_subject(subject, slots)
+    mesh = with_occluders(extract_mesh(subject, slots), beside)
+    return subject, mesh, material.slots_subject(subject, slots)
 
 
 def _check_fitted(options: Namespace, job: Job) -> None:

@@ -159,6 +159,7 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
                 column.label(text=f"Active: {material.name}", icon="MATERIAL", translate=False)
             if settings.slots == "NAMED":
                 column.prop(settings, "slot_list", text="Names")
+        column.prop(settings, "occluders")
         column.prop(settings, "resolution")
         column.prop(settings, "shadows")
 

@@ -21,7 +21,7 @@ _PARAMETER = ("recover", "value")
 def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str, Any]:
     """Return the settings of a scene. obj: the mesh object, None for a card. slots: the material slots to recover.
 
-    Objects and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
+    Objects, collections and images are stored by name, paths as absolute ones. Raises InputError as ``absolute`` does.
     """
     return {
         "settings": {name: _data(getattr(settings, name)) for name in _plain(settings)}
@@ -30,6 +30,7 @@ def recipe_of(settings: Any, obj: Any, slots: Sequence[int] | None) -> dict[str,
             "model_path": str(absolute(settings.model_path, "Model File")) if settings.model == CUSTOM else "",
         },
         "object": None if obj is None else obj.name,
+        "occluders": None if settings.occluders is None else settings.occluders.name,
         "slots": None if slots is None else ", ".join(map(str, slots)),
         "parameters": {
             item.name: {name: getattr(item, name) for name in _PARAMETER}
@@ -57,10 +58,13 @@ def schedule_recipe(schedule: Any) -> dict[str, Any]:
 
 
 def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
-    """Set a scene's settings to those of ``recipe_of``. Raises InputError if an object or an image is missing."""
+    """Set a scene's settings to those of ``recipe_of``. Raises InputError if one that it names is missing."""
     objects, images = bpy.data.objects, bpy.data.images
     if (name := recipe["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', of which the recovery was; open the file that has it")
+    occluders = recipe.get("occluders")  # absent in recipes of earlier versions
+    if occluders is not None and occluders not in bpy.data.collections:
+        raise InputError(f"this file has no collection '{occluders}' of occluders; open the file that has it")
     given = recipe["parameters"]
     for name, values in given.items():
         if values["image"] is not None and values["image"] not in images:
@@ -69,6 +73,7 @@ def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
         if name in recipe["settings"] and recipe["settings"][name] != _data(getattr(settings, name)):
             setattr(settings, name, recipe["settings"][name])
     settings.object = None if recipe["object"] is None else objects[recipe["object"]]
+    settings.occluders = None if occluders is None else bpy.data.collections[occluders]
     settings.slots, settings.slot_list = ("ALL", "") if recipe["slots"] is None else ("NAMED", recipe["slots"])
     for item in settings.parameters:
         for name, value in given.get(item.name, {}).items():

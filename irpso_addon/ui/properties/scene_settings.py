@@ -267,6 +267,11 @@ class Settings(bpy.types.PropertyGroup):
         name="Object", description="The mesh whose maps are recovered. Empty: the active object",
         type=bpy.types.Object, poll=lambda self, obj: obj.type == "MESH",
     )  # fmt: skip
+    occluders: PointerProperty(
+        name="Occluders", description="A collection of objects around the mesh, as a table or a holder. They hide it"
+        " from cameras and lights and block the light that it throws on itself; they reflect none and are not"
+        " recovered. The mesh itself, lights and cameras in it do not count", type=bpy.types.Collection,
+    )  # fmt: skip
     card_distance: FloatProperty(
         name="Card Distance", description="From the camera to the card, along the camera's axis, in the unit of the"
         " light positions. 0: card_distance of the capture.toml", min=0, soft_max=10_000, default=0, precision=4,

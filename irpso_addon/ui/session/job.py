@@ -11,6 +11,7 @@ import numpy as np
 
 from ...blender.materials import material
 from ...blender.mesh import extract_mesh
+from ...blender.occluders import WITH_SURFACE, with_occluders
 from ...blender.tiled_images import tile_images
 from ...capture.inspect.sufficiency import FEWEST, check_normal, no_normal
 from ...capture.read import read_spec
@@ -100,7 +101,7 @@ def make_job(context) -> SceneJob:
     if obj is not None:
         material.check_object(obj)
         slots = wanted_slots(settings, obj)
-        mesh = extract_mesh(obj, slots)
+        mesh = with_occluders(extract_mesh(obj, slots), _occluders(settings, obj))
     origin = _MESH if obj is not None else str(capture.source or context.scene.name)
     name = capture.name if obj is None else obj.name if slots is None else material.slots_subject(obj, slots)
     name = material.subject_name(name, origin)
@@ -142,6 +143,12 @@ def wanted_slots(settings, obj) -> tuple[int, ...] | None:
     if settings.slots == "ACTIVE":
         return (obj.active_material_index,)
     return slots_of_text(settings.slot_list, slot_names(obj))
+
+
+def _occluders(settings, obj) -> list[Any]:
+    """Return the objects of the collection of occluders that have a surface, besides the subject."""
+    there = settings.occluders.all_objects if settings.occluders is not None else ()
+    return [other for other in there if other != obj and other.type in WITH_SURFACE]
 
 
 def _given(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tuple[int, ...]) -> dict[str, np.ndarray]:
@@ -232,7 +239,7 @@ def _source(settings, capture: Capture, mesh: MeshData | None, unseen: tuple[int
     cameras = (capture.card_distance, *(camera.key for camera in capture.cameras))
     shape = None
     if mesh is not None:
-        arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs)
+        arrays = (mesh.positions, mesh.normals, mesh.tangents, mesh.uvs, mesh.occluders)
         solved = None if mesh.solved is None else mesh.solved.tobytes()
         made = (settings.resolution, settings.shadows, mesh.tiles, solved)
         shape = hash((*(array.tobytes() for array in arrays), *made))

@@ -126,9 +126,10 @@ def test_a_fresh_scene_asks_for_a_capture_and_shows_nothing_that_needs_one(setti
     assert "irpso.import_capture" in found.operators and "irpso.recover" in found.operators
     assert "irpso.create_scene" not in found.operators and "capture_path" not in found.props
     assert any("No capture" in text for text in found.texts)
-    assert not {"resolution", "shadows"} & set(found.props)  # of a card it is the images', and it shades nothing
+    of_meshes = {"resolution", "shadows", "occluders"}
+    assert not of_meshes & set(found.props)  # of a card it is the images', and it shades nothing
     settings.subject = "MESH"
-    assert {"resolution", "shadows"} <= set(drawn().props)
+    assert of_meshes <= set(drawn().props)
     assert drawn("IMAGE_EDITOR").operators == []
 
 

@@ -95,6 +95,36 @@ def test_a_stored_recovery_resumes_with_its_settings_to_the_same_maps(stored, pl
     session.end()
 
 
+def test_occluders_come_back_with_their_recovery(plane, folder):
+    from irpso_addon.ui.session import session, unkept
+    from irpso_addon.ui.session.job import make_job
+
+    subject = bpy.context.object
+    group = bpy.data.collections.new("Around")
+    bpy.context.scene.collection.children.link(group)
+    bpy.ops.mesh.primitive_cube_add(location=(9, 0, 0))
+    bpy.ops.object.light_add()
+    for obj in (subject, bpy.data.objects["Cube"], bpy.data.objects["Point"]):
+        group.objects.link(obj)
+    plane.object, plane.slots, plane.occluders = subject, "ALL", group
+    job = make_job(bpy.context)
+    assert job.mesh.occluders.shape == (12, 3, 3) and job.mesh.occluders[..., 0].min() == 8
+    running = session.begin(job)
+    while running.recovery is None:
+        running.tick(0.05)
+    running.recovery.step(3)
+    session.forget()
+    (found,) = unkept.listed()
+    plane.occluders = None
+    assert make_job(bpy.context).source != job.source
+    assert bpy.ops.irpso.restore(path=str(found.path)) == {"FINISHED"}
+    assert plane.occluders == group and session.current().job.source == job.source
+    session.end()
+    bpy.data.collections.remove(group)
+    with pytest.raises(RuntimeError, match="no collection 'Around' of occluders"):
+        bpy.ops.irpso.restore(path=str(found.path))
+
+
 def test_kept_or_discarded_recoveries_are_not_stored(plane, folder):
     from irpso_addon.ui.session import session, unkept
     from irpso_addon.ui.session.job import make_job
