@@ -101,7 +101,8 @@ def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[M
     along = np.stack([up[..., 2], np.zeros(covered.shape), -up[..., 0]], axis=-1)
     along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
     facing = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0)) if min(covered.shape) > 1 else up
-    facing = np.where((facing[..., 2:] > 0) & covered[..., None], facing, up)
+    # Beside an uncovered texel a difference of places is no slope: rim texels would look along the card.
+    facing = np.where((facing[..., 2:] > 0) & _surrounded(covered)[..., None], facing, up)
     facing /= np.linalg.norm(facing, axis=-1, keepdims=True)
     tangent = np.concatenate([along, np.ones((*covered.shape, 1))], axis=-1)
     bake = SurfaceBake(
@@ -109,6 +110,12 @@ def card_surface(camera: Camera, domain: Domain, normals: np.ndarray) -> tuple[M
         facing.astype(np.float32), np.zeros(covered.shape, np.int32),
     )  # fmt: skip
     return _mesh_over(bake), bake
+
+
+def _surrounded(covered: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: covered texels whose neighbours in row and column are covered, or beyond the image."""
+    around = np.pad(covered, 1, mode="edge")
+    return covered & around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
 
 
 def _mesh_over(bake: SurfaceBake) -> MeshData:

@@ -41,8 +41,8 @@ def test_rounds_lower_the_error_of_a_hollow_card_and_report_their_strength(card,
     assert (tmp_path / "2" / "indirect.png").exists() and not (tmp_path / "0" / "indirect.png").exists()
     share, rho = read_map(tmp_path / "2" / "indirect.exr")[..., 0], np.array(ALBEDO)
     sent = (rho * 0.25 * rho / (1 - 0.25 * rho)).mean() * 0.75 * LIGHTS[:, 2].sum()  # as cap_card has it
-    inner = np.all([np.roll(mask, step, axis) for step in (-1, 1) for axis in (0, 1)], axis=0)
-    np.testing.assert_allclose(share[inner], sent / light.sum(axis=0)[inner], rtol=0.15)
+    off = share[mask] / (sent / light.sum(axis=0)[mask]) - 1
+    assert abs(off).mean() < 0.1 and abs(off).max() < 0.35  # the relief ends at the rim
     assert found["share"] == pytest.approx(share[mask].mean(), rel=1e-4)
 
 
