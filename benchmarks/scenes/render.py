@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -88,12 +89,10 @@ def photographs_near(folder: Path, places: np.ndarray, shadows: bool = True) -> 
 def _photographs(
     folder: Path, vectors: np.ndarray, kind: str, report: Callable[[int], None] | None, shadows: bool
 ) -> Iterator[np.ndarray]:
-    lamp = _only_lamp(kind)
-    lamp.data.use_shadow = shadows
-    for number, vector in enumerate(vectors):
+    for number, lamp in enumerate(lamps(vectors, kind)):
+        lamp.data.use_shadow = shadows
         path = folder / f"light_{number:03d}.exr"
         if not path.exists():
-            _place(lamp, vector)
             _render(path, "OPEN_EXR", persistent=True)
         (channels,) = read_exr(path).values()
         yield np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float32)
@@ -131,6 +130,14 @@ def truth(folder: Path) -> dict[str, np.ndarray]:
     for name in ("roughness", "metallic"):
         maps[name] = next(value for key, value in found.items() if key.startswith(f"{name}."))
     return maps
+
+
+def lamps(vectors: np.ndarray, kind: str = "SUN") -> Iterator[Any]:
+    """Yield the scene's one lamp, a SUN or a POINT, at each of the vectors (K, 3), as bright as ``photographs`` say."""
+    lamp = _only_lamp(kind)
+    for vector in vectors:
+        _place(lamp, vector)
+        yield lamp
 
 
 def _only_lamp(kind: str):
