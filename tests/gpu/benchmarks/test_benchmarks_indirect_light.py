@@ -1,4 +1,4 @@
-"""Light that hollow bodies throw on themselves: what the program gathers and what Cycles bakes are what Cycles renders."""
+"""Light that hollow bodies throw on themselves: what is gathered and what Cycles bakes are what Cycles renders."""
 
 import pytest
 
