@@ -33,6 +33,15 @@ class SampleStack(Protocol):
     def layers(self) -> Iterator[np.ndarray]:
         """Yield the samples of every observation, as ``layer`` returns them."""
 
+    def another(self, scratch: Path | None = None) -> SampleStack:
+        """Return a stack of zeros of its shape, to be filled by ``put``, in a store of its kind.
+
+        scratch: folder of a mapped file, None for memory; ranks have memory alone.
+        """
+
+    def put(self, observation: int, layer: np.ndarray) -> None:
+        """Replace the samples of one observation by (H, W, 4)."""
+
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4) the samples at N texels; not to be written to."""
 
@@ -65,6 +74,14 @@ class ArrayStack:
     def layers(self) -> Iterator[np.ndarray]:
         """Yield the samples of every observation."""
         return iter(self.values)
+
+    def another(self, scratch: Path | None = None) -> ArrayStack:
+        """Return a stack of zeros of its shape, in memory or mapped from a file in the folder ``scratch``."""
+        return new_stack(*self.shape, scratch)
+
+    def put(self, observation: int, layer: np.ndarray) -> None:
+        """Replace the samples of one observation by (H, W, 4)."""
+        self.values[observation] = layer
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (K, N, 4) the samples at N texels: a view where they lie side by side, else a copy."""

@@ -15,7 +15,6 @@ from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule
-from ..state import prepare
 from ..state.checkpoint import Checkpoint
 from .reconfigure import given
 from .recovery import Recovery
@@ -78,11 +77,8 @@ class Pyramid(Successive):
     def _begin(self, guess: Maps | None) -> Recovery:
         """Return the recovery of the current level. guess: at its size, None for the coarsest."""
         domain, schedule = self._domains[self._at], self._schedules[self._at]
-        prepared = prepare.prepare(domain, self.model, schedule)
-        if guess is not None:
-            prepared = replace(prepared, guess=guess.values)
-        fixed = self._fixed[self._at]
-        return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, prepared)
+        fixed, values = self._fixed[self._at], guess and guess.values
+        return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, guess=values)
 
     def _next(self) -> Iterator[None]:
         guess = self._finer(self._live.maps(confidence=False), self._at)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +16,15 @@ from ...core.optional import present
 from ...core.steps import map_steps, run_steps
 from ...geometry.domain import Domain
 from ...geometry.light.surroundings import Surroundings
-from ...geometry.samples import ArrayStack, new_stack
+from ...geometry.samples import SampleStack
 from ...gpu.passes import EntryChoice
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..settings.schedule import Schedule
-from ..state import prepare
 from ..state.checkpoint import Checkpoint
 from ..state.prepare import Prepared
 from ..views.indirect import IndirectLight
+from .engine import RecoveryEngine
 from .reconfigure import given
 from .recovery import Recovery
 from .successive import Successive
@@ -51,7 +51,8 @@ class InterreflectionRounds(Successive):
     last one begins with their materials. Where there is next to none of that light, the maps are those of a Recovery.
 
     surroundings: what the light comes from. prepared: from ``prepare``, of the photographs as they are. scratch: a
-    folder for the second sample stack, None for memory. The others are as for Recovery.
+    folder for the second sample stack, None for memory. solve: begins one recovery, by the arguments of ``Recovery``:
+    domain, model, schedule, seed, fixed, entry, and one of prepared and guess. The others are as for Recovery.
     """
 
     def __init__(
@@ -65,18 +66,19 @@ class InterreflectionRounds(Successive):
         surroundings: Surroundings,
         prepared: Prepared | None = None,
         scratch: Path | None = None,
+        solve: Callable[..., RecoveryEngine] = Recovery,
     ):
         free = any(not p.is_normal and p.name not in (fixed or {}) for p in model.parameters)
         self._holds = surroundings.shape_known and free  # whether normals are held
         self._warm = self._holds  # whether the last recovery begins with what those before have found
         super().__init__(domain, model, schedule, seed, fixed, entry, _schedules(schedule, self._warm))
-        self._surroundings, self._scratch = surroundings, scratch
+        self._surroundings, self._scratch, self._solve = surroundings, scratch, solve
         self._dominated = np.zeros(domain.shape, bool)  # texels that owe most of their light to others
         self._stand_in: dict[str, np.ndarray] = {}  # their maps
-        self._samples: ArrayStack | None = None  # without indirect light
+        self._samples: SampleStack | None = None  # without indirect light
         self._share: np.ndarray | None = None  # (H, W) of the light of the photographs, as the last round found it
         self._mean_share = 0.0  # over the texels
-        self._errors: list[float] = []  # mean errors of the renders at the ends of the rounds
+        self._errors: list[float] = []  # mean residuals at the ends of the rounds
         self._strengths: list[float] = []  # by which each round's light was multiplied
         self._bases: list[dict[str, np.ndarray]] = []  # the maps that each round's light was found from
         self._count()
@@ -102,7 +104,10 @@ class InterreflectionRounds(Successive):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        if not self._errors or not self.progress.done or (last := self.mean_error()) <= self._errors[0]:
+        if not self._errors or not self.progress.done:
+            return ()
+        last = self._mean_residual(self._live.maps(confidence=False))
+        if last <= self._errors[0]:
             return ()
         return (
             "without the light that the subject throws on itself the photographs are explained worse than before (mean"
@@ -174,20 +179,23 @@ class InterreflectionRounds(Successive):
         return self._holds and number < len(self._schedules) - 1
 
     def _fixed_in(self, number: int) -> Mapping[str, np.ndarray]:
-        own = np.broadcast_to(np.array((0, 0, 1), np.float32), (*self.domain.shape, 3))
-        held = {p.name: own for p in self.model.parameters if p.is_normal and self._held(number)}
+        held = {
+            p.name: np.array((0, 0, 1), np.float32) for p in self.model.parameters if p.is_normal and self._held(number)
+        }
         return held | dict(self.fixed)
 
-    def _begin(self, domain: Domain, prepared: Prepared | None = None) -> Recovery:
+    def _begin(self, domain: Domain, prepared: Prepared | None = None) -> RecoveryEngine:
         schedule = self._schedules[self._at]
-        prepared = prepared or prepare.prepare(domain, self.model, schedule)
+        begin: dict[str, Any] = {"prepared": prepared} if prepared else {}
         if schedule.swarm.seed == "given" and self._bases:
-            prepared = replace(prepared, guess=self._bases[-1])
-        return Recovery(domain, self.model, schedule, self.seed, self._fixed_in(self._at), self.entry, prepared)
+            begin = {"guess": {p.name: self._bases[-1][p.name] for p in self.model.parameters}}
+        fixed = self._fixed_in(self._at)
+        return self._solve(domain, self.model, schedule, self.seed, fixed, self.entry, **begin)
 
     def _next(self) -> Iterator[None]:
-        self._bases.append(self._basis())
-        self._errors.append(self.mean_error())
+        maps = self._live.maps(confidence=False)
+        self._bases.append(self._basis(maps))
+        self._errors.append(self._mean_residual(maps))
         domain = yield from self._without_indirect()
         if domain is None and not self._held(self._at):
             self._schedules = self._schedules[: self._at + 1]
@@ -199,11 +207,13 @@ class InterreflectionRounds(Successive):
         self._at += 1
         self._live = self._begin(domain)
 
-    def _basis(self) -> dict[str, np.ndarray]:
+    def _mean_residual(self, maps: Maps) -> float:
+        return float(present(maps.residual)[self.domain.solvable].mean(dtype=np.float64))
+
+    def _basis(self, maps: Maps) -> dict[str, np.ndarray]:
         """Return the live maps by name, and where they explain the photographs."""
-        maps, stack = self._live.maps(confidence=False), self._live.domain.stack
         light, count = np.zeros(self.domain.shape), np.zeros(self.domain.shape)
-        for layer in stack.layers():
+        for layer in self._live.domain.stack.layers():
             counted = layer[..., 3] > 0
             light += counted * layer[..., :3].mean(axis=-1)
             count += counted
@@ -243,14 +253,14 @@ class InterreflectionRounds(Successive):
                 if first:
                     self._take_share(np.zeros(domain.shape))
                 return None
-            samples = self._samples = self._samples or new_stack(*domain.stack.shape, self._scratch)
+            samples = self._samples = self._samples or domain.stack.another(self._scratch)
             taken, shown = np.zeros((2, int(covered.sum())))
-            for sample, layer, indirect in zip(samples.layers(), domain.stack.layers(), radiance, strict=True):
-                if first:
-                    sample[:] = layer
+            for observation, (layer, indirect) in enumerate(zip(domain.stack.layers(), radiance, strict=True)):
+                sample = (layer if first else samples.layer(observation)).copy()
                 light_of_texels = strength * light.at_texels(indirect)
                 off = np.maximum(layer[covered, :3] - light_of_texels, 0)
                 sample[covered, :3] += relaxation * (off - sample[covered, :3])
+                samples.put(observation, sample)
                 seen = layer[covered, 3] > 0
                 taken += seen * light_of_texels.mean(axis=-1)
                 shown += seen * layer[covered, :3].mean(axis=-1)

@@ -58,8 +58,9 @@ class Recovery(RecoveryEngine):
     Needs a GPU context (GpuUnavailableError); a model that does not compile raises ShaderError, settings that do not
     fit InputError.
 
-    seed: −2³¹ to 2³¹ − 1. prepared: from ``prepare``, made here where None. memory: from ``memory``, where it begins.
-    The others are as for RecoveryEngine.
+    seed: −2³¹ to 2³¹ − 1. prepared: from ``prepare``, made here where None. guess: parameter name → (H, W, components),
+    where it begins instead of the preparation's guess. memory: from ``memory``, where it begins. The others are as for
+    RecoveryEngine.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Recovery(RecoveryEngine):
         prepared: Prepared | None = None,
         memory: Checkpoint | None = None,
         begin: _Begin | None = None,
+        guess: Mapping[str, np.ndarray] | None = None,
     ):
         _check(schedule, seed)
         context.ensure()
@@ -81,7 +83,7 @@ class Recovery(RecoveryEngine):
         works = [work_of(stage, model, schedule, domain.observations) for stage in self._stages]
         self._course = Course(self._stages, works)
         fresh = begin is None
-        begin = begin or self._prepared(prepared)
+        begin = begin or self._prepared(prepared, guess)
         self._textures, self._stack, self._estimates = begin.textures, begin.stack, begin.estimates
         self._packing = self._textures.packing
         self._solved = int((texel_states(domain) == SOLVED).sum())
@@ -102,10 +104,10 @@ class Recovery(RecoveryEngine):
         elif fresh:
             self._phase = self._begin(0, schedule)
 
-    def _prepared(self, prepared: Prepared | None) -> _Begin:
+    def _prepared(self, prepared: Prepared | None, guess: Mapping[str, np.ndarray] | None) -> _Begin:
         """Return the begin of a new recovery."""
-        held, stack, guess = self._samples(self.schedule, prepared)
-        values = {name: held.packing.pack(value) for name, value in {**guess, **self.fixed}.items()}
+        held, stack, found = self._samples(self.schedule, prepared)
+        values = {name: held.packing.pack(value) for name, value in {**(guess or found), **self.fixed}.items()}
         return _Begin(held, stack, Estimates(self.model, values))
 
     def _samples(

@@ -21,12 +21,12 @@ from ..planning.cost import work_of
 from ..settings.resolve import resolve
 from ..settings.schedule import Schedule
 from .engine import Capabilities, RecoveryEngine
+from .halo import Box
 from .progress import Progress
-from .recovery import Recovery
 
 
 class Successive(RecoveryEngine):
-    """A ``RecoveryEngine`` that runs one Recovery after another. A subclass makes them.
+    """A ``RecoveryEngine`` that runs one recovery after another. A subclass makes them.
 
     _live: the running one, number ``_at`` of ``_schedules``. _before: evaluations of those that are done.
     """
@@ -46,7 +46,7 @@ class Successive(RecoveryEngine):
         self._schedules = tuple(schedules)
         self._at, self._before = 0, 0
         self._passing: Iterator[None] | None = None
-        self._live: Recovery
+        self._live: RecoveryEngine
 
     @abstractmethod
     def _texels(self, number: int) -> int:
@@ -67,13 +67,15 @@ class Successive(RecoveryEngine):
         while True:
             before = self._live.progress
             budget = None if deadline is None else max(0.0, deadline - time.perf_counter())
-            after = self._live.step(left if not left else 1, budget)
+            # One at a time counts exactly where a threshold ends a stage; tiles that take turns make all at once.
+            asked = left if not left or self.capabilities.turns else 1
+            after = self._live.step(asked, budget)
             if after.done and self._at == len(self._schedules) - 1:
                 return self.progress
             if after.done and not self._passed(deadline):
                 return self.progress
-            made = after.iteration_in_all > before.iteration_in_all
-            left = left - 1 if left and made else left
+            made = after.iteration_in_all - before.iteration_in_all
+            left = left - min(made, asked) if left and asked else left
             placed = self._live.progress.iteration >= 0
             if (left == 0 and placed) or (deadline is not None and time.perf_counter() >= deadline):
                 return self.progress
@@ -122,6 +124,9 @@ class Successive(RecoveryEngine):
     @property
     def phase(self) -> Phase | None:
         return self._live.phase
+
+    def tiles(self) -> list[tuple[Box, RecoveryEngine]]:
+        return self._live.tiles()
 
     def deviation_pass(self) -> tuple[Pass, dict[str, int | float]]:
         return self._live.deviation_pass()

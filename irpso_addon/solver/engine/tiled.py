@@ -32,7 +32,7 @@ class TiledRecovery(RecoveryEngine):
     boxes: (x0, y0, width, height) of rectangles that do not overlap and together hold all solvable texels. halo: at
     least the reach of every phase. on_device: how many tiles are on the device at once, None for all. Fewer take turns,
     up to the next iteration that reads neighbours; the others' state waits in memory, or in files in the folder
-    ``scratch``. Errors are those of Recovery. solver/views/tiled_view.py shows it.
+    ``scratch``. prepared, guess: as for Recovery. Errors are those of Recovery. solver/views/tiled_view.py shows it.
     """
 
     def __init__(
@@ -49,6 +49,7 @@ class TiledRecovery(RecoveryEngine):
         on_device: int | None = None,
         scratch: Path | None = None,
         prepared: prepare.Prepared | None = None,
+        guess: Mapping[str, np.ndarray] | None = None,
     ):
         refuse_levels(schedule)
         context.ensure()
@@ -56,6 +57,8 @@ class TiledRecovery(RecoveryEngine):
         self._halo = halo
         _check_boxes(boxes, domain)
         prepared = prepared or prepare.prepare(domain, model, schedule, pack=False)
+        if guess is not None:
+            prepared = replace(prepared, guess=dict(guess))
         tiles = [self._tile(box, prepared) for box in boxes if domain.solvable[part_of(box)].any()]
         self._pool = TilePool(tiles, model, schedule, seed, self.entry, on_device, scratch)
         self._driver = LockStep(self._pool, LocalTransport([part.place for part in tiles]), halo)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +24,7 @@ from ..engine.engine import RecoveryEngine
 from ..engine.interreflection import InterreflectionRounds
 from ..engine.recovery import Recovery
 from ..engine.tiled import TiledRecovery
-from ..settings.schedule import Schedule, refuse_interreflection, refuse_levels
+from ..settings.schedule import Schedule, refuse_levels
 from ..state.prepare import Prepared
 from .cost import recovery_cost
 from .memory import machine_memory
@@ -61,9 +62,6 @@ def make_plan(
     plan = plan_recovery(coverage, cost, allowed, limits, stack_on, borders)
     if not untiled(plan):
         refuse_levels(schedule)
-        refuse_interreflection(
-            schedule, "the domain does not fit in memory at once", "lower the resolution, allow more with --memory"
-        )
     return plan
 
 
@@ -100,15 +98,16 @@ def planned_recovery(
     rounds of interreflection.
     """
     settings = (domain, model, schedule, seed, fixed, entry)
-    if surroundings is not None:
-        folder = scratch if plan.stack_on == "scratch" else None
-        return InterreflectionRounds(*settings, surroundings, prepared, folder)
-    if untiled(plan):
-        return Recovery(*settings, prepared=prepared) if schedule.levels == 1 else Pyramid(*settings)
-    folder = scratch if plan.state_on == "scratch" else None
-    return TiledRecovery(
-        *settings, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder, prepared=prepared
-    )
+    if schedule.levels > 1 and untiled(plan):
+        return Pyramid(*settings)
+    solve: Callable[..., RecoveryEngine] = Recovery
+    if not untiled(plan):
+        folder = scratch if plan.state_on == "scratch" else None
+        solve = partial(TiledRecovery, boxes=plan.boxes, halo=plan.halo, on_device=plan.on_device, scratch=folder)
+    if surroundings is None:
+        return solve(*settings, prepared=prepared)
+    folder = scratch if plan.stack_on == "scratch" else None
+    return InterreflectionRounds(*settings, surroundings, prepared, folder, solve)
 
 
 def untiled(plan: Plan) -> bool:
