@@ -58,8 +58,8 @@ class Cost:
     """Per-texel cost of a recovery.
 
     observations: fitted ones. observed: with those held out. components: of the model. compute: passes are compute
-    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives. stacks: sample
-    stacks on the host, two with rounds of interreflection.
+    dispatches, which are read back through copies. alternatives: most RGBA textures of the alternatives. rounds: of
+    interreflection, with at most ``elements``, of ``rays`` each.
     """
 
     observations: int
@@ -68,7 +68,9 @@ class Cost:
     phases: tuple[PhaseCost, ...]
     compute: bool = False
     alternatives: int = 0
-    stacks: int = 1
+    rounds: int = 0
+    elements: int = 0
+    rays: int = 0
 
     @property
     def estimates(self) -> int:
@@ -89,6 +91,11 @@ class Cost:
     def evaluations(self) -> int:
         """Renders of all observations per texel, in all phases."""
         return sum(phase.evaluations for phase in self.phases)
+
+    @property
+    def stacks(self) -> int:
+        """Number of sample stacks on the host: the second has no indirect light."""
+        return 2 if self.rounds else 1
 
     @property
     def kept(self) -> int:
@@ -117,8 +124,10 @@ def recovery_cost(
     phases = tuple(phase_cost(stage, model, schedule) for stage in stages)
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
-    stacks = 2 if schedule.interreflection.rounds else 1
-    return Cost(observations - held_out, observations, model.components, phases, compute, -(-numbers // 4), stacks)
+    light = schedule.interreflection
+    exchange = (light.rounds, light.resolution**2, light.rays) if light.rounds else ()
+    counts = observations - held_out, observations, model.components
+    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

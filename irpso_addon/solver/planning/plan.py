@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from .cost import FLOAT, FLOAT2, FLOAT4, Cost
 from .memory import Memory, amount
 
 _BAKE = 65  # on the host: position 12, normal 12, tangent 16, coverage 1, uv 8, face normal 12, triangle 4
+_EXCHANGED = 160  # on the host, while a round finds indirect light (measured): elements around a texel, their weights
+_RAY = 104  # on the host, while an exchange is made (measured)
 _PREPARED = 28  # on the host: scale 4, the first guess's normal 12 and albedo 12
 _PREPARING = 512 << 20  # on the host, for every domain: chunks of the preparation, Blender itself
 _SMALLEST = 8  # texels along the longer side: a tile this small is not cut
@@ -145,6 +147,12 @@ def plan_recovery(
         )
     if not coverage.any():
         raise InputError("no texel is covered; raise the resolution or check the mask")
+    cost = replace(cost, elements=min(cost.elements, _texels(coverage)))
+    if FLOAT4 * cost.elements * cost.rays > limits.texture:
+        raise InputError(
+            f"interreflection: {cost.elements} elements of {cost.rays} rays exceed this GPU's textures of"
+            f" {amount(limits.texture)}; lower interreflection_resolution or interreflection_rays"
+        )
     whole = (0, 0, coverage.shape[1], coverage.shape[0])
     fits = _fits(coverage, whole, cost, memory, limits, borders)
     boxes = [whole] if fits else _cut(coverage, cost, memory, limits, borders)
@@ -164,9 +172,12 @@ def plan_recovery(
 
 
 def device_bytes(texels: int, rectangle: int, cost: Cost) -> int:
-    """Return the bytes of all textures of a recovery of ``texels`` packed texels in a rectangle of ``rectangle``."""
+    """Return the bytes of all textures of a recovery of ``texels`` packed texels in a rectangle of ``rectangle``.
+
+    Those of the rays between rounds of interreflection count, too.
+    """
     table = 3 * FLOAT4 * cost.observations
-    return _places_of(texels) * cost.device + FLOAT2 * rectangle + table
+    return _places_of(texels) * cost.device + FLOAT2 * rectangle + table + FLOAT4 * cost.elements * cost.rays
 
 
 def host_bytes(texels: int, rectangle: int, cost: Cost) -> int:
@@ -230,10 +241,11 @@ def _cut(coverage: np.ndarray, cost: Cost, memory: Memory, limits: Limits, borde
         if small := [box for box in unfit if max(box[2:]) <= _SMALLEST]:
             needs = {box: _device_in_turns(*_amounts(coverage, box, cost, borders)[:2], cost) for box in small}
             box = max(small, key=needs.__getitem__)
+            rays = ", or interreflection_rays" if cost.rays else ""
             raise InputError(
                 f"--memory device={amount(memory.device)} ({memory.device_from}): a tile of {box[2]} × {box[3]} texels"
                 f" with a halo of {cost.reach} needs at least {amount(needs[box])} at its turn; allow more, or lower"
-                " the number of observations or the number of particles"
+                f" the number of observations or the number of particles{rays}"
             )
         count = max(count + 1, int(1.1 * count))
 
@@ -310,6 +322,8 @@ def _places(
     state = 0 if resident else cost.kept * sum(_places_of(tile.texels) for tile in tiles)
     maps = FLOAT * (2 * cost.components + 1) * texels
     least = _PREPARING + (_BAKE + _PREPARED) * texels + maps + max(tile.host for tile in tiles)
+    if cost.rounds:
+        least += (_EXCHANGED + FLOAT * (cost.components + 1) * cost.rounds) * texels + _RAY * cost.elements * cost.rays
     choices = [(first, second) for second in ("memory", "scratch") for first in ("memory", "scratch")]
     for where in [w for w in choices if w[0] == (stack_on or w[0]) and w != ("memory", "scratch")]:
         scratch = stack * (where[0] == "scratch") + state * (where[1] == "scratch")

@@ -166,6 +166,31 @@ def test_observations_held_out_lie_in_the_stack_but_not_on_the_device():
     assert (plain.observations, held.observations) == (100, 90)
 
 
+def test_rounds_of_interreflection_hold_a_second_stack_their_maps_and_their_rays():
+    covered = disc(64, 30)
+    light = {"interreflection_resolution": 16, "interreflection_rays": 32}
+    plans = {}
+    for rounds in (0, 1, 3):
+        schedule = SWARM.replaced(interreflection_rounds=rounds, **light)
+        plans[rounds] = plan_recovery(covered, recovery_cost(load_model("lambert"), schedule, (), 100), PLENTY)
+    rays = 16 * 16 * 32
+    assert plans[1].device - plans[0].device == plans[3].device - plans[0].device == rays * 16
+    maps = 64 * 64 * (6 + 1) * 4  # lambert's six components, and whether they explain the photographs
+    assert plans[3].host - plans[1].host == 2 * maps
+    second = 64 * 64 * 100 * 16
+    # Elements and weights around a texel are 32 bytes, directions and elements of a ray 16.
+    assert plans[1].host - plans[0].host > second + maps + 32 * 64 * 64 + 16 * rays
+
+
+def test_no_more_rays_are_counted_than_texels_have():
+    light = {"interreflection_rounds": 1, "interreflection_resolution": 1024, "interreflection_rays": 1024}
+    cost = recovery_cost(load_model("lambert"), SWARM.replaced(**light), (), 10)
+    plan = plan_recovery(np.ones((8, 16), bool), cost, PLENTY)
+    assert plan.device == device_bytes(128, 128, cost_of(10)) + 128 * 1024 * 16
+    with pytest.raises(InputError, match="65536 elements of 1024 rays exceed .* lower interreflection_resolution"):
+        plan_recovery(np.ones((256, 256), bool), cost, PLENTY, Limits(texture=(1 << 30) - 1))
+
+
 def test_an_existing_stack_stays_where_it_is():
     assert plan_recovery(disc(64, 30), cost_of(), PLENTY, stack_on="scratch").stack_on == "scratch"
 
