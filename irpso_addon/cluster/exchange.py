@@ -14,12 +14,12 @@ from .transport import Ranks
 class RankTransport:
     """A ``HaloTransport`` (solver/engine/lockstep.py) of ranks that have one tile each.
 
-    team: the ranks that have texels. places: of their tiles, by number of the rank in ``ranks``.
+    team: the ranks that have texels. places: of their tiles, by number of the rank in ``ranks``. seams: whether the
+    domain has UV seams.
     """
 
-    def __init__(self, ranks: Ranks, team: Ranks, places: Mapping[int, Place]):
-        self._ranks, self._team, self._places = ranks, team, places
-        self._seams = any(len(place.ghosts) for place in places.values())
+    def __init__(self, ranks: Ranks, team: Ranks, places: Mapping[int, Place], seams: bool):
+        self._ranks, self._team, self._places, self._seams = ranks, team, places, seams
         self.connected = len(places) > 1
         self._overlaps: dict[int | None, tuple[dict[int, HaloOverlap], dict[int, HaloOverlap]]] = {}
         self._outgoing: dict[int, np.ndarray] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from operator import methodcaller
@@ -11,11 +11,13 @@ from typing import Concatenate, TypeVar
 
 import numpy as np
 
-from ..geometry.domain import with_lights
+from ..geometry.domain import Domain, with_lights
 from ..gpu.passes import EntryChoice
+from ..reflectance.model import ReflectanceModel
 from ..results.maps import Maps
 from ..solver.engine.engine import Capabilities, RecoveryEngine
 from ..solver.engine.progress import Progress
+from ..solver.settings.schedule import Schedule
 from ..solver.state.checkpoint import Checkpoint
 from .samples import RankedStack
 from .worker import P, Worker
@@ -32,7 +34,7 @@ class Leader:
         self.busy = False
         whole = worker.partition.whole
         window = slice(0, whole.shape[0]), slice(0, whole.shape[1])
-        self.domain = replace(whole, stack=RankedStack(self.ask, range(whole.observations), window))
+        self.domain = replace(whole, stack=RankedStack(self, range(whole.observations), window))
 
     def ask(
         self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
@@ -77,14 +79,30 @@ def serve(worker: Worker) -> int:
 class RankedRecovery(RecoveryEngine):
     """A ``RecoveryEngine`` over all ranks: the maps are those of one process, bit for bit.
 
-    Made on rank 0 while the others ``serve``. fitted: the observations, by number, that are fitted.
+    Made on rank 0 while the others ``serve``. domain: the leader's, or of some of its observations. fixed: the job's,
+    which the ranks have, and perhaps more. The others are as for Recovery.
     """
 
-    def __init__(self, leader: Leader, fitted: Sequence[int], entry: EntryChoice = "auto"):
-        self._leader, worker = leader, leader.worker
-        super().__init__(leader.domain, worker.model, worker.schedule, worker.seed, worker.fixed, entry)
-        self._progress = leader.ask(Worker.begin, list(fitted), self.entry)
-        self.domain = replace(worker.domain, stack=leader.domain.stack.subset(np.asarray(fitted, np.intp)))
+    def __init__(
+        self,
+        leader: Leader,
+        domain: Domain,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        fixed: Mapping[str, np.ndarray],
+        entry: EntryChoice = "auto",
+        guess: Mapping[str, np.ndarray] | None = None,
+    ):
+        self._leader, stack = leader, domain.stack
+        super().__init__(domain, model, schedule, seed, fixed, entry)
+        if not isinstance(stack, RankedStack):
+            raise TypeError("RankedRecovery: the domain's samples must lie on the ranks")
+        if guess is not None:
+            leader.deal(Worker.take_guess, guess)
+        held = {name: value for name, value in fixed.items() if name not in leader.worker.fixed}
+        samples = stack.observations.tolist(), stack.second
+        self._progress = leader.ask(Worker.begin, *samples, model, schedule, seed, held, self.entry)
 
     @property
     def capabilities(self) -> Capabilities:
@@ -120,11 +138,8 @@ class RankedRecovery(RecoveryEngine):
         self._progress = self._leader.deal(Worker.restore, saved)
 
     def close(self) -> None:
-        self._leader.send(Worker.close)
-
-    def __exit__(self, *_: object) -> None:
         if not self._leader.busy:  # else some ranks wait for one that has failed
-            self.close()
+            self._leader.send(Worker.close)
 
     @cached_property
     def digest(self) -> int:

@@ -3,46 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from ..solver.engine.halo import Part
-from .worker import Ask, Worker
+from .worker import Orders, Worker
 
 
 class RankedStack:
     """A ``SampleStack`` (geometry/samples.py) over all ranks: each read gathers from them.
 
-    ask: of the ``Leader``. observations: their numbers on the ranks. part: the window of the domain.
+    orders: of the ``Leader``. observations: their numbers on the ranks. part: the window of the domain. second: the
+    stack that ``another`` makes, not the photographs; there is one.
     """
 
-    def __init__(self, ask: Ask, observations: Sequence[int] | np.ndarray, part: Part):
-        self._ask, self._part = ask, part
-        self._observations = np.asarray(observations, np.intp)
+    def __init__(self, orders: Orders, observations: Sequence[int] | np.ndarray, part: Part, second: bool = False):
+        self._orders, self._part, self.second = orders, part, second
+        self.observations = np.asarray(observations, np.intp)
         rows, columns = part
-        self.shape = len(self._observations), rows.stop - rows.start, columns.stop - columns.start
+        self.shape = len(self.observations), rows.stop - rows.start, columns.stop - columns.start
         self._last: tuple[int, np.ndarray] | None = None
 
     def layer(self, observation: int) -> np.ndarray:
         """Return (H, W, 4) the samples of one observation; the last one is kept."""
         if self._last is None or self._last[0] != observation:
-            self._last = observation, self._ask(Worker.layer, int(self._observations[observation]))[self._part]
+            number = int(self.observations[observation])
+            self._last = observation, self._orders.ask(Worker.layer, number, self.second)[self._part]
         return self._last[1]
 
     def layers(self) -> Iterator[np.ndarray]:
-        return map(self.layer, range(len(self._observations)))
+        return map(self.layer, range(len(self.observations)))
+
+    def another(self, scratch: Path | None = None) -> RankedStack:
+        self._orders.ask(Worker.make_second)
+        return RankedStack(self._orders, self.observations, self._part, second=True)
+
+    def put(self, observation: int, layer: np.ndarray) -> None:
+        self._last = None
+        self._orders.deal(Worker.put, (int(self.observations[observation]), layer, self.second))
 
     def texels(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         down, across = (side.start for side in self._part)
-        return self._ask(Worker.texels, self._observations.tolist(), rows + down, columns + across)
+        found = self.observations.tolist(), rows + down, columns + across
+        return self._orders.ask(Worker.texels, *found, self.second)
 
     def subset(self, observations: np.ndarray) -> RankedStack:
-        return RankedStack(self._ask, self._observations[observations], self._part)
+        return RankedStack(self._orders, self.observations[observations], self._part, self.second)
 
     def window(self, rows: slice, columns: slice) -> RankedStack:
         down, across = (side.start for side in self._part)
         part = slice(rows.start + down, rows.stop + down), slice(columns.start + across, columns.stop + across)
-        return RankedStack(self._ask, self._observations, part)
+        return RankedStack(self._orders, self.observations, part, self.second)
 
     def lit(self, coverage: np.ndarray) -> np.ndarray:
-        return coverage & self._ask(Worker.lit, self._observations.tolist())[self._part]
+        return coverage & self._orders.ask(Worker.lit, self.observations.tolist(), self.second)[self._part]

@@ -25,44 +25,42 @@ from ..solver.state import prepare
 from ..solver.state.checkpoint import Checkpoint, named
 from ..solver.state.layout import digest_of_texels, joined, numbered
 from .exchange import RankTransport
-from .partition import Partition
+from .partition import Partition, around
 from .transport import Ranks
 
 P = ParamSpec("P")
+T = TypeVar("T")
 Result = TypeVar("Result")
 
 
-class Ask(Protocol):
-    """Has all ranks call one of their ``Worker``'s methods with the same arguments; returns rank 0's result."""
+class Orders(Protocol):
+    """Rank 0's way to have all ranks call a method of their ``Worker``."""
 
-    def __call__(
+    def ask(
         self, order: Callable[Concatenate[Worker, P], Result | None], *arguments: P.args, **named: P.kwargs
-    ) -> Result: ...
+    ) -> Result:
+        """Have them call it with the same arguments; return rank 0's result."""
+
+    def deal(self, order: Callable[[Worker, T | None], Result], value: T) -> Result:
+        """Have rank 0 call it with a large value, and the other ranks with None; return rank 0's result."""
 
 
 class Worker:
     """The work of all ranks at the same time. Rank 0 has the result; others may return None.
 
     All ranks call each method in one order and with the same arguments, unless it says otherwise. domain: the whole;
-    once begun, of the fitted observations alone.
+    once begun, of the fitted observations alone. second: read or write the stack of ``make_second``, not the
+    photographs. fixed: the job's, as for RecoveryEngine.
     """
 
-    def __init__(
-        self,
-        ranks: Ranks,
-        partition: Partition,
-        model: ReflectanceModel,
-        schedule: Schedule,
-        seed: int,
-        fixed: Mapping[str, np.ndarray],
-    ):
-        self.ranks = ranks
-        self.model, self.schedule, self.seed = model, schedule, seed
-        self.fixed = {name: full_map(model, name, value, partition.whole.shape) for name, value in fixed.items()}
+    def __init__(self, ranks: Ranks, partition: Partition, fixed: Mapping[str, np.ndarray]):
+        self.ranks, self.fixed = ranks, fixed
         self._box = partition.boxes[ranks.rank]
         self._pool: TilePool | None = None  # of this rank's one tile
         self._driver: LockStep | None = None
         self._progress: Progress
+        self._second: SampleStack | None = None  # of this rank's window
+        self._guess: dict[str, np.ndarray] | None = None  # there, for the next ``begin``
         self.partition = partition
         lit = self.lit(range(partition.whole.observations))
         self.domain = replace(partition.whole, solvable=lit)
@@ -74,18 +72,35 @@ class Worker:
         window = window and with_lights(window, lights, intensities)
         self.partition = replace(held, whole=with_lights(held.whole, lights, intensities), window=window)
 
-    def layer(self, observation: int) -> np.ndarray | None:
+    def make_second(self) -> None:
+        """Make a second sample stack, of zeros."""
+        self._second = None  # freed first
+        photographs = self._stack(second=False)
+        self._second = None if photographs is None else photographs.another()
+
+    def put(self, given: tuple[int, np.ndarray, bool] | None) -> None:
+        """Replace the samples of one observation; rank 0 has its number, (H, W, 4), and second, the others None."""
+        observation, second = self.ranks.given(given and (given[0], given[2]))
+        part, stack = self._dealt(given and {"layer": given[1]}), self._stack(second)
+        if part is not None and stack is not None:
+            stack.put(observation, part["layer"])
+
+    def take_guess(self, guess: Mapping[str, np.ndarray] | None) -> None:
+        """Take the maps (H, W, components), by name, that the next recovery begins with; rank 0 has them."""
+        self._guess = self._dealt(guess)
+
+    def layer(self, observation: int, second: bool) -> np.ndarray | None:
         """Return (H, W, 4) the samples of one observation."""
-        samples = self._samples
+        samples = self._samples(second)
         return self._pasted(None if samples is None else {"layer": samples.layer(observation)}).get("layer")
 
-    def texels(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def texels(self, observations: Sequence[int], rows: np.ndarray, columns: np.ndarray, second: bool) -> np.ndarray:
         """Return (K, N, 4) the samples of observations at N texels."""
-        part = None
-        if self._box is not None and self._samples is not None:
+        part, samples = None, self._samples(second)
+        if self._box is not None and samples is not None:
             x0, y0, width, height = self._box
             own = (columns >= x0) & (columns < x0 + width) & (rows >= y0) & (rows < y0 + height)
-            values = self._samples.texels(rows[own] - y0, columns[own] - x0)[list(observations)]
+            values = samples.texels(rows[own] - y0, columns[own] - x0)[list(observations)]
             part = {"own": np.flatnonzero(own), "values": values}
         whole = np.zeros((len(observations), len(rows), 4), np.float32)
         for each in self.ranks.collected(part):
@@ -93,21 +108,34 @@ class Worker:
                 whole[:, each["own"]] = each["values"]
         return whole
 
-    def lit(self, observations: Sequence[int]) -> np.ndarray:
+    def lit(self, observations: Sequence[int], second: bool = False) -> np.ndarray:
         """Return (H, W) bool to every rank: covered texels that one of the observations sees lit."""
         mask = np.zeros(self.partition.whole.shape, bool)
-        own = None
-        if self._box is not None and self.partition.window is not None:
-            lit = subset(self.partition.window, observations).solvable
-            own = np.packbits(lit[_within(self._box, self.partition.window)])
+        own, window, stack = None, self.partition.window, self._stack(second)
+        if self._box is not None and window is not None and stack is not None:
+            lit = stack.subset(np.asarray(observations, np.intp)).lit(window.bake.coverage)
+            own = np.packbits(lit[_within(self._box, window)])
         for box, bits in zip(self.partition.boxes, self.ranks.all(own), strict=True):
             if box is not None and bits is not None:
                 width, height = box[2:]
                 mask[part_of(box)] = np.unpackbits(bits, count=width * height).reshape(height, width).astype(bool)
         return mask
 
-    def begin(self, fitted: Sequence[int], entry: Entry) -> Progress:
-        """Set up the recovery from some observations."""
+    def begin(
+        self,
+        fitted: Sequence[int],
+        second: bool,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        seed: int,
+        held: Mapping[str, np.ndarray],
+        entry: Entry,
+    ) -> Progress:
+        """Set up a recovery from some observations, from the guess if there is one.
+
+        held: parameters that are fixed besides the job's, as for RecoveryEngine.
+        """
+        self.model = model
         solvable = self.lit(fitted)
         self.domain = subset(self.partition.whole, fitted, solvable)
         boxes = self.partition.boxes
@@ -115,15 +143,17 @@ class Worker:
         works[0] |= not any(works)
         self._lead, self._total = works.index(True), int(np.count_nonzero(solvable))
         box = self._box if works[self.ranks.rank] else None
-        part = None if box is None else self._part(box, fitted)
+        part = None if box is None else self._part(box, fitted, second)
         brightness = self._brightness(part)
         team = self.ranks.among(part is not None)
         if box is not None and part is not None:
-            self._pool = self._pool_of(box, part, brightness, entry)
+            self._pool = self._pool_of(box, part, brightness, (schedule, seed, entry), {**self.fixed, **held})
+        self._guess = None
         places = self.ranks.all(None if self._pool is None else self._pool.tiles[0].place)
         self.places: dict[int, Place] = {rank: place for rank, place in enumerate(places) if place is not None}
         if self._pool is not None and team is not None:
-            self._driver = LockStep(self._pool, RankTransport(self.ranks, team, self.places), self.partition.halo)
+            transport = RankTransport(self.ranks, team, self.places, self.domain.seams is not None)
+            self._driver = LockStep(self._pool, transport, self.partition.halo)
         return self._shared_progress()
 
     def advance(self, iterations: int | None) -> Progress:
@@ -208,18 +238,28 @@ class Worker:
             self._pool.close()
         self._pool = self._driver = None
 
-    def _pool_of(self, box: Box, part: Domain, brightness: float, entry: Entry) -> TilePool:
-        prepared = replace(prepare.prepare(part, self.model, self.schedule, pack=False), brightness=brightness)
-        fixed = {name: value[rectangle(box, part.halo)] for name, value in self.fixed.items()}
+    def _pool_of(
+        self,
+        box: Box,
+        part: Domain,
+        brightness: float,
+        settings: tuple[Schedule, int, Entry],
+        fixed: Mapping[str, np.ndarray],
+    ) -> TilePool:
+        prepared = replace(prepare.prepare(part, self.model, settings[0], pack=False), brightness=brightness)
+        if self._guess is not None:
+            prepared = replace(prepared, guess=self._guess)
+        shape, around_box = self.domain.shape, rectangle(box, part.halo)
+        own_fixed = {name: full_map(self.model, name, value, shape)[around_box] for name, value in fixed.items()}
         solved = int(np.count_nonzero(self.domain.solvable[part_of(box)]))
-        own = Tile(box, part, prepared, fixed, solved)
-        return TilePool([own], self.model, self.schedule, self.seed, entry)
+        return TilePool([Tile(box, part, prepared, own_fixed, solved)], self.model, *settings)
 
-    def _part(self, box: Box, fitted: Sequence[int]) -> Domain | None:
+    def _part(self, box: Box, fitted: Sequence[int], second: bool) -> Domain | None:
         """Return this rank's own texels with their halo, as a tile of the whole."""
-        if self.partition.window is None:
+        stack = self._stack(second)
+        if stack is None:
             return None
-        stack = self.partition.window.stack.subset(np.asarray(fitted, np.intp))
+        stack = stack.subset(np.asarray(fitted, np.intp))
         return replace(tile(self.domain, *box, self.partition.halo), stack=stack)
 
     def _brightness(self, part: Domain | None) -> float:
@@ -242,12 +282,27 @@ class Worker:
         self._progress = self.ranks.given(progress, self._lead)
         return self._progress
 
-    @property
-    def _samples(self) -> SampleStack | None:
-        """The samples of this rank's own texels, None where it has none."""
-        if self._box is None or self.partition.window is None:
+    def _stack(self, second: bool) -> SampleStack | None:
+        """Return the samples of this rank's window, None where it has none."""
+        if second:
+            return self._second
+        return None if self.partition.window is None else self.partition.window.stack
+
+    def _samples(self, second: bool) -> SampleStack | None:
+        """Return the samples of this rank's own texels, None where it has none."""
+        stack, window = self._stack(second), self.partition.window
+        if self._box is None or window is None or stack is None:
             return None
-        return self.partition.window.stack.window(*_within(self._box, self.partition.window))
+        return stack.window(*_within(self._box, window))
+
+    def _dealt(self, maps: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray] | None:
+        """Return to each rank its window's part of rank 0's (H, W, …), by name; None where it has no texels."""
+        parts: list[Mapping[str, np.ndarray] | None] = []
+        if maps is not None:
+            shape, halo = self.partition.whole.shape, self.partition.halo
+            windows = [box and part_of(around(shape, box, halo)) for box in self.partition.boxes]
+            parts = [held and {name: value[held] for name, value in maps.items()} for held in windows]
+        return self.ranks.dealt(parts)
 
     def _pasted(self, parts: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Return to rank 0, by name, (H, W, …) of the ranks' own (h, w, …), 0 where there is none."""

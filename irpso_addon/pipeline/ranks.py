@@ -7,6 +7,7 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Generator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,16 +21,16 @@ from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError
 from ..core.optional import present
 from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
-from ..geometry.domain import Domain, GeometryBake, laid_on
+from ..geometry.domain import Domain, GeometryBake, laid_on, subset
 from ..geometry.seams.seams import SeamMap
 from ..geometry.surface.bake import surface_bake
 from ..gpu import context, probe
 from ..solver.engine.engine import RecoveryEngine
+from ..solver.engine.interreflection import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.planning import covered_texels, uv_borders
-from ..solver.settings.schedule import refuse_interreflection
 from .job import Job
 from .run import READ, Run, in_solver_frames
 
@@ -66,7 +67,13 @@ class RankedRun(Run):
 
     def _begin(self, domain: Domain) -> Generator[None, None, None]:
         yield from ()
-        self.recovery = RankedRecovery(self._leader, self.job.fitted, self.job.entry)
+        job, solve = self.job, partial(RankedRecovery, self._leader)
+        settings = subset(domain, job.fitted), job.model, job.schedule, job.seed, self.fixed, job.entry
+        surroundings = self._surroundings()
+        if surroundings is None:
+            self.recovery = solve(*settings)
+        else:
+            self.recovery = InterreflectionRounds(*settings, surroundings, solve=solve)
 
     def _described(self, recovery: RecoveryEngine) -> dict[str, Any]:
         messages, sent = zip(*self._leader.ask(Worker.sent), strict=True)
@@ -131,7 +138,6 @@ def _divisible(job: Job) -> Job:
             f"levels = {job.schedule.levels}: several ranks do not solve a domain coarse to fine; set levels = 1, or"
             " start one process"
         )
-    refuse_interreflection(job.schedule, "several ranks do not find it", "start one process")
     return job
 
 
@@ -150,7 +156,7 @@ def _joined(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worker | None, 
         return None, found
     partition = _partition(ranks, job, found, present(surface))
     fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
-    worker = Worker(ranks, partition, job.model, job.schedule, job.seed, fixed)
+    worker = Worker(ranks, partition, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
     return worker, found
 

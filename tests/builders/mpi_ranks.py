@@ -7,6 +7,7 @@ import hashlib
 import json
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +16,24 @@ from tests.builders.domains import masked
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.cluster.partition import Partition, around
 from irpso_addon.cluster.recovery import Leader, RankedRecovery, serve
 from irpso_addon.cluster.transport import joined
 from irpso_addon.cluster.worker import Worker
 from irpso_addon.geometry.domain import tile
+from irpso_addon.geometry.light.surroundings import MeshSurroundings
 from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
 from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
+from tests.builders.cavity import cavity_mesh, half_cavity
+from tests.builders.command_line import dome_lights
 from tests.builders.domains import SHORT, subject
 
 PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is left for others
@@ -36,6 +42,7 @@ PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is
     "a threshold": ((2,), None),
     "seams of a mesh": ((4,), 4),
     "fewer texels than ranks want": ((5,), None),
+    "rounds of interreflection": ((2,), 40),
 }
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
@@ -43,11 +50,12 @@ STANDARD = load_schedule("standard").replaced(
     iterations=3, prefit_iterations=2, prior_rounds=2, prior_scales=2, prior_iterations=2, neighbour_every=2,
     refinement=Refinement(iterations=2, start_iterations=1, rounds=1, round_iterations=1),
 )  # fmt: skip
+ROUNDS = STANDARD.replaced(materials_rounds=1, materials_iterations=2, interreflection_rounds=2)
 THRESHOLD = SHORT.replaced(iterations=400, loss="l1", threshold=0.06, c3=0.0, neighbour_every=30)
 
 
 def cases():
-    """Return name → (domain, model, schedule)."""
+    """Return name → (domain, model, schedule), and the surroundings of the last."""
     from tests.gpu.geometry.test_seams import observed, sheet
 
     near, _ = subject(23, 19, near=True, perspective=True, colored=True, observations=9)
@@ -56,12 +64,15 @@ def cases():
     glossy, _ = subject(13, 17, model="cook_torrance_two_lobe", observations=12, near=True)
     level, _ = subject(19, 11, holes=False)
     seams = observed(sheet("mirrored and turned"), holes=0.1)
+    mesh = cavity_mesh(opening=0.0)
+    hollow = half_cavity(mesh, (0.8, 0.5, 0.3), dome_lights(10, 50.0) * (1, 1, -1), shape=(11, 37))
     return {
         "prime sizes, near lights, a window of 9": (near, LAMBERT, WIDE),
         "prefit, refinement and prior": (glossy, TWO_LOBES, STANDARD),
         "a threshold": (level, LAMBERT, THRESHOLD),
         "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
         "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
+        "rounds of interreflection": (hollow, LAMBERT, ROUNDS, MeshSurroundings(mesh, ray_caster, 24, 16)),
     }
 
 
@@ -74,8 +85,9 @@ def digest(maps, progress):
     return found.hexdigest()
 
 
-def worker_of(ranks, domain, model, schedule):
+def worker_of(ranks, case):
     """Return this rank's worker; every rank has the complete domain."""
+    domain, model, schedule, *_ = case
     halo = recovery_cost(model, schedule, (), domain.observations).reach
     height, width = domain.shape
     boxes = list(divided(domain.bake.coverage, (0, 0, width, height), ranks.size))
@@ -83,16 +95,16 @@ def worker_of(ranks, domain, model, schedule):
     box = boxes[ranks.rank]
     window = None if box is None else tile(replace(domain, seams=None), *around(domain.shape, box, halo))
     whole = replace(domain, stack=ArrayStack(np.zeros((domain.observations, 0, 0, 4), np.float32)))
-    return Worker(ranks, Partition(whole, tuple(boxes), halo, window), model, schedule, 1, {})
+    return Worker(ranks, Partition(whole, tuple(boxes), halo, window), {})
 
 
 def over(ranks, case, work):
     """Return the result of ``work`` on a recovery over ranks, on the first rank; None on the others."""
-    worker = worker_of(ranks, *case)
+    worker = worker_of(ranks, case)
     if not ranks.leads:
         return serve(worker) and None
     leader = Leader(worker)
-    with RankedRecovery(leader, range(case[0].observations), "fragment") as recovery:
+    with recovery_of((leader.domain, *case[1:]), partial(RankedRecovery, leader)) as recovery:
         result = work(recovery)
     leader.end()
     return result
@@ -100,8 +112,15 @@ def over(ranks, case, work):
 
 def whole(case, work):
     """Return the result of ``work`` on a recovery in one process."""
-    with Recovery(*case, 1, entry="fragment") as recovery:
+    with recovery_of(case, Recovery) as recovery:
         return work(recovery)
+
+
+def recovery_of(case, solve):
+    """Return the recovery of a case. solve: makes one without rounds of interreflection."""
+    domain, model, schedule, *surroundings = case
+    settings = domain, model, schedule, 1, {}, "fragment"
+    return InterreflectionRounds(*settings, *surroundings, solve=solve) if surroundings else solve(*settings)
 
 
 def to_the_end(recovery):

@@ -77,7 +77,7 @@ class Pyramid(Successive):
     def _begin(self, guess: Maps | None) -> Recovery:
         """Return the recovery of the current level. guess: at its size, None for the coarsest."""
         domain, schedule = self._domains[self._at], self._schedules[self._at]
-        fixed, values = self._fixed[self._at], guess and guess.values
+        fixed, values = self._fixed[self._at], None if guess is None else guess.values
         return Recovery(domain, self.model, schedule, self.seed, fixed, self.entry, guess=values)
 
     def _next(self) -> Iterator[None]:

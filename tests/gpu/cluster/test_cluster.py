@@ -27,6 +27,9 @@ WIDE = ["--model", "lambert", "--preset", "swarm", "--iterations", 12, "--set", 
         "neighbour_every=4", "--set", "c3_until=0"]  # fmt: skip
 STANDARD = ["--model", "principled", "--preset", "standard", "--iterations", 3, "--hold-out", "3"]
 
+THOROUGH = [*STANDARD, *(part for name, value in {"rounds": 2, "resolution": 24, "rays": 16}.items()
+            for part in ("--set", f"interreflection_{name}={value}"))]  # fmt: skip
+
 # Python runs it at its start: rank 1 fails when the swarms have been placed and moved once.
 FAILING = """
 import os
@@ -66,6 +69,29 @@ def ball(tmp_path_factory):
     return [folder / "ball", "--blend", folder / "ball.blend", "--resolution", 29]
 
 
+@pytest.fixture(scope="module")
+def bowl(tmp_path_factory):
+    """A bowl seen from above, unwrapped in parts, under a pattern of light: the options of ``recover``."""
+    folder = tmp_path_factory.mktemp("bowl")
+
+    def build(bpy):
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=16, ring_count=12)
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.mesh.select_all(action="SELECT")
+        bpy.ops.mesh.bisect(plane_co=(0, 0, 0), plane_no=(0, 0, 1), clear_outer=True)
+        bpy.ops.mesh.select_all(action="SELECT")
+        bpy.ops.mesh.flip_normals()
+        bpy.ops.uv.smart_project(island_margin=0.02)
+        bpy.ops.object.mode_set(mode="OBJECT")
+        cli_maker.add_camera(bpy, "Camera", (0, 0, 5), lens=70)
+
+    cli_maker.save_scene(folder / "bowl.blend", build)
+    y, x = np.mgrid[:48, :48]
+    grey = np.stack([0.4 + 0.1 * np.sin(0.1 * x + k) * np.cos(0.15 * y) for k in range(10)])
+    cli_maker.write_card(folder / "bowl", grey[..., None] * np.array([1, 0.8, 0.6]), LIGHTS)
+    return [folder / "bowl", "--blend", folder / "bowl.blend", "--resolution", 29]
+
+
 def options_of(subject, settings, folder, *more):
     return ["recover", *subject, *settings, "--entry", "fragment", "--json", "-o", folder, *more]
 
@@ -85,14 +111,14 @@ def alone(card, tmp_path_factory):
 
 
 def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
-    """Prime sizes, empty ranks, near lights, wide windows, seams; and other numbers of ranks after a checkpoint."""
+    """Prime sizes, empty ranks, near lights, wide windows, seams, interreflection; other ranks after a checkpoint."""
     mpi_maker.start(5, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
-    assert len(found) == 5 and sum(len(reply) for reply in found.values()) == 19
+    assert len(found) == 6 and sum(len(reply) for reply in found.values()) == 24
     assert {name: set(reply.values()) - {reply["one process"]} for name, reply in found.items()} == dict.fromkeys(
         found, set()
     )
-    assert len({reply["one process"] for reply in found.values()}) == 5
+    assert len({reply["one process"] for reply in found.values()}) == 6
 
 
 def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_path):
@@ -105,6 +131,16 @@ def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_p
     assert settings["ranks"] == 3 and reply["texels"] == report["texels"]
     sent = settings["bytes_sent"]  # one rank has the texels that no camera sees
     assert len(settings["messages"]) == len(sent) == 3 and sorted(sent)[1] > 0
+
+
+def test_rounds_of_interreflection_over_ranks_give_the_files_of_one_process(bowl, tmp_path):
+    assert run_cli(*options_of(bowl, THOROUGH, tmp_path / "one"))[0] == 0
+    code, reply, err = mpi_maker.run(2, *options_of(bowl, THOROUGH, tmp_path / "out", "--checkpoint-every", 3))
+    assert code == 0, err
+    assert files_of(tmp_path / "out") == files_of(tmp_path / "one")
+    report = json.loads((tmp_path / "one" / "report.json").read_text())
+    assert reply["interreflection"] == report["interreflection"] and reply["interreflection"]["rounds"] == 2
+    assert min(reply["interreflection"]["strength"]) > 0
 
 
 def killed(command, variables, folder, victim):

@@ -104,18 +104,28 @@ def window(domain, box):
 
 def test_distributed_samples_read_like_those_in_memory():
     domain = make_domain(6, 5, observations=7, holes=False)
-    stack, asked = domain.stack, []
+    stacks, asked = [domain.stack], []
+    stack = domain.stack
 
     def ask(order, *arguments):
         asked.append(order)
+        if order is Worker.make_second:
+            return stacks.append(stack.another())
+        *arguments, second = arguments
+        read = stacks[second]
         if order is Worker.layer:
-            return stack.layer(*arguments)
+            return read.layer(*arguments)
         if order is Worker.lit:
-            return stack.subset(*arguments).lit(domain.bake.coverage)
+            return read.subset(*arguments).lit(domain.bake.coverage)
         observations, rows, columns = arguments
-        return stack.texels(rows, columns)[observations]
+        return read.texels(rows, columns)[observations]
 
-    shared = RankedStack(ask, range(7), (slice(0, 6), slice(0, 5)))
+    def deal(order, value):
+        observation, layer, second = value
+        assert order is Worker.put
+        stacks[second].put(observation, layer)
+
+    shared = RankedStack(SimpleNamespace(ask=ask, deal=deal), range(7), (slice(0, 6), slice(0, 5)))
     texels = np.array([0, 5, 2]), np.array([4, 0, 2])
     assert shared.shape == stack.shape
     for _ in range(2):
@@ -128,6 +138,14 @@ def test_distributed_samples_read_like_those_in_memory():
     np.testing.assert_array_equal(part.stack.lit(part.bake.coverage), wanted.solvable)
     some = np.array([1, 0]), np.array([2, 1])
     np.testing.assert_array_equal(part.stack.texels(*some), wanted.stack.texels(*some))
+    fitted = shared.subset(np.array([2, 5]))
+    second = fitted.another()
+    assert second.shape == fitted.shape and not second.layer(1).any()
+    second.put(1, 0.5 * stack.layer(5))
+    np.testing.assert_array_equal(second.layer(1), 0.5 * stack.layer(5))
+    np.testing.assert_array_equal(second.texels(*texels)[1], 0.5 * stack.texels(*texels)[5])
+    np.testing.assert_array_equal(second.lit(domain.bake.coverage), stack.subset([5]).lit(domain.bake.coverage))
+    np.testing.assert_array_equal(shared.layer(5), stack.layer(5))
 
 
 @pytest.mark.parametrize(
