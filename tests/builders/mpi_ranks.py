@@ -22,7 +22,7 @@ from irpso_addon.cluster.recovery import Leader, RankedRecovery, serve
 from irpso_addon.cluster.transport import joined
 from irpso_addon.cluster.worker import Worker
 from irpso_addon.geometry.domain import tile
-from irpso_addon.geometry.light.surroundings import MeshSurroundings
+from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.geometry.samples import ArrayStack
 from irpso_addon.gpu import context
 from irpso_addon.reflectance.model import load_model
@@ -32,7 +32,7 @@ from irpso_addon.solver.planning.cost import recovery_cost
 from irpso_addon.solver.planning.plan import divided
 from irpso_addon.solver.settings.groups import Refinement
 from irpso_addon.solver.settings.schedule import load_schedule
-from tests.builders.cavity import cavity_mesh, half_cavity
+from tests.builders.cavity import cap_card, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import SHORT, subject
 
@@ -42,7 +42,8 @@ PLAN = {  # case → over how many ranks, and at which iteration a checkpoint is
     "a threshold": ((2,), None),
     "seams of a mesh": ((4,), 4),
     "fewer texels than ranks want": ((5,), None),
-    "rounds of interreflection": ((2,), 40),
+    "rounds of interreflection": ((2,), 17),  # the last of three recoveries
+    "rounds on a card": ((2,), None),
 }
 LAMBERT, TWO_LOBES = load_model("lambert"), load_model("cook_torrance_two_lobe")
 WIDE = SHORT.replaced(neighbourhood=9, c3_until=0.0, neighbour_every=3, seed="lambert")
@@ -66,6 +67,7 @@ def cases():
     seams = observed(sheet("mirrored and turned"), holes=0.1)
     mesh = cavity_mesh(opening=0.0)
     hollow = half_cavity(mesh, (0.8, 0.5, 0.3), dome_lights(10, 50.0) * (1, 1, -1), shape=(11, 37))
+    cap, camera, _ = cap_card((0.8, 0.6, 0.4), dome_lights(10, 50.0), side=19)
     return {
         "prime sizes, near lights, a window of 9": (near, LAMBERT, WIDE),
         "prefit, refinement and prior": (glossy, TWO_LOBES, STANDARD),
@@ -73,6 +75,7 @@ def cases():
         "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
         "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
         "rounds of interreflection": (hollow, LAMBERT, ROUNDS, MeshSurroundings(mesh, ray_caster, 24, 16)),
+        "rounds on a card": (cap, LAMBERT, ROUNDS, CardSurroundings(camera, "normal", ray_caster, 19, 16)),
     }
 
 

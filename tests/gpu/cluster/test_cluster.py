@@ -114,11 +114,11 @@ def test_any_number_of_ranks_gives_the_bits_of_one_process(tmp_path):
     """Prime sizes, empty ranks, near lights, wide windows, seams, interreflection; other ranks after a checkpoint."""
     mpi_maker.start(5, sys.executable, mpi_maker.ROOT / "tests" / "builders" / "mpi_ranks.py", tmp_path)
     found = json.loads((tmp_path / "digests.json").read_text())
-    assert len(found) == 6 and sum(len(reply) for reply in found.values()) == 24
+    assert len(found) == 7 and sum(len(reply) for reply in found.values()) == 26
     assert {name: set(reply.values()) - {reply["one process"]} for name, reply in found.items()} == dict.fromkeys(
         found, set()
     )
-    assert len({reply["one process"] for reply in found.values()}) == 6
+    assert len({reply["one process"] for reply in found.values()}) == 7
 
 
 def test_a_mesh_with_seams_over_ranks_gives_the_files_of_one_process(ball, tmp_path):
