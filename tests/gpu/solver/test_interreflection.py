@@ -2,7 +2,7 @@
 
 from contextlib import closing
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,30 +10,20 @@ import pytest
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
-from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.exchange import exchange_steps
 from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.false_color import false_color
 from irpso_addon.solver.engine import interreflection
-from irpso_addon.solver.engine.interreflection import InterreflectionRounds
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.engine.tiled import TiledRecovery
-from irpso_addon.solver.planning.cost import recovery_cost
-from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.views.display import Display, Shown
 from irpso_addon.solver.views.indirect import IndirectLight
-from tests.builders.cavity import cap_card, cavity, cavity_mesh, half_cavity
+from tests.builders.cavity import cap_card, cavity, cavity_mesh
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
+from tests.builders.rounds import ALBEDO, LAMBERT, ROUNDS, SINGLE, matt_bowl, rounds_of, without_indirect
 from tests.oracles.reflectance import metallic_roughness
-
-LAMBERT = load_model("lambert")
-ALBEDO = (0.8, 0.5, 0.3)
-ROUNDS = load_schedule("standard").replaced(interreflection_rounds=2, interreflection_bounces=6)
-SINGLE = ROUNDS.replaced(interreflection_rounds=0)
-BOXES = [(0, 0, 23, 16), (23, 0, 41, 7), (23, 7, 41, 9)]
 
 
 def exchange_of(mesh, domain, resolution=48, rays=64):
@@ -119,15 +109,7 @@ def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
 
 @pytest.fixture(scope="module")
 def bowl():
-    """(domain, surroundings) of a matt half sphere, lit through its opening."""
-    mesh = cavity_mesh(opening=0.0)
-    lights = dome_lights(24, 50.0) * (1, 1, -1)
-    domain = half_cavity(mesh, ALBEDO, lights)
-    return domain, MeshSurroundings(mesh, ray_caster, 48, 64)
-
-
-def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
-    return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1], **options)
+    return matt_bowl()
 
 
 @pytest.fixture(scope="module")
@@ -318,12 +300,7 @@ def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeyp
 
 @pytest.fixture(scope="module")
 def direct(bowl):
-    """(domain, surroundings) of the half sphere in photographs without any indirect light."""
-    domain, surroundings = bowl
-    values = domain.stack.values.copy()
-    darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # in shadow there is nothing else
-    values[..., :3] = np.where(values[..., 3:] > 0, values[..., :3] - darkest, 0)
-    return with_samples(domain, values), surroundings
+    return without_indirect(bowl)
 
 
 def test_photographs_without_such_light_end_with_the_first_maps(direct):
@@ -372,86 +349,6 @@ def test_a_single_recovery_refuses_rounds(bowl):
 def test_several_levels_are_refused():
     with pytest.raises(InputError, match="set levels = 1"):
         ROUNDS.replaced(levels=2)
-
-
-def in_tiles(bowl, scratch=None, model=LAMBERT):
-    """Return the rounds in tiles; with a folder for files they take turns."""
-    reach = recovery_cost(model, SINGLE, (), bowl[0].observations).reach
-    options = {"boxes": BOXES, "halo": reach, "on_device": scratch and 1, "scratch": scratch}
-    return rounds_of(bowl, model=model, scratch=scratch, solve=partial(TiledRecovery, **options))
-
-
-def all_bits_of(maps):
-    """Return values, deviations, alternatives and residual of maps as bytes."""
-    parts = {"values": maps.values, "deviations": maps.confidence, "alternatives": maps.alternatives}
-    found = {(part, name): array.tobytes() for part, arrays in parts.items() for name, array in arrays.items()}
-    return found | {"residual": maps.residual.tobytes()}
-
-
-@pytest.mark.parametrize("turns", [False, True])
-def test_rounds_in_tiles_find_the_maps_of_the_whole(bowl, whole, turns, tmp_path):
-    with in_tiles(bowl, tmp_path if turns else None) as recovery:
-        assert recovery.capabilities.turns == turns and recovery.tiles()
-        assert recovery.step() == whole[1]
-        assert all_bits_of(recovery.maps()) == all_bits_of(whole[0])
-        found = recovery.findings
-    with rounds_of(bowl) as recovery:
-        recovery.step()
-        assert recovery.findings == found
-
-
-def test_slices_of_tiles_that_take_turns_change_nothing(bowl, whole, tmp_path):
-    fractions = []
-    with in_tiles(bowl, tmp_path) as recovery:
-        while not recovery.step(7, 0.1).done:
-            fractions.append(recovery.progress.fraction)
-        assert all_bits_of(recovery.maps()) == all_bits_of(whole[0])
-    assert fractions == sorted(fractions)
-    assert not list(tmp_path.iterdir())
-
-
-def test_tiles_that_take_turns_make_many_iterations_at_a_turn(bowl, monkeypatch, tmp_path):
-    asked, step = [], TiledRecovery.step
-    monkeypatch.setattr(TiledRecovery, "step", lambda self, n, budget: asked.append(n) or step(self, n, budget))
-    with in_tiles(bowl, tmp_path) as recovery:
-        assert recovery.step(7).iteration_in_all == 7
-    assert asked == [7]
-
-
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
-def test_a_run_in_tiles_resumes_as_a_whole_and_back(bowl, whole, share, tmp_path):
-    makers = [lambda: in_tiles(bowl), lambda: rounds_of(bowl)]
-    for begun, ended in (makers, makers[::-1]):
-        with begun() as recovery:
-            while recovery.progress.fraction < share:
-                recovery.step(5)
-            recovery.save(tmp_path / "checkpoint.npz")
-        with ended() as recovery:
-            recovery.load(tmp_path / "checkpoint.npz")
-            recovery.step()
-            assert all_bits_of(recovery.maps()) == all_bits_of(whole[0])
-
-
-def test_a_card_in_tiles_has_the_relief_of_the_whole():
-    domain, camera, _ = cap_card((0.8, 0.6, 0.4), dome_lights(24, 50.0), side=24)
-    schedule, found = ROUNDS.replaced(interreflection_rounds=1), []
-    boxes = [(0, 0, 24, 11), (0, 11, 13, 13), (13, 11, 11, 13)]
-    for solve in (Recovery, partial(TiledRecovery, boxes=boxes, halo=16)):
-        surroundings = CardSurroundings(camera, "normal", ray_caster, 24, 32)
-        with rounds_of((domain, surroundings), schedule, solve=solve) as recovery:
-            recovery.step()
-            found.append(all_bits_of(recovery.maps()))
-    assert found[0] == found[1]
-
-
-def test_the_warning_of_a_run_in_tiles_is_that_of_the_whole(direct, monkeypatch, tmp_path):
-    monkeypatch.setattr(IndirectLight, "strength", lambda self, radiance: 1.0)
-    found = []
-    for recovery in (rounds_of(direct), in_tiles(direct, tmp_path)):
-        with recovery:
-            recovery.step()
-            found.append(recovery.warnings)
-    assert found[0] == found[1] and found[0]
 
 
 def test_rounds_find_the_relief_of_a_hollow_card():

@@ -1,0 +1,40 @@
+"""A bowl whose light on itself is known, and rounds of interreflection over it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irpso_addon.blender.ray_caster import ray_caster
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.geometry.light.surroundings import MeshSurroundings
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.interreflection import InterreflectionRounds
+from irpso_addon.solver.settings.schedule import load_schedule
+from tests.builders.cavity import cavity_mesh, half_cavity
+from tests.builders.command_line import dome_lights
+
+LAMBERT = load_model("lambert")
+ALBEDO = (0.8, 0.5, 0.3)
+ROUNDS = load_schedule("standard").replaced(interreflection_rounds=2, interreflection_bounces=6)
+SINGLE = ROUNDS.replaced(interreflection_rounds=0)
+
+
+def matt_bowl():
+    """Return (domain, surroundings) of a matt half sphere, lit through its opening."""
+    mesh = cavity_mesh(opening=0.0)
+    lights = dome_lights(24, 50.0) * (1, 1, -1)
+    return half_cavity(mesh, ALBEDO, lights), MeshSurroundings(mesh, ray_caster, 48, 64)
+
+
+def without_indirect(bowl):
+    """Return (domain, surroundings) of it in photographs without any indirect light."""
+    domain, surroundings = bowl
+    values = domain.stack.values.copy()
+    darkest = values[..., :3].min(axis=(1, 2), keepdims=True)  # in shadow there is nothing else
+    values[..., :3] = np.where(values[..., 3:] > 0, values[..., :3] - darkest, 0)
+    return with_samples(domain, values), surroundings
+
+
+def rounds_of(bowl, schedule=ROUNDS, fixed=None, model=LAMBERT, **options):
+    """Return the rounds over (domain, surroundings)."""
+    return InterreflectionRounds(bowl[0], model, schedule, 1, fixed, "fragment", bowl[1], **options)
