@@ -74,7 +74,12 @@ def cases():
         "a threshold": (level, LAMBERT, THRESHOLD),
         "seams of a mesh": (seams, LAMBERT, SHORT.replaced(neighbour_every=2, neighbourhood=5)),
         "fewer texels than ranks want": (subject(5, 7)[0], LAMBERT, SHORT),
-        "rounds of interreflection": (hollow, LAMBERT, ROUNDS, MeshSurroundings(mesh, ray_caster, 24, 16)),
+        "rounds of interreflection": (
+            hollow,
+            load_model("metallic_roughness"),
+            ROUNDS,
+            MeshSurroundings(mesh, ray_caster, 24, 16),
+        ),
         "rounds on a card": (cap, LAMBERT, ROUNDS, CardSurroundings(camera, "normal", ray_caster, 19, 16)),
     }
 
