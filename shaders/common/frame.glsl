@@ -26,6 +26,12 @@ float scale_at(ivec2 texel)
     return geometry_at(GEOMETRY_NORMAL, texel).w;
 }
 
+// The part of the texel's scale under which a sample counts as shadow because light is indirect there; 0 elsewhere.
+float shadow_at(ivec2 texel)
+{
+    return abs(geometry_at(GEOMETRY_TANGENT, texel).w) - 1.0;
+}
+
 Frame frame_at(ivec2 texel)
 {
     Frame f;
@@ -39,7 +45,7 @@ Frame frame_at(ivec2 texel)
     vec4 tangent = geometry_at(GEOMETRY_TANGENT, texel);
     f.normal = geometry_at(GEOMETRY_NORMAL, texel).xyz;
     f.tangent = tangent.xyz;
-    f.bitangent = tangent.w * cross(f.normal, f.tangent);
+    f.bitangent = sign(tangent.w) * cross(f.normal, f.tangent);
 #endif
     return f;
 }

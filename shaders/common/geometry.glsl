@@ -2,7 +2,7 @@
 
 #define GEOMETRY_POSITION 0 // xyz, state
 #define GEOMETRY_NORMAL 1 // xyz, scale
-#define GEOMETRY_TANGENT 2 // xyz, sign
+#define GEOMETRY_TANGENT 2 // xyz, sign · (1 + shadow)
 #define GEOMETRY_PLACE 3 // common/packing.glsl, and all layers after it
 
 vec4 geometry_at(int layer, ivec2 texel)

@@ -29,12 +29,14 @@ vec3 view_at(Frame f, int k)
     return to_local(f, view.w == 0.0 ? view.xyz : normalize(view.xyz - f.position));
 }
 
-// A texel and its frame. v: direction toward the camera, if all observations share one; scale: scale_at().
+// A texel and its frame. v: direction toward the camera, if all observations share one; scale: scale_at(); shadow: the
+// radiance under a light of intensity 1 below which a sample counts as shadow.
 struct Texel {
     ivec2 at;
     Frame frame;
     vec3 v;
     float scale;
+    float shadow;
 };
 
 Texel observed_texel(ivec2 at)
@@ -47,6 +49,7 @@ Texel observed_texel(ivec2 at)
     t.v = view_at(t.frame, 0);
 #endif
     t.scale = scale_at(at);
+    t.shadow = shadow_at(at) * t.scale;
     return t;
 }
 
@@ -62,7 +65,8 @@ struct Observation {
 };
 
 // Reads observation k; returns false if it has no weight at this texel.
-// In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1].
+// In u_stack a negative weight −(b + w / 2) marks bounds: bits 1, 2 and 4 of b for red, green and blue, w in (0, 1]. With
+// b = 0 the sample is in shadow, and counts WITH_SHADOW alone.
 // With GREY the radiance is normalised to a light of intensity 1 and averaged over the channels that the light has; below
 // GREY_SHADOW of the texel's scale it counts as shadow; one clipped channel makes the mean a bound.
 bool observe(Texel t, int k, out Observation o)
@@ -74,15 +78,21 @@ bool observe(Texel t, int k, out Observation o)
     o.intensity = vec3(0.0);
     o.radiance = reference.rgb;
     o.clipped = vec3(0.0);
+#ifdef WITH_SHADOW
     if (reference.a == 0.0) {
         return false;
     }
+#else
+    if (reference.a == 0.0 || (reference.a < 0.0 && reference.a > -1.0)) {
+        return false;
+    }
+#endif
     if (reference.a < 0.0) {
         int bits = int(-reference.a);
         o.weight = 2.0 * (-reference.a - float(bits));
         o.clipped = vec3(bits & 1, (bits >> 1) & 1, (bits >> 2) & 1);
 #ifdef GREY
-        o.clipped = vec3(1.0);
+        o.clipped = vec3(min(bits, 1));
 #endif
     }
     o.l = light_at(t.frame, k, o.intensity);
@@ -102,7 +112,8 @@ bool observe(Texel t, int k, out Observation o)
         return false;
     }
 #endif
-    return true;
+    // The mean of the channels, here and of the light.
+    return dot(o.radiance, vec3(1.0)) >= t.shadow * dot(o.intensity, vec3(1.0));
 }
 
 // Loops over the observations of a texel that have a weight: a statement or block with o follows.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.prefit import AcceptanceTest, PrefitPhase
+from ..phases.indirect import SHADOW, IndirectPhase
+from ..phases.prefit import EVIDENCE, FITNESS, AcceptanceTest, PrefitPhase
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
-from ..settings.resolve import resolve
+from ..settings.resolve import ResolvedIndirect, ResolvedPrefit, resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
@@ -49,7 +50,7 @@ class _Begin:
     estimates: Estimates
     index: int = 0
     evaluations: int = 0
-    prefit_fitness: np.ndarray | None = None
+    prefit: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class Recovery(RecoveryEngine):
@@ -97,7 +98,8 @@ class Recovery(RecoveryEngine):
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its placing
         self._index, self._evaluations = begin.index, begin.evaluations
-        self._prefit_fitness = begin.prefit_fitness  # packed; None before the prefit has ended
+        self._prefit = begin.prefit  # what prefits that have ended measured, packed, by name
+        self._textures.raise_shadow(self._prefit.get(SHADOW, 0.0))
         self._phase: Phase | None = None
         if memory is not None:
             self.remember(memory)
@@ -237,9 +239,7 @@ class Recovery(RecoveryEngine):
         arrays = {f"estimate_{i}": textures.download(t) for i, t in enumerate(self._estimates.current)}
         if self._phase is not None:
             arrays |= {_PHASE + name: array for name, array in self._phase.state().items()}
-        if self._prefit_fitness is not None:
-            arrays["prefit_fitness"] = self._prefit_fitness
-        return Checkpoint(*self.at, self._evaluations, arrays)
+        return Checkpoint(*self.at, self._evaluations, {**arrays, **self._prefit})
 
     def remember(self, saved: Checkpoint) -> None:
         """Continue from what ``memory`` returned."""
@@ -247,7 +247,8 @@ class Recovery(RecoveryEngine):
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
-        self._prefit_fitness = saved.arrays.get("prefit_fitness")
+        self._prefit = {name: array for name, array in saved.arrays.items() if name in (FITNESS, EVIDENCE, SHADOW)}
+        self._textures.raise_shadow(self._prefit.get(SHADOW, 0.0))
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -273,8 +274,7 @@ class Recovery(RecoveryEngine):
         if not goes_on.samples:
             held, stack, _ = self._samples(schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
-        prefit_fitness = self._prefit_fitness if goes_on.index > 0 else None
-        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, prefit_fitness)
+        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, self._measured(goes_on.index))
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
@@ -306,7 +306,15 @@ class Recovery(RecoveryEngine):
     def _begin(self, index: int, schedule: Schedule) -> Phase:
         model, held = self._believing(schedule), (self._textures, self._estimates)
         stage = self._stages[index]
-        return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance)
+        return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance, self._prefit)
+
+    def _measured(self, index: int) -> dict[str, np.ndarray]:
+        """Return what was measured before a stage."""
+        ended = {type(stage) for stage in self._stages[:index]}
+        names = ([FITNESS, EVIDENCE] if ResolvedPrefit in ended else []) + (
+            [SHADOW] if ResolvedIndirect in ended else []
+        )
+        return {name: self._prefit[name] for name in names if name in self._prefit}
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
@@ -314,9 +322,9 @@ class Recovery(RecoveryEngine):
         return self.model.without_priors(self.fixed if schedule.fitness.priors else everything)
 
     def _acceptance(self) -> AcceptanceTest | None:
-        if self._prefit_fitness is None:
+        if FITNESS not in self._prefit:
             return None
-        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit_fitness)
+        return AcceptanceTest(self.model, self.schedule, self._textures, self._estimates, self._prefit[FITNESS])
 
     @property
     def at(self) -> tuple[int, int]:
@@ -345,7 +353,10 @@ class Recovery(RecoveryEngine):
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
         if isinstance(phase, PrefitPhase):
-            self._prefit_fitness = yield from phase.measuring(self._bands, seconds)
+            self._prefit = {**self._prefit, **(yield from phase.measuring(self._bands, seconds))}
+        elif isinstance(phase, IndirectPhase):
+            self._prefit = {**self._prefit, **phase.found()}
+            self._textures.raise_shadow(self._prefit[SHADOW])
         yield  # the last one: view() must not see a closed phase
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs

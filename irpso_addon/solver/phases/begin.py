@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+
+import numpy as np
 
 from ...core.errors import InputError
 from ...gpu.passes import Entry
 from ...reflectance.model import ReflectanceModel
-from ..settings.resolve import Resolved, ResolvedMaterials, ResolvedPrefit, ResolvedPrior, ResolvedRefinement
+from ..settings.resolve import (
+    Resolved,
+    ResolvedIndirect,
+    ResolvedMaterials,
+    ResolvedPrefit,
+    ResolvedPrior,
+    ResolvedRefinement,
+)
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates
+from .indirect import IndirectPhase
 from .phase import Phase
 from .prefit import AcceptanceTest, PrefitPhase
 from .refinement import RefinementPhase
@@ -38,8 +48,12 @@ def begin_phase(
     estimates: Estimates,
     entry: Entry,
     acceptance: Callable[[], AcceptanceTest | None],
+    prefit: Mapping[str, np.ndarray],
 ) -> Phase:
-    """Return the phase of stage ``index``. seed: of the recovery. acceptance: makes the test of its result."""
+    """Return the phase of stage ``index``.
+
+    seed: of the recovery. acceptance: makes the test of its result. prefit: what prefits before have measured.
+    """
     # Every stage has its own random numbers: with the first one's each cycle would start at the same places.
     seed = (seed + _SEED_STEP * index + _SEEDS) % (2 * _SEEDS) - _SEEDS
     if isinstance(stage, ResolvedRefinement):
@@ -49,6 +63,8 @@ def begin_phase(
     if isinstance(stage, ResolvedPrior):
         return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
-        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry)
+        return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, prefit)
+    if isinstance(stage, ResolvedIndirect):
+        return IndirectPhase(stage, model, schedule, domain, estimates, entry, prefit)
     kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase
     return kind_of_swarm(stage, model, schedule, seed, domain, estimates, entry)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from copy import copy
 
 import numpy as np
@@ -29,6 +29,7 @@ from .synchronous_swarm import SynchronousSwarmPhase
 # few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
 _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
+FITNESS, EVIDENCE = "prefit_fitness", "prefit_evidence"  # of what a prefit measures
 _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 # Of the prior on the exponent, of mean 1, under narrow lights. On balls under 12 lights within 22° it lowers the mean
 # error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the exponent:
@@ -40,10 +41,9 @@ class PrefitPhase(Phase):
     """A Phase: swarms, then a refinement, on grey samples with the prefit's own model.
 
     Its result is the estimates of the recovery's model with the prefit's normals. inner: the swarms, later the
-    refinement. own: the estimates of the prefit's model.
+    refinement. own: the estimates of the prefit's model. before: what an earlier prefit has measured; an indirect one
+    moves nothing but the texels whose shadow is raised, each by itself.
     """
-
-    title = ResolvedPrefit.title
 
     def __init__(
         self,
@@ -54,16 +54,21 @@ class PrefitPhase(Phase):
         domain: DomainTextures,
         estimates: Estimates,
         entry: Entry,
+        before: Mapping[str, np.ndarray],
     ):
+        if resolved.indirect:
+            schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where_indirect()
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
-        self._domain, self._estimates = grey(domain, schedule), estimates
-        self._model = prefit_model()
+        self._domain, self._estimates, self._before = grey(domain, schedule), estimates, before
+        self._model, self.title = prefit_model(), resolved.title
         self._domain.defines |= {
             "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
         }  # fmt: skip
         self.own = _first_estimates(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
+        seeks = schedule.prefit.indirect_shadow > 0 and not resolved.indirect
+        self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if seeks else None
         self._refining = False
         if schedule.swarm.seed == "given":  # a first guess has a normal, but no parameter of the prefit's model
             schedule = schedule.replaced(seed="lambert")
@@ -116,13 +121,24 @@ class PrefitPhase(Phase):
         prefit = {f"u_prefit_{i}": texture for i, texture in enumerate(own)}
         return {**self._estimates.bindings(), **self._domain.textures, **prefit}
 
-    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, np.ndarray]:
-        """Return (h, w) float32, packed: the fitness of the prefit's model with what is resolved. In bands."""
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
+        """Return by name, packed, float32: the fitness (h, w) of the prefit's model with what is resolved. In bands.
+
+        Where indirect light is sought, its evidence (h, w, 4), too.
+        """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(resolved=True), **self._domain.textures}
         constants = _acceptance_constants(self._domain, self._schedule)
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
-        return textures.download(targets[0])[..., 0]
+        fitness = textures.download(targets[0])[..., 0]
+        if self._resolved.indirect:
+            return {FITNESS: np.where(self._domain.shadow > 0, fitness, self._before[FITNESS])}
+        if self._evidence is None:
+            return {FITNESS: fitness}
+        targets = [textures.empty(*self.own.size)]
+        constants = {"u_observations": constants["u_observations"]}
+        yield from self._evidence.in_bands("evidence", bands, seconds, targets, inputs, constants)
+        return {FITNESS: fitness, EVIDENCE: textures.download(targets[0])}
 
     def halo(self) -> np.ndarray:
         """Return (H, W, n) float32 over the domain: what neighbours read of a texel; NaN where none is solved."""
@@ -150,6 +166,8 @@ class PrefitPhase(Phase):
         self.inner.close()
         self._adopt.close()
         self._measure.close()
+        if self._evidence is not None:
+            self._evidence.close()
         self.own.close()
 
     def _begin_refinement(self) -> None:
@@ -243,13 +261,27 @@ def _acceptance_pass(model: ReflectanceModel, schedule: Schedule, defines: Defin
 
 def _measure_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
     samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
-    free = build_free_parameters(model, ()).count
     defines = {
         **defines, **kernels.fitness_defines(schedule.fitness, "geman_mcclure"),
-        "LEAST_SAMPLES": max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * free),
+        "LEAST_SAMPLES": _least_samples(model, schedule),
     }  # fmt: skip
     outputs, given = (Output("o_fitness", "R32F"),), kernels.model_includes(model)
     return Pass(Kernel("prefit/measure.glsl", outputs, samplers, kernels.FITNESS, defines, given))
+
+
+def _evidence_pass(model: ReflectanceModel, schedule: Schedule, defines: Defines) -> Pass:
+    samplers: Samplers = {"u_estimate": kernels.packed(model), **kernels.OBSERVATIONS}
+    defines = {
+        **defines, "GREY_SHADOW": "0.0", "WITH_SHADOW": 1, "LEAST_SAMPLES": _least_samples(model, schedule),
+        "RAISED_SHADOW": f"{schedule.prefit.indirect_shadow:.9f}",
+    }  # fmt: skip
+    outputs, given = (Output("o_evidence"),), kernels.model_includes(model)
+    return Pass(Kernel("prefit/evidence.glsl", outputs, samplers, {"u_observations": "INT"}, defines, given))
+
+
+def _least_samples(model: ReflectanceModel, schedule: Schedule) -> int:
+    """Return of how many samples a fit is a measure for another."""
+    return max(schedule.prefit.observations, _SAMPLES_PER_UNKNOWN * build_free_parameters(model, ()).count)
 
 
 def _acceptance_constants(domain: DomainTextures, schedule: Schedule) -> dict[str, int | float]:

@@ -10,9 +10,11 @@ from ..engine.alternatives import varied
 from ..kernels.encoding import blocks_of
 from ..kernels.refinement import SPREAD_REACH, renders
 from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_of
+from ..phases import indirect
 from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
+    ResolvedIndirect,
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
@@ -23,6 +25,7 @@ from ..settings.resolve import (
 from ..settings.schedule import Schedule
 from ..state.phase_textures import (
     TextureTable,
+    indirect_table,
     prior_table,
     refinement_table,
     sequential_swarm_table,
@@ -152,6 +155,8 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
             linear = -(-sum(p.components for p in resolved.solved) // 4)
             return synchronous_swarm_table(particles, blocks, linear)
         return sequential_swarm_table(particles, blocks)
+    if isinstance(resolved, ResolvedIndirect):
+        return indirect_table()
     kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
     return kind(-(-model.components // 4))
 
@@ -169,6 +174,8 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
         return _swarm_work(resolved, schedule, observations)
     if isinstance(resolved, ResolvedRefinement):
         return _refinement_work(resolved, model, observations, STEP)
+    if isinstance(resolved, ResolvedIndirect):
+        return (LOOKS * indirect.TAPS,)
     neighbour_reads, first_step = LOOKS * taps_of(resolved.prior), FIRST_ROUND + resolved.prior.rounds
     made = [evaluations_of(resolved, model, i) * observations for i in range(resolved.iterations)]
     found, fitted = made[:FIRST_ROUND], made[first_step:]
@@ -210,20 +217,26 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
 
 
 def _neighbour_reads(
-    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior, schedule: Schedule
+    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedIndirect, schedule: Schedule
 ) -> tuple[int, int]:
     """Return the largest distance of neighbour reads, and the number of iterations that make them."""
     if isinstance(resolved, ResolvedSwarm):
         reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
         return max(reaches), sum(reach > 0 for reach in reaches)
+    if isinstance(resolved, ResolvedIndirect):
+        return indirect.REACH, 1
     if isinstance(resolved, ResolvedPrior):
         return reach_of(resolved.prior), 1 + resolved.prior.rounds
     return SPREAD_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
 def _evaluations(
-    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior, model: ReflectanceModel, schedule: Schedule
+    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedIndirect,
+    model: ReflectanceModel,
+    schedule: Schedule,
 ) -> int:
+    if isinstance(resolved, ResolvedIndirect):
+        return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))
     if isinstance(resolved, ResolvedPrior):

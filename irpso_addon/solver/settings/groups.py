@@ -139,6 +139,10 @@ class Prefit:
     )
     refinement_iterations: int = setting("Refinement", "Levenberg–Marquardt steps after them", 5, soft_max=30)
     shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, soft_max=1)
+    indirect_shadow: float = setting(
+        "Shadow Where Indirect", "The same in all that follows where the light is mostly indirect: there normals are"
+        " prefit once more, to the brightest samples. 0 is off", 0.0, soft_max=1,
+    )  # fmt: skip
     observations: int = setting("Least Images", "With fewer observations the prefit is left out", 10, soft_max=100)
     acceptance_delta: float = setting(
         "Acceptance Delta", "Delta with which the prefit's normals and the model's are compared", 0.0125, above=True,

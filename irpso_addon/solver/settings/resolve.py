@@ -68,17 +68,29 @@ class ResolvedMaterials(ResolvedRefinement):
 
 @dataclass(frozen=True)
 class ResolvedPrefit:
-    """The prefit: its swarms and its refinement, of its own model."""
+    """The prefit: its swarms and its refinement, of its own model. indirect: only where the light is indirect."""
 
     stage: ResolvedSwarm
     refinement: ResolvedRefinement
+    indirect: bool = False
 
-    title = "prefit of the normals"
+    @property
+    def title(self) -> str:
+        """What is searched, for people."""
+        return "prefit of the normals" + (" in indirect light" if self.indirect else "")
 
     @property
     def iterations(self) -> int:
         """The number of all iterations."""
         return self.stage.iterations + self.refinement.iterations
+
+
+@dataclass(frozen=True)
+class ResolvedIndirect:
+    """Finds where the light is indirect, between two prefits."""
+
+    title = "indirect light"
+    iterations = 1
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class ResolvedPrior:
         return 2 + self.prior.rounds + self.prior.iterations
 
 
-Resolved = ResolvedPrefit | ResolvedSwarm | ResolvedRefinement | ResolvedPrior
+Resolved = ResolvedPrefit | ResolvedIndirect | ResolvedSwarm | ResolvedRefinement | ResolvedPrior
 
 
 @cache
@@ -110,13 +122,14 @@ def prefit_model() -> ReflectanceModel:
     return load_model(SHADERS / "prefit" / "falloff_lobe.toml")
 
 
-def _resolve_prefit(prefit: Prefit) -> ResolvedPrefit:
+def _resolve_prefit(prefit: Prefit) -> tuple[ResolvedPrefit | ResolvedIndirect, ...]:
     model = prefit_model()
     refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=0)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
     stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)
-    return ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
+    first = ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
+    return (first, ResolvedIndirect(), replace(first, indirect=True)) if prefit.indirect_shadow else (first,)
 
 
 def _resolve_refinement(
@@ -183,7 +196,7 @@ def resolve(
     free = [p for p in model.parameters if p.name not in fixed and any(_is_asked(p, s, asked) for s in schedule.stages)]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
-    resolved: list[Resolved] = [_resolve_prefit(prefit)] if has_prefit else []
+    resolved: list[Resolved] = [*_resolve_prefit(prefit)] if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
             wanted = [p for p in free if _is_asked(p, stage, asked) and not (has_prefit and p.is_normal)]

@@ -110,6 +110,13 @@ def refinement_table(estimates: int) -> TextureTable:
     })  # fmt: skip
 
 
+def indirect_table() -> TextureTable:
+    """Return the table of the search for indirect light: its evidence (shaders/prefit/evidence.glsl) and what it raises."""
+    return TextureTable({
+        "evidence": TextureGroup(("u_evidence",), ("evidence",)), "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F")
+    })  # fmt: skip
+
+
 def prior_table(estimates: int) -> TextureTable:
     """Return the table of a spatial prior. estimates: RGBA textures of a material.
 

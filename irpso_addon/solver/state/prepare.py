@@ -66,7 +66,10 @@ class Prepared:
             part[:] = domain.stack.texels(*texels)
             if not schedule.fitness.bounds:
                 part[..., 3] = np.maximum(part[..., 3], 0)
+            weight = part[..., 3].copy()
             _drop_shadow(part, domain, texels, self.scale[texels], schedule.fitness)
+            # As shaders/common/observation.glsl marks them.
+            part[..., 3] -= np.where(part[..., 3] == 0, np.minimum(np.abs(weight), 1) / 2, 0)
 
         _each_chunk(domain, work, report)
         stack = stack.reshape(-1, packing.height, packing.width, 4)

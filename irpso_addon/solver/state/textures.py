@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
+from collections.abc import MutableMapping
+from copy import copy
+
 import numpy as np
 
 from ...geometry.domain import Domain
@@ -35,14 +39,30 @@ class DomainTextures:
         self.domain, self.packing = domain, packing
         self.brightness = float(domain.intensities.mean()) if brightness is None else brightness
         self.defines = kernel_defines(domain)
-        self.scale = scale
+        self.scale, self.shadow = scale, np.zeros_like(scale)
         arrays = arrays or domain_arrays(domain, packing, scale)
-        self.textures = {
+        self.textures: MutableMapping[str, Texture] = {
             "u_geometry": textures.upload_layers(arrays["u_geometry"]), "u_packed": textures.upload(arrays["u_packed"])
         }  # fmt: skip
         self.textures["u_observation_table"] = upload_observations(domain.lights, domain.intensities, domain.views)
         if stack is not None:
             self.give_stack(stack)
+
+    def raise_shadow(self, shadow: np.ndarray | float) -> None:
+        """Set the part (h, w) of each texel's scale under which samples count as shadow: 0 for all that are given."""
+        shadow = np.broadcast_to(np.float32(shadow), self.scale.shape)
+        if not np.array_equal(shadow, self.shadow):
+            self.shadow = shadow
+            arrays = domain_arrays(self.domain, self.packing, self.scale, shadow)
+            self.textures["u_geometry"] = textures.upload_layers(arrays["u_geometry"])
+
+    def where_indirect(self) -> DomainTextures:
+        """Return the same domain with those texels solved alone whose shadow is raised."""
+        result = copy(self)
+        arrays = domain_arrays(self.domain, self.packing, self.scale, self.shadow)
+        arrays["u_geometry"][0, ..., 3][self.shadow == 0] = OUTSIDE
+        result.textures = ChainMap({"u_geometry": textures.upload_layers(arrays["u_geometry"])}, self.textures)
+        return result
 
     def give_stack(self, stack: np.ndarray) -> None:
         """Upload the packed sample stack (K, h, w, 4), for all who share these textures."""
@@ -57,12 +77,16 @@ def loss_constants(domain: DomainTextures, delta: float) -> dict[str, int | floa
     }  # fmt: skip
 
 
-def domain_arrays(domain: Domain, packing: Packing, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale: (h, w)."""
+def domain_arrays(
+    domain: Domain, packing: Packing, scale: np.ndarray, shadow: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Return by sampler name what goes to the GPU of a domain's geometry and its packing. scale, shadow: (h, w)."""
     bake, seams = domain.bake, domain.seams
     normal = packing.pack(bake.normal, 0.0 if seams is None else seams.ghost_normal)
     tangent = packing.pack(bake.tangent, 0.0 if seams is None else seams.ghost_tangent)
     position, state = packing.pack(bake.position), packed_states(domain, packing)
+    if shadow is not None:
+        tangent = np.concatenate([tangent[..., :3], tangent[..., 3:] * (1 + shadow[..., None])], axis=-1)
     places, packed = packing.arrays()
     geometry = geometry_layers(position, normal, tangent, state, scale)
     return {"u_geometry": np.concatenate([geometry, places]), "u_packed": packed}

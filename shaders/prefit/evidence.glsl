@@ -1,0 +1,31 @@
+// Over W×H texels: how badly the prefit explains all samples, those in shadow too. Writes o_evidence: the misfit, and by how
+// much the samples are brighter than the fit, as parts of the light, at most 1; whether LEAST_SAMPLES reach RAISED_SHADOW of
+// the texel's scale; 1.
+
+#include "common/estimate.glsl"
+#include "common/observation.glsl"
+#include "model.glsl"
+
+bool texel_kernel(ivec2 texel)
+{
+    o_evidence = vec4(0.0);
+    if (state_at(texel) == TEXEL_SOLVED) {
+        Texel t = observed_texel(texel);
+        Material s = estimate_at(texel);
+        float light = 0.0;
+        vec2 misfit = vec2(0.0);
+        int bright = 0;
+        Observation o;
+        EACH_OBSERVATION(t, o) {
+            float error = error_of(o, reflectance(s, o.l, o.v)).r;
+            light += o.radiance.r;
+            misfit += vec2(abs(error), max(-error, 0.0));
+            bright += o.radiance.r >= RAISED_SHADOW * t.scale ? 1 : 0;
+        }
+        o_evidence.x = misfit.x < light ? misfit.x / light : 1.0;
+        o_evidence.y = misfit.y < light ? misfit.y / light : 1.0;
+        o_evidence.z = bright >= LEAST_SAMPLES ? 1.0 : 0.0;
+        o_evidence.w = 1.0;
+    }
+    return true;
+}
