@@ -19,12 +19,12 @@ from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
+from ..phases.indirect import MEASURED, SHADOW, IndirectPhase, measured_by
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
-from ..phases.indirect import SHADOW, IndirectPhase
-from ..phases.prefit import EVIDENCE, FITNESS, AcceptanceTest, PrefitPhase
+from ..phases.prefit import FITNESS, AcceptanceTest, PrefitPhase
 from ..phases.swarm import SwarmPhase
 from ..planning.cost import phase_table, work_of
-from ..settings.resolve import ResolvedIndirect, ResolvedPrefit, resolve
+from ..settings.resolve import resolve
 from ..settings.schedule import Schedule, refuse_interreflection
 from ..state import prepare
 from ..state.checkpoint import Checkpoint, named
@@ -98,8 +98,7 @@ class Recovery(RecoveryEngine):
         self._work: Iterator[None] | None = None
         self._counts = False  # whether the last iteration was one of the stage's, not of its placing
         self._index, self._evaluations = begin.index, begin.evaluations
-        self._prefit = begin.prefit  # what prefits that have ended measured, packed, by name
-        self._textures.raise_shadow(self._prefit.get(SHADOW, 0.0))
+        self._take_prefit(begin.prefit)
         self._phase: Phase | None = None
         if memory is not None:
             self.remember(memory)
@@ -247,8 +246,7 @@ class Recovery(RecoveryEngine):
         self._work = self._finding = self._found = self._trusted = self._shown = None
         self._bands.part = 0.0
         self._index, self._evaluations = saved.stage, saved.evaluations
-        self._prefit = {name: array for name, array in saved.arrays.items() if name in (FITNESS, EVIDENCE, SHADOW)}
-        self._textures.raise_shadow(self._prefit.get(SHADOW, 0.0))
+        self._take_prefit({name: array for name, array in saved.arrays.items() if name in MEASURED})
         if self._phase is not None:
             self._phase.close()
         self._phase = self._begin(self._index, self.schedule) if self._index < len(self._stages) else None
@@ -274,7 +272,8 @@ class Recovery(RecoveryEngine):
         if not goes_on.samples:
             held, stack, _ = self._samples(schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
-        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, self._measured(goes_on.index))
+        prefit = measured_by(self._stages[: goes_on.index], self._prefit)
+        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, prefit)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
@@ -308,13 +307,10 @@ class Recovery(RecoveryEngine):
         stage = self._stages[index]
         return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance, self._prefit)
 
-    def _measured(self, index: int) -> dict[str, np.ndarray]:
-        """Return what was measured before a stage."""
-        ended = {type(stage) for stage in self._stages[:index]}
-        names = ([FITNESS, EVIDENCE] if ResolvedPrefit in ended else []) + (
-            [SHADOW] if ResolvedIndirect in ended else []
-        )
-        return {name: self._prefit[name] for name in names if name in self._prefit}
+    def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> None:
+        """Hold what prefits that have ended measured, packed, by name."""
+        self._prefit = measured
+        self._textures.raise_shadow(measured.get(SHADOW, 0.0))
 
     def _believing(self, schedule: Schedule) -> ReflectanceModel:
         """Return the model with the priors that count: none if the schedule excludes them, none of fixed parameters."""
@@ -352,11 +348,8 @@ class Recovery(RecoveryEngine):
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(phase, PrefitPhase):
-            self._prefit = {**self._prefit, **(yield from phase.measuring(self._bands, seconds))}
-        elif isinstance(phase, IndirectPhase):
-            self._prefit = {**self._prefit, **phase.found()}
-            self._textures.raise_shadow(self._prefit[SHADOW])
+        if isinstance(phase, PrefitPhase | IndirectPhase):
+            self._take_prefit({**self._prefit, **(yield from phase.measuring(self._bands, seconds))})
         yield  # the last one: view() must not see a closed phase
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -12,17 +12,18 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.spatial_prior import taps_of
 from ..settings.groups import Prior
-from ..settings.resolve import ResolvedIndirect
+from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, indirect_table
 from ..state.textures import HALO, DomainTextures, Estimates, packed_states
 from .phase import TexturePhase
-from .prefit import EVIDENCE
+from .prefit import EVIDENCE, FITNESS
 
 SHADOW = "prefit_shadow"
+MEASURED = FITNESS, EVIDENCE, SHADOW
 REACH, TAPS = 8, taps_of(Prior(scales=3))
-# On rendered captures like DiLiGenT's both are exceeded at 39 % of the texels of a goblet and 24 % of a concave mix, whose
-# normals are off by 52 and 26° there, and at 3 % of convex metal and of velvet, which the prefit explains no better.
+# On rendered captures like DiLiGenT's both are exceeded at 39 % of the texels of a goblet and at 24 % of those of a
+# concave mix, whose normals are off by 52 and 26° there, and at 3 % of convex metal and of velvet.
 _LEAST_MISFIT, _LEAST_SURPLUS = 0.25, 0.05
 
 
@@ -70,8 +71,9 @@ class IndirectPhase(TexturePhase):
         self.estimates.resolved, self.estimates.current = self.estimates.current, self.estimates.resolved
         yield
 
-    def found(self) -> dict[str, np.ndarray]:
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return by name the shadow (h, w) of each texel, packed: 0 where the light is not indirect."""
+        yield
         return {SHADOW: self.read("shadow")[..., 0]}
 
     def reached(self, threshold: float) -> bool:
@@ -101,6 +103,13 @@ class IndirectPhase(TexturePhase):
         if self._evidence is not None:
             self.textures.upload("evidence", [self._evidence])
             self._evidence = None
+
+
+def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return of what prefits have measured that of some first stages of the recovery."""
+    ended = {type(stage) for stage in stages}
+    kinds = {FITNESS: ResolvedPrefit, EVIDENCE: ResolvedPrefit, SHADOW: ResolvedIndirect}
+    return {name: array for name, array in measured.items() if kinds[name] in ended}
 
 
 def _indirect_pass(schedule: Schedule, domain: DomainTextures) -> Pass:
