@@ -118,8 +118,8 @@ class Recovery(RecoveryEngine):
         domain = self.domain
         prepared = (prepared or prepare.prepare(domain, self.model, schedule)).packed(domain, schedule)
         packing = present(prepared.packing)
-        scale = packing.pack(prepared.scale)
-        held = DomainTextures(domain, packing, None, scale, prepared.brightness, prepared.arrays)
+        numbers = packing.pack(prepared.scale), prepared.brightness, prepared.arrays
+        held = DomainTextures(domain, packing, None, *numbers)
         return held, prepared.stack, prepared.guess
 
     @property
@@ -272,8 +272,8 @@ class Recovery(RecoveryEngine):
         if not goes_on.samples:
             held, stack, _ = self._samples(schedule, prepared)
         estimates = self._estimates if goes_on.phase or goes_on.swarms else self._copied()
-        prefit = measured_by(self._stages[: goes_on.index], self._prefit)
-        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, prefit)
+        known = measured_by(self._stages[: goes_on.index], self._prefit)
+        begin = _Begin(held, stack, estimates, goes_on.index, self._evaluations, known)
         new = Recovery(self.domain, self.model, schedule, seed, self.fixed, self.entry, begin=begin)
         if goes_on.phase:
             self._phase, new._phase = None, self._phase
@@ -286,11 +286,10 @@ class Recovery(RecoveryEngine):
 
     def _copied(self) -> Estimates:
         """Return a copy of the current estimates: this recovery stays as it is."""
-        resolved = False
-        if self._phase is not None and self._phase.placed:
+        resolved = self._phase is not None and self._phase.placed
+        if resolved:
             self._give_stack()
-            self._phase.resolve()
-            resolved = True
+            self._running().resolve()
         return Estimates(self.model, self._estimates.values(resolved))
 
     def close(self) -> None:
@@ -303,9 +302,9 @@ class Recovery(RecoveryEngine):
             del self._textures, self._estimates, self._diagnostics
 
     def _begin(self, index: int, schedule: Schedule) -> Phase:
-        model, held = self._believing(schedule), (self._textures, self._estimates)
-        stage = self._stages[index]
-        return begin_phase(stage, index, model, schedule, self.seed, *held, self.entry, self._acceptance, self._prefit)
+        settings = self._stages[index], index, self._believing(schedule), schedule, self.seed
+        held = self._textures, self._estimates
+        return begin_phase(*settings, *held, self.entry, self._acceptance, self._prefit)
 
     def _take_prefit(self, measured: Mapping[str, np.ndarray]) -> None:
         """Hold what prefits that have ended measured, packed, by name."""
@@ -367,7 +366,7 @@ class Recovery(RecoveryEngine):
         self._give_stack()
         if self._work is not None:
             self._bands.paced = paced
-            for _ in self._work:
+            for _ in self._work:  # yield from would close it where a caller stops early
                 yield
             self._work = None
         at = self.at
@@ -388,8 +387,7 @@ class Recovery(RecoveryEngine):
     @property
     def looks_at_threshold(self) -> bool:
         """Whether swarms are compared with the threshold after the last iteration."""
-        iteration = self.at[1]
-        return self.schedule.threshold > 0 and iteration > 0 and iteration % _THRESHOLD_EVERY == 0
+        return self.schedule.threshold > 0 < self.at[1] and self.at[1] % _THRESHOLD_EVERY == 0
 
     def _reached_threshold(self) -> bool:
         return self.looks_at_threshold and self._running().reached(self.schedule.threshold)

@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 import numpy as np
 
 from ...gpu.bands import Bands
-from ...gpu.passes import Entry, Kernel, Output, Pass
+from ...gpu.passes import Defines, Entry, Kernel, Output, Pass
 from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.spatial_prior import taps_of
@@ -45,7 +45,7 @@ class IndirectPhase(TexturePhase):
     ):
         super().__init__(resolved, model, schedule, domain, estimates, entry)
         self.textures = PhaseTextures(indirect_table(), *estimates.size)
-        self.passes = _indirect_pass(schedule, domain)
+        self.passes = _indirect_pass(schedule, domain.defines)
         self._evidence: np.ndarray | None = measured.get(EVIDENCE)
 
     @property
@@ -112,10 +112,10 @@ def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) 
     return {name: array for name, array in measured.items() if kinds[name] in ended}
 
 
-def _indirect_pass(schedule: Schedule, domain: DomainTextures) -> Pass:
+def _indirect_pass(schedule: Schedule, defines: Defines) -> Pass:
     samplers = {"u_evidence": kernels.FLOAT_2D, **kernels.PACKING}
     numbers = {
         "RAISED_SHADOW": schedule.prefit.indirect_shadow, "LEAST_MISFIT": _LEAST_MISFIT, "LEAST_SURPLUS": _LEAST_SURPLUS
     }  # fmt: skip
-    defines = {**domain.defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in numbers.items()}}
+    defines = {**defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in numbers.items()}}
     return Pass(Kernel("prefit/indirect.glsl", (Output("o_shadow", "R32F"),), samplers, {}, defines, {}))

@@ -37,6 +37,7 @@ FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
 MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 LOOKS = 10.0  # of a prior, per neighbour
+INDIRECT = 0.1  # share of the texels whose light is indirect
 
 
 @dataclass(frozen=True)
@@ -167,9 +168,10 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
     Progress counts it: it is roughly proportional to time.
     """
     if isinstance(resolved, ResolvedPrefit):
-        own = prefit_model()
-        return (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
+        own, share = prefit_model(), INDIRECT if resolved.indirect else 1.0
+        prefit = (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
                 *_refinement_work(resolved.refinement, own, observations, 1.0))  # fmt: skip
+        return tuple(share * work for work in prefit)
     if isinstance(resolved, ResolvedSwarm):
         return _swarm_work(resolved, schedule, observations)
     if isinstance(resolved, ResolvedRefinement):

@@ -111,7 +111,7 @@ def refinement_table(estimates: int) -> TextureTable:
 
 
 def indirect_table() -> TextureTable:
-    """Return the table of the search for indirect light: its evidence (shaders/prefit/evidence.glsl), and the result."""
+    """Return the table of the search for indirect light: shaders/prefit/evidence.glsl, and the result."""
     return TextureTable({
         "evidence": TextureGroup(("u_evidence",), ("evidence",)),
         "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F"),

@@ -202,7 +202,8 @@ def test_the_prefit_needs_iterations_observations_and_a_free_normal(recover, set
     whole, _ = card("principled", shape=(3, 4), observations=12)
     stages = recover(whole, PRINCIPLED, STANDARD)._stages
     assert [s.title for s in stages] == [
-        "prefit of the normals", "roughness + specular + base_color", "refinement", "refinement, normals held"
+        "prefit of the normals", "indirect light", "prefit of the normals in indirect light",
+        "roughness + specular + base_color", "refinement", "refinement, normals held",
     ]  # fmt: skip
 
 
@@ -344,7 +345,7 @@ def test_the_prefits_misfit_matches_float64(recover, uneven):
         recovery.step(iterations=1)
     phase, pack = recovery.phase, Packing(domain.solvable)
     phase.resolve()
-    fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0)))
+    fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_fitness"])
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
     wanted, samples = bounded_misfit(domain, "falloff_lobe", own, STANDARD.prefit, scale)

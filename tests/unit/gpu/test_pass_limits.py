@@ -19,9 +19,16 @@ from irpso_addon.solver.kernels import spatial_prior as prior_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
-from irpso_addon.solver.phases import prefit as prefit
+from irpso_addon.solver.phases import indirect, prefit
 from irpso_addon.solver.phases.swarm import particle_count
-from irpso_addon.solver.settings.resolve import ResolvedPrefit, ResolvedPrior, ResolvedRefinement, prefit_model, resolve
+from irpso_addon.solver.settings.resolve import (
+    ResolvedIndirect,
+    ResolvedPrefit,
+    ResolvedPrior,
+    ResolvedRefinement,
+    prefit_model,
+    resolve,
+)
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
 from irpso_addon.solver.views import display
 
@@ -57,11 +64,14 @@ def make_passes(resolved, model, schedule):
         refinement_kernels.build_refinement_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrior):
         prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedIndirect):
+        indirect._indirect_pass(schedule, DOMAIN)
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, prefit_model(), schedule)
         prefit._adopt_pass(model, DOMAIN)
         prefit._measure_pass(prefit_model(), schedule, DOMAIN)
+        prefit._evidence_pass(prefit_model(), schedule, DOMAIN)
         prefit._acceptance_pass(model, schedule, DOMAIN)
     else:
         codec = build_encoding(model, resolved, schedule.swarm.normal)

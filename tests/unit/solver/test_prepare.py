@@ -186,7 +186,7 @@ def test_preparing_in_a_thread_gives_the_packed_stack_without_shadow(options):
     found = prepared.stack.reshape(16, -1, 4)
     count = len(texels[0])
     clear = np.abs(shade / (0.4 * scale) - 1) > 1e-5  # of the threshold, as far as float32 can tell
-    wanted = np.where(shade >= 0.4 * scale, samples[..., 3], 0)
+    wanted = np.where(shade >= 0.4 * scale, samples[..., 3], -samples[..., 3] / 2)  # shaders/common/observation.glsl
     np.testing.assert_array_equal(found[:, :count, 3][clear], wanted[clear].astype(np.float32))
     np.testing.assert_array_equal(found[:, :count, :3], domain.stack.values[:, texels[0], texels[1], :3])
     assert (found[:, count:] == 0).all() and 0 < (wanted > 0).mean() < 0.95

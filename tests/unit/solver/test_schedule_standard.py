@@ -12,6 +12,7 @@ from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.kernels.synchronous_swarm import MAX_PARTICLES
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
+    ResolvedIndirect,
     ResolvedMaterials,
     ResolvedPrefit,
     ResolvedRefinement,
@@ -38,11 +39,14 @@ def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
     assert [type(stage) for stage in stages] == [
-        ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement, ResolvedMaterials,
+        ResolvedPrefit, ResolvedIndirect, ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement,
+        ResolvedMaterials,
     ]  # fmt: skip
-    assert [p.name for p in stages[1].parameters] == ["roughness", "specular"]
-    assert [p.name for p in stages[1].solved] == ["base_color"]
-    assert particle_count(standard, stages[1].dimensions("hemisphere")) <= MAX_PARTICLES
+    assert [stage.indirect for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, True]
+    swarm = stages[3]
+    assert [p.name for p in swarm.parameters] == ["roughness", "specular"]
+    assert [p.name for p in swarm.solved] == ["base_color"]
+    assert particle_count(standard, swarm.dimensions("hemisphere")) <= MAX_PARTICLES
 
 
 def test_every_constant_of_the_standard_preset_is_read_from_its_file(tmp_path):
@@ -129,7 +133,7 @@ def test_a_preset_without_a_prefit_has_none():
 
 def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_the_refinement():
     standard = load_schedule("standard").replaced(
-        prefit_iterations=7, prefit_refinement_iterations=4, cycles=2, prior_rounds=0
+        prefit_iterations=7, prefit_refinement_iterations=4, prefit_indirect_shadow=0.0, cycles=2, prior_rounds=0
     )
     stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.observations)
     assert [stage.title for stage in stages] == [

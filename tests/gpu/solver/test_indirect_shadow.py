@@ -1,0 +1,185 @@
+"""Where the light is indirect: what the prefit measures, which texels it means, and what they gain."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.gpu import context
+from irpso_addon.gpu.bands import Bands
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.engine.recovery import Recovery
+from irpso_addon.solver.engine.tiled import TiledRecovery
+from irpso_addon.solver.phases.indirect import IndirectPhase
+from irpso_addon.solver.settings.resolve import ResolvedIndirect
+from irpso_addon.solver.settings.schedule import load_schedule
+from irpso_addon.solver.state.packing import Packing
+from irpso_addon.solver.state.textures import DomainTextures, Estimates
+from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, unit
+from tests.oracles import confidence as confidence_oracle
+
+LAMBERT = load_model("lambert")
+RAISED = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0)
+OFF = RAISED.replaced(prefit_indirect_shadow=0.0)
+OBSERVATIONS = 96
+LIMITS = 0.25, 0.05  # of misfit and surplus
+recover = pytest.fixture(recoveries)
+
+
+@cache
+def corner(shape=(20, 36)):
+    """Return (domain, normals, (H, W) bool where): the left half of a matt card stands between two walls.
+
+    One hides it from every second lamp, the other is of metal and throws light on it.
+    """
+    rng = np.random.default_rng(3)
+    lights = unit(rng.normal(size=(OBSERVATIONS, 3)) * (1, 1, 0.4) + (0, 0, 1.3))
+    normal = unit(rng.normal(size=(*shape, 3)) * 0.3 + (0, 0, 1))
+    between = np.broadcast_to(np.arange(shape[1]) < shape[1] // 2, shape)
+    direct = np.maximum(np.einsum("ki,hwi->khw", lights, normal), 0)
+    direct[np.ix_(lights @ (1, 0, 0.2) > 0, *map(range, shape))] *= ~between
+    thrown = 0.5 * np.maximum(lights @ (0, -0.8, 0.6), 0)[:, None, None] ** 4
+    thrown = thrown * between * np.maximum(normal @ (0.9, 0, 0.44), 0)
+    stack = np.ones((OBSERVATIONS, *shape, 4), np.float32)
+    stack[..., :3] = (direct + thrown)[..., None] * rng.uniform(0.3, 0.8, (*shape, 3))
+    made = make_domain(*shape, observations=OBSERVATIONS, holes=False)
+    made = replace(
+        made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)
+    )
+    return with_samples(made, stack), normal, between
+
+
+def degrees(maps, normal):
+    cosine = (maps.values["normal"].astype(np.float64) * normal).sum(axis=-1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def raised(recovery):
+    """Return (H, W) bool: the texels whose shadow has been raised."""
+    return Packing(recovery.domain.solvable).unpack(recovery.memory().arrays["prefit_shadow"]) > 0
+
+
+def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_else(recover):
+    domain, normal, between = corner()
+    found = []
+    for schedule in (OFF, RAISED):
+        recovery = recover(domain, LAMBERT, schedule)
+        recovery.step()
+        found.append(degrees(recovery.maps(confidence=False), normal))
+    chosen = raised(recovery)
+    assert chosen[between].mean() > 0.5 and not chosen[:, domain.shape[1] // 2 + 8 :].any()
+    before, after = (angles[chosen & between].mean() for angles in found)
+    assert before > 10 and after < 0.7 * before
+    assert all(angles[~between].mean() < 0.05 for angles in found)
+
+
+def test_the_evidence_matches_float64(recover):
+    domain, _, _ = corner((6, 10))
+    recovery = recover(domain, LAMBERT, RAISED)
+    while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
+        recovery.step(iterations=1)
+    phase, pack = recovery.phase, Packing(domain.solvable)
+    phase.resolve()
+    evidence = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_evidence"])
+    own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
+    shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)
+    error = confidence_oracle.radiance(domain, "falloff_lobe", own).mean(axis=-1) - shown
+    light = shown.sum(axis=0)
+    scale = np.percentile(shown, RAISED.fitness.percentile, axis=0)
+    assert (shown < RAISED.fitness.shadow * scale).mean() > 0.1  # samples in shadow count
+    np.testing.assert_allclose(evidence[..., 0], np.minimum(np.abs(error).sum(axis=0) / light, 1), rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(evidence[..., 1], np.maximum(-error, 0).sum(axis=0) / light, rtol=2e-3, atol=1e-5)
+    enough = (shown >= 0.5 * scale).sum(axis=0) >= 18  # three for each of the prefit's six free numbers
+    np.testing.assert_array_equal(evidence[..., 2], enough)
+
+
+def taps():
+    """Return the offsets that are read besides a texel's own: 5×5, and the rims of such squares, two and four apart."""
+    near = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
+    rim = [(x, y) for x, y in near if max(abs(x), abs(y)) == 2]
+    return near + [(step * x, step * y) for step in (2, 4) for x, y in rim]
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
+    context.ensure()
+    domain = make_domain(19, 23, observations=4, holes=holes)
+    rng = np.random.default_rng(5)
+    evidence = np.float32(rng.random((*domain.shape, 4)) * (0.5, 0.1, 1, 0) + (0, 0, 0, 1))
+    evidence[..., 2] = evidence[..., 2] > 0.2
+    evidence *= domain.solvable[..., None]
+    pack = Packing(domain.solvable)
+    held = DomainTextures(
+        domain, pack, pack_layers(pack, domain.stack.values), pack.pack(np.ones(domain.shape, np.float32))
+    )
+    values = {p.name: pack.pack(np.zeros((*domain.shape, p.components), np.float32)) for p in LAMBERT.parameters}
+    phase = IndirectPhase(
+        ResolvedIndirect(), LAMBERT, RAISED, held, Estimates(LAMBERT, values), "fragment",
+        {"prefit_evidence": pack.pack(evidence)},
+    )  # fmt: skip
+    run_steps(phase.advance(Bands(), 1.0))
+    found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_shadow"])
+    phase.close()
+    padded = np.pad(evidence.astype(np.float64), ((8, 8), (8, 8), (0, 0)))
+    sums = evidence.astype(np.float64)
+    for x, y in taps():
+        sums = sums + padded[8 + y : 8 + y + domain.shape[0], 8 + x : 8 + x + domain.shape[1]]
+    with np.errstate(all="ignore"):
+        misfit, surplus = sums[..., 0] / sums[..., 3], sums[..., 1] / sums[..., 3]
+    wanted = (evidence[..., 2] > 0) & (misfit > LIMITS[0]) & (surplus > LIMITS[1])
+    assert 0.1 < wanted[domain.solvable].mean() < 0.9
+    np.testing.assert_array_equal(found, np.where(wanted, np.float32(0.5), 0))
+
+
+SHORT = RAISED.replaced(iterations=2, prefit_iterations=4, prefit_refinement_iterations=3, refinement_iterations=2,
+                        refinement_start_iterations=1)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole():
+    with Recovery(corner()[0], LAMBERT, SHORT, 1, entry="fragment") as recovery:
+        recovery.step()
+        assert raised(recovery).any()
+        return bits_of(recovery.maps(confidence=False))
+
+
+@pytest.mark.parametrize("resident", [True, False])
+def test_tiles_find_the_same_maps(whole, resident):
+    boxes = [(0, 0, 13, 20), (13, 0, 23, 9), (13, 9, 23, 11)]
+    options = {"boxes": boxes, "halo": 8, "on_device": None if resident else 1}
+    with TiledRecovery(corner()[0], LAMBERT, SHORT, 1, entry="fragment", **options) as recovery:
+        recovery.step()
+        assert bits_of(recovery.maps(confidence=False)) == whole
+
+
+@pytest.mark.parametrize("iterations", [6, 7, 8, 10, 16])
+def test_a_run_continues_from_a_checkpoint_with_the_same_maps(whole, recover, iterations):
+    # After 7 the evidence is there, after 8 the shadow, then the second prefit and what follows it.
+    domain = corner()[0]
+    first, second = (recover(domain, LAMBERT, SHORT) for _ in range(2))
+    first.step(iterations=iterations)
+    second.restore(first.state())
+    for recovery in (first, second):
+        recovery.step()
+        assert bits_of(recovery.maps(confidence=False)) == whole
+
+
+def test_slices_of_time_change_nothing(whole, recover):
+    recovery = recover(corner()[0], LAMBERT, SHORT)
+    while not recovery.step(time_budget_s=0.002).done:
+        recovery.maps(confidence=False)
+    assert bits_of(recovery.maps(confidence=False)) == whole
+
+
+def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(recover):
+    domain = corner()[0]
+    recovery = recover(domain, LAMBERT, SHORT)
+    recovery.step(iterations=9)
+    assert recovery._textures.shadow.any()
+    again = recovery.reconfigure(SHORT.replaced(prefit_indirect_shadow=0.0))
+    assert not again._textures.shadow.any() and "prefit_shadow" not in again.memory().arrays
+    again.step()
+    again.close()
