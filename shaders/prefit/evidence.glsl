@@ -1,6 +1,6 @@
 // Over W×H texels: how badly the prefit explains all samples, those in shadow too. Writes o_evidence: the misfit, and by how
 // much the samples are brighter than the fit, as parts of the light, at most 1; whether LEAST_SAMPLES reach RAISED_SHADOW of
-// the texel's scale; 1.
+// the texel's scale; 1. Above the scale, where highlights are, neither sample nor fit counts.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -17,8 +17,9 @@ bool texel_kernel(ivec2 texel)
         int bright = 0;
         Observation o;
         EACH_OBSERVATION(t, o) {
-            float error = error_of(o, reflectance(s, o.l, o.v)).r;
-            light += o.radiance.r;
+            float sample_light = min(o.radiance.r, t.scale);
+            float error = min(reflectance(s, o.l, o.v).r, t.scale) - sample_light;
+            light += sample_light;
             misfit += vec2(abs(error), max(-error, 0.0));
             bright += o.radiance.r >= RAISED_SHADOW * t.scale ? 1 : 0;
         }
