@@ -112,8 +112,9 @@ bool observe(Texel t, int k, out Observation o)
         return false;
     }
 #endif
-    // The mean of the channels, here and of the light.
-    return dot(o.radiance, vec3(1.0)) >= t.shadow * dot(o.intensity, vec3(1.0));
+    // Samples below 0, and those that are not numbers, count where no shadow is raised.
+    bool dark = dot(o.radiance, vec3(1.0)) < t.shadow * dot(o.intensity, vec3(1.0));
+    return !(dark && t.shadow > 0.0);
 }
 
 // Loops over the observations of a texel that have a weight: a statement or block with o follows.

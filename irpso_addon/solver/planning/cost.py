@@ -33,6 +33,7 @@ from ..state.phase_textures import (
 )
 
 FLOAT4, FLOAT2, FLOAT = 16, 8, 4  # bytes of a texel of RGBA32F, RG32F and R32F
+_GEOMETRY = 4  # layers: position, normal, tangent, place
 # Relative costs of iterations, measured on llvmpipe with 24 lights; a sample's render is 1.
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
 MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
@@ -109,8 +110,8 @@ class Cost:
     @property
     def device(self) -> int:
         """Bytes per texel of all textures except those of the domain's rectangle."""
-        # Position, normal, tangent, place; estimates before and after a stage, their deviations; the residual.
-        each = FLOAT4 * (self.observations + 4 + 3 * self.estimates + self.alternatives + 1)
+        # Estimates before and after a stage, their deviations; the residual.
+        each = FLOAT4 * (self.observations + _GEOMETRY + 3 * self.estimates + self.alternatives + 1)
         copies = FLOAT4 * (1 + max(phase.atlas for phase in self.phases)) if self.compute else 0
         return each + copies + max(phase.textures for phase in self.phases)
 
@@ -208,9 +209,10 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     swarm = phase_cost(resolved.stage, model, schedule.replaced(update="all"))
     refinement = phase_cost(resolved.refinement, model, schedule)
     own = FLOAT4 * -(-model.components // 4)
+    geometry = FLOAT4 * _GEOMETRY if resolved.indirect else 0  # with other states
     return PhaseCost(
         max(swarm.atlas, refinement.atlas),
-        max(swarm.textures, refinement.textures) + 2 * own,
+        max(swarm.textures, refinement.textures) + 2 * own + geometry,
         max(swarm.kept, refinement.kept) + own,
         max(swarm.reach, refinement.reach),
         swarm.exchanges + refinement.exchanges,
