@@ -162,7 +162,7 @@ def _declare() -> None:
             name="Interreflection", get=_has_rounds, set=_switch_rounds,
             description="Find the light that the subject throws on itself, as in a bowl or a fold, take it off the"
             " photographs, and recover again. On a mesh it takes two to three times the time, on a card four times."
-            " Refused with Levels above 1, and where memory is short and the maps are solved in tiles",
+            " Refused with Levels above 1",
         ),
         **declared,
     }  # fmt: skip
