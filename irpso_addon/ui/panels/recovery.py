@@ -139,7 +139,7 @@ def _draw_interreflection(layout, context, found: dict[str, Any]) -> None:
     drawing.fact(layout, context, "Indirect Light", f"{drawing.percent(found['share'])} of all")
     drawing.fact(layout, context, "Rounds", str(found["rounds"]))
     drawing.fact(layout, context, "Strength", f"{found['strength'][-1]:.2f}")
-    if count := found["dominated_texels"]:
+    if count := found["unknown_texels"]:
         drawing.fact(layout, context, "Left Unknown", "1 texel" if count == 1 else f"{count} texels")
 
 

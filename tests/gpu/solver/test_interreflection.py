@@ -10,6 +10,7 @@ import pytest
 from irpso_addon.blender.ray_caster import ray_caster
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import with_samples
 from irpso_addon.geometry.light.exchange import exchange_steps
 from irpso_addon.geometry.light.surroundings import CardSurroundings, MeshSurroundings
 from irpso_addon.gpu import textures
@@ -165,11 +166,24 @@ def test_texels_that_owe_most_of_their_light_to_others_say_so(bowl, monkeypatch)
     monkeypatch.setattr(interreflection, "_MOST_SHARE", 0.2)  # of albedos of up to 0.8 a third of the light is
     with rounds_of(bowl) as recovery:
         recovery.step()
-        maps, count = recovery.maps(), recovery.findings["interreflection"]["dominated_texels"]
+        maps, count = recovery.maps(), recovery.findings["interreflection"]["unknown_texels"]
     there = maps.confidence["normal"][..., 0] == np.float32(np.pi / 2)
     assert 0 < count == np.count_nonzero(there) <= np.count_nonzero(maps.covered)
     np.testing.assert_allclose(maps.values["normal"][there], np.tile(np.float32([0, 0, 1]), (count, 1)), atol=1e-6)
     assert (maps.confidence["base_color"][there] == 1).all()
+
+
+def test_texels_with_indirect_light_whose_photographs_are_not_explained_say_so(bowl):
+    domain, surroundings = bowl
+    values = domain.stack.values.copy()
+    torn = np.arange(domain.shape[1]) < 20  # every second photograph is half as bright there: no material is so
+    values[::2, :, torn, :3] *= 0.5
+    with rounds_of((with_samples(domain, values), surroundings)) as recovery:
+        recovery.step()
+        maps, count = recovery.maps(), recovery.findings["interreflection"]["unknown_texels"]
+    unknown = maps.confidence["normal"][..., 0] == np.float32(np.pi / 2)
+    assert count == np.count_nonzero(unknown) and not unknown[:, ~torn].any()
+    assert unknown[:, torn][maps.covered[:, torn]].mean() > 0.9
 
 
 def test_the_share_of_indirect_light_is_that_of_the_half_sphere(bowl):
@@ -294,7 +308,7 @@ def test_fixed_parameters_stay_where_others_give_most_of_the_light(bowl, monkeyp
     with rounds_of(bowl, fixed=fixed, model=load_model("metallic_roughness")) as recovery:
         recovery.step()
         maps = recovery.maps()
-    assert recovery.findings["interreflection"]["dominated_texels"] > 0
+    assert recovery.findings["interreflection"]["unknown_texels"] > 0
     np.testing.assert_array_equal(maps.values["roughness"][maps.covered], fixed["roughness"][maps.covered])
 
 
