@@ -85,11 +85,11 @@ def test_recover_shows_a_picture_pauses_on_escape_and_resumes(artist):
 def test_the_view_goes_through_all_that_can_be_shown(artist):
     x, y = artist.find_button("irpso.view.shown")
     seen = []
-    for _ in range(6):
+    for _ in range(7):
         artist.click(x, y, button=5, held="ctrl")  # the next entry of the menu under the mouse
         seen.append(artist.run("settings().view.shown"))
         artist.screenshot(f"journey 6: {seen[-1].lower()}")
-    assert seen == ["ERROR", "CONFIDENCE", "RENDER", "REFERENCE", "SPLIT", "BLINK"]
+    assert seen == ["ERROR", "CONFIDENCE", "INDIRECT", "RENDER", "REFERENCE", "SPLIT", "BLINK"]
     artist.click(x, y, button=4, held="ctrl")  # the one before: Blink has all drawn again twice a second
 
 
