@@ -348,7 +348,7 @@ class Recovery(RecoveryEngine):
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
         if isinstance(phase, PrefitPhase | IndirectPhase):
-            self._take_prefit({**self._prefit, **(yield from phase.measuring(self._bands, seconds))})
+            self._take_prefit((yield from phase.measuring(self._bands, seconds)))
         yield  # the last one: view() must not see a closed phase
         phase.close()
         self._bands = Bands(self._bands.paced)  # another stage's passes have other costs

@@ -15,7 +15,7 @@ from ..settings.groups import Prior
 from ..settings.resolve import Resolved, ResolvedIndirect, ResolvedPrefit
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, indirect_table
-from ..state.textures import HALO, DomainTextures, Estimates, packed_states
+from ..state.textures import DomainTextures, Estimates
 from .phase import TexturePhase
 from .prefit import EVIDENCE, FITNESS
 
@@ -31,6 +31,7 @@ _LEAST_MISFIT, _LEAST_SURPLUS = 0.2, 0.03
 class IndirectPhase(TexturePhase):
     """A Phase of one iteration: it compares what the prefit has measured of a texel and its neighbours with limits."""
 
+    shared = ("evidence",)
     placed = False  # it moves no estimate
     passes: Pass
 
@@ -47,7 +48,7 @@ class IndirectPhase(TexturePhase):
         super().__init__(resolved, model, schedule, domain, estimates, entry)
         self.textures = PhaseTextures(indirect_table(), *estimates.size)
         self.passes = _indirect_pass(schedule, domain.defines)
-        self._evidence: np.ndarray | None = measured.get(EVIDENCE)
+        self._measured = dict(measured)
 
     @property
     def evaluations(self) -> int:
@@ -68,42 +69,42 @@ class IndirectPhase(TexturePhase):
         self.iteration += 1
 
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
-        """Leave the estimates as they are."""
-        self.estimates.resolved, self.estimates.current = self.estimates.current, self.estimates.resolved
+        """Leave the estimates as they are: what is accepted twice is as it was."""
         yield
+        self.estimates.accept()
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return by name the shadow (h, w) of each texel, packed: 0 where the light is not indirect."""
+        """Return what is known by name, the shadow (h, w) of each texel, packed, in place of the evidence.
+
+        It is 0 where the light is not indirect.
+        """
         yield
-        return {SHADOW: self.read("shadow")[..., 0]}
+        return {**self._measured, SHADOW: self.read("shadow")[..., 0]}
 
     def reached(self, threshold: float) -> bool:
         """Return False: nothing is searched."""
         return False
 
-    def halo(self) -> np.ndarray:
-        """Return (H, W, 4) float32 over the domain: the evidence; NaN where none is solved."""
+    def read(self, *names: str) -> np.ndarray:
+        """Return (h, w, channels) of the current textures of some groups, channels side by side."""
         self._make()
-        return self.domain.packing.unpack(self.read("evidence"), np.nan)
-
-    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, 4), and (M, 4) of the ghosts, at texels of other tiles. The tile's own do not change."""
-        self._make()
-        packing = self.domain.packing
-        theirs = packed_states(self.domain.domain, packing)[..., None] == HALO
-        merged = np.where(theirs, packing.pack(values, ghosts), self.read("evidence"))
-        self.textures.upload("evidence", [merged])
+        return super().read(*names)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that outlives an iteration, by name."""
         self._make()
         return super().state()
 
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Continue from the ``state`` of an iteration."""
+        self._make()
+        super().restore(arrays, iteration)
+
     def _make(self) -> None:
+        """Allocate the textures, and give them the evidence, at first use."""
         self.textures.ensure()
-        if self._evidence is not None:
-            self.textures.upload("evidence", [self._evidence])
-            self._evidence = None
+        if EVIDENCE in self._measured:
+            self.textures.upload("evidence", [self._measured.pop(EVIDENCE)])
 
 
 def measured_by(stages: Sequence[Resolved], measured: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

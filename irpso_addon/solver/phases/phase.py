@@ -15,7 +15,7 @@ from ..settings.resolve import Resolved
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures
 from ..state.reader import Reader
-from ..state.textures import SOLVED, DomainTextures, Estimates, texel_states
+from ..state.textures import HALO, SOLVED, DomainTextures, Estimates, packed_states, texel_states
 
 BAND_SECONDS = 0.02  # of one draw while a window waits
 BACKGROUND_BAND_SECONDS = 0.25  # drivers kill a draw after two seconds
@@ -127,10 +127,11 @@ class Passes(Protocol):
 class TexturePhase(Phase):
     """A phase whose textures a table declares. A subclass sets ``textures`` and ``passes``.
 
-    acceptance: test of what it resolves, if there is one.
+    acceptance: test of what it resolves, if there is one. shared: the groups that neighbours read, of RGBA textures.
     """
 
     iteration = 0
+    shared: tuple[str, ...] = ()
     textures: PhaseTextures
     passes: Passes
 
@@ -153,6 +154,19 @@ class TexturePhase(Phase):
         """Return (h, w, channels) of the current textures of some groups, channels side by side."""
         self.textures.ensure()
         return np.concatenate([self.reader.read(texture) for texture in self.textures.of(*names)], axis=-1)
+
+    def halo(self) -> np.ndarray:
+        """Return (H, W, n) float32 over the domain: the shared groups; NaN where none is solved."""
+        return self.domain.packing.unpack(self.read(*self.shared), np.nan)
+
+    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
+        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
+        packing = self.domain.packing
+        theirs = packed_states(self.domain.domain, packing)[..., None] == HALO
+        merged = np.where(theirs, packing.pack(values, ghosts), self.read(*self.shared))
+        parts = iter(np.split(merged, merged.shape[-1] // 4, axis=-1))
+        for name in self.shared:
+            self.textures.upload(name, [next(parts) for _ in self.textures.of(name)])
 
     def fitness(self) -> np.ndarray:
         """Return (H, W) float32 over the domain: every texel's best fitness; NaN where none is solved."""

@@ -124,7 +124,7 @@ class PrefitPhase(Phase):
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return by name, packed, float32: the fitness (h, w) of the prefit's model with what is resolved. In bands.
 
-        Where indirect light is sought, its evidence (h, w, 4), too.
+        With what was measured before; where indirect light is sought, its evidence (h, w, 4), too.
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(resolved=True), **self._domain.textures}
@@ -132,9 +132,9 @@ class PrefitPhase(Phase):
         yield from self._measure.in_bands("measure", bands, seconds, targets, inputs, constants)
         fitness = textures.download(targets[0])[..., 0]
         if self._resolved.indirect:
-            return {FITNESS: np.where(self._domain.shadow > 0, fitness, self._before[FITNESS])}
+            fitness = np.where(self._domain.shadow > 0, fitness, self._before[FITNESS])
         if self._evidence is None:
-            return {FITNESS: fitness}
+            return {**self._before, FITNESS: fitness}
         targets = [textures.empty(*self.own.size)]
         constants = {"u_observations": constants["u_observations"]}
         yield from self._evidence.in_bands("evidence", bands, seconds, targets, inputs, constants)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-
 from ...gpu.bands import Bands
 from ...gpu.passes import Entry, Pass
 from ...gpu.textures import Texture
@@ -22,10 +20,8 @@ from ..kernels.spatial_prior import (
 from ..settings.resolve import ResolvedPrior
 from ..settings.schedule import Schedule
 from ..state.phase_textures import PhaseTextures, prior_table
-from ..state.textures import HALO, DomainTextures, Estimates, loss_constants, packed_states
+from ..state.textures import DomainTextures, Estimates, loss_constants
 from .phase import Acceptance, TexturePhase
-
-_HALO = ("noise", "mean", "deviation")  # the groups that neighbours read
 
 
 class SpatialPriorPhase(TexturePhase):
@@ -36,6 +32,7 @@ class SpatialPriorPhase(TexturePhase):
     that material fits significantly worse, or if the acceptance test rejects it.
     """
 
+    shared = ("noise", "mean", "deviation")
     placed = False  # the most probable material shows at the end, after its comparison with the samples
     passes: PriorPasses
 
@@ -104,19 +101,6 @@ class SpatialPriorPhase(TexturePhase):
     def reached(self, threshold: float) -> bool:
         """Return False: a prior does not lower the fitness."""
         return False
-
-    def halo(self) -> np.ndarray:
-        """Return (H, W, n) float32 over the domain: noise, means and deviations; NaN where none is solved."""
-        return self.domain.packing.unpack(self.read(*_HALO), np.nan)
-
-    def take_halo(self, values: np.ndarray, ghosts: np.ndarray | float = 0.0) -> None:
-        """Take (H, W, n), and (M, n) of the ghosts, at texels of other tiles. The tile's own do not change."""
-        packing = self.domain.packing
-        theirs = packed_states(self.domain.domain, packing)[..., None] == HALO
-        merged = np.where(theirs, packing.pack(values, ghosts), self.read(*_HALO))
-        parts = iter(np.split(merged, merged.shape[-1] // 4, axis=-1))
-        for name in _HALO:
-            self.textures.upload(name, [next(parts) for _ in self.textures.of(name)])
 
     def _copy(self, bands: Bands, sources: Sequence[Texture], targets: Sequence[Texture]) -> Iterator[None]:
         for source, target in zip(sources, targets, strict=True):
