@@ -59,15 +59,17 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
         raise InputError(f"mesh object '{name}' has no UV map; unwrap it in Blender first")
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
-    vertices = _read(mesh.loop_triangles, "vertices", 3 * count, np.int32)
-    loops = _read(mesh.loop_triangles, "loops", 3 * count, np.int32)
-    coordinates = _read(mesh.vertices, "co", 3 * len(mesh.vertices)).reshape(-1, 3)
-    uvs = _read(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
+    vertices = read_attribute(mesh.loop_triangles, "vertices", 3 * count, np.int32)
+    loops = read_attribute(mesh.loop_triangles, "loops", 3 * count, np.int32)
+    coordinates = read_attribute(mesh.vertices, "co", 3 * len(mesh.vertices)).reshape(-1, 3)
+    uvs = read_attribute(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
     positions = coordinates[vertices].reshape(-1, 3, 3)
     if not np.isfinite(positions).all():
         raise InputError(f"mesh object '{name}' has vertices that are not numbers; repair the mesh")
     # Blender draws faces of a missing slot with the last slot.
-    materials = np.minimum(_read(mesh.loop_triangles, "material_index", count, np.int32), max(len(names) - 1, 0))
+    materials = np.minimum(
+        read_attribute(mesh.loop_triangles, "material_index", count, np.int32), max(len(names) - 1, 0)
+    )
     solved = None if slots is None else np.isin(materials, np.asarray(slots, np.int32))
     if solved is not None and not solved.any():
         asked = ", ".join(f"'{names[slot]}'" for slot in slots)
@@ -77,7 +79,7 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     tiles, placed = lay_out(f"UV map '{layer.name}' of '{name}'", uvs[chosen])
     places = placed if solved is None else np.zeros_like(uvs)
     places[chosen] = placed
-    normals = _read(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
+    normals = read_attribute(mesh.corner_normals, "vector", 3 * len(mesh.loops)).reshape(-1, 3)[loops].reshape(-1, 3, 3)
     return {
         "positions": positions,
         "normals": normals,
@@ -91,7 +93,8 @@ def _local_triangles(name: str, mesh: Any, names: tuple[str, ...], slots: Sequen
     }
 
 
-def _read(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
+def read_attribute(collection: Any, attribute: str, size: int, kind: type = np.float32) -> np.ndarray:
+    """Return (size,) the values of an attribute of all elements of a Blender collection."""
     values = np.empty(size, kind)
     collection.foreach_get(attribute, values)
     return values
@@ -151,8 +154,8 @@ def _tangents_together(
         mesh.uv_layers.new(name="irpso").uv.foreach_set("vector", uvs.ravel())
         mesh.normals_split_custom_set(normals.reshape(-1, 3))
         mesh.calc_tangents(uvmap="irpso")
-        tangents = _read(mesh.loops, "tangent", 9 * count).reshape(-1, 3, 3)
-        signs = _read(mesh.loops, "bitangent_sign", 3 * count).reshape(-1, 3, 1)
+        tangents = read_attribute(mesh.loops, "tangent", 9 * count).reshape(-1, 3, 3)
+        signs = read_attribute(mesh.loops, "bitangent_sign", 3 * count).reshape(-1, 3, 1)
     finally:
         bpy.data.meshes.remove(mesh)
     return np.concatenate([tangents, signs], axis=-1)

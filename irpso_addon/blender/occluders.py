@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..geometry.surface.mesh import MeshData
+from .mesh import read_attribute
 
 WITH_SURFACE = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META"})  # types of objects that Blender makes meshes of
 
@@ -59,10 +60,8 @@ def _triangles(obj: Any) -> np.ndarray:
     mesh = bpy.data.meshes.new_from_object(evaluated, depsgraph=depsgraph)
     try:
         mesh.calc_loop_triangles()
-        corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", corners)
-        places = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", places)
+        corners = read_attribute(mesh.loop_triangles, "vertices", 3 * len(mesh.loop_triangles), np.int32)
+        places = read_attribute(mesh.vertices, "co", 3 * len(mesh.vertices))
     finally:
         bpy.data.meshes.remove(mesh)
     if not len(corners):

@@ -117,6 +117,14 @@ def bits_of(maps):
     return {name: np.ascontiguousarray(v[maps.covered]).tobytes() for name, v in maps.values.items()}
 
 
+def ended_prefit(recovery):
+    """Step to the end of a recovery's first prefit; return the phase, its estimates resolved."""
+    while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
+        recovery.step(iterations=1)
+    recovery.phase.resolve()
+    return recovery.phase
+
+
 def recoveries():
     """Yield a maker of recoveries and close them at the end, for a fixture."""
     from irpso_addon.solver.engine.recovery import Recovery  # needs Blender

@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, make_domain, pack_layers, recoveries, unit
+from tests.builders.domains import bits_of, ended_prefit, make_domain, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
 
 LAMBERT = load_model("lambert")
@@ -79,10 +79,7 @@ def test_darker_samples_count_as_shadow_where_the_light_is_indirect_and_nowhere_
 def test_the_evidence_matches_float64(recover):
     domain, _, _ = corner((6, 10))
     recovery = recover(domain, LAMBERT, RAISED)
-    while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
-        recovery.step(iterations=1)
-    phase, pack = recovery.phase, Packing(domain.solvable)
-    phase.resolve()
+    phase, pack = ended_prefit(recovery), Packing(domain.solvable)
     evidence = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_evidence"])
     own = {name: np.float64(pack.unpack(value)) for name, value in phase.own.values().items()}
     shown = domain.stack.values[..., :3].astype(np.float64).mean(axis=-1)

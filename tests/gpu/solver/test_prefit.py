@@ -25,7 +25,7 @@ from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.prepare import prepare, texel_scale
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
 from tests.builders.command_line import dome_lights
-from tests.builders.domains import bits_of, make_domain, masked, pack_layers, recoveries, unit
+from tests.builders.domains import bits_of, ended_prefit, make_domain, masked, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
 from tests.oracles.loss import loss
 from tests.oracles.refinement import Texel
@@ -341,10 +341,7 @@ def test_the_acceptance_test_skips_texels_with_too_few_samples(recover, uneven):
 def test_the_prefits_misfit_matches_float64(recover, uneven):
     domain, _ = uneven
     recovery = recover(domain, PRINCIPLED, STANDARD)
-    while recovery.progress.stage == 0 and recovery.progress.iteration < recovery.progress.iterations - 1:
-        recovery.step(iterations=1)
-    phase, pack = recovery.phase, Packing(domain.solvable)
-    phase.resolve()
+    phase, pack = ended_prefit(recovery), Packing(domain.solvable)
     fitness = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_fitness"])
     own = {n: pack.unpack(v) for n, v in phase.own.values().items()}
     scale = texel_scale(domain, STANDARD.fitness.percentile).astype(np.float64)
