@@ -10,7 +10,7 @@ from ..kernels.encoding import build_encoding
 from ..phases.phase import Phase
 from ..phases.swarm import SwarmPhase, particle_count
 from ..settings.groups import Fitness
-from ..settings.resolve import Resolved, ResolvedSwarm
+from ..settings.resolve import Resolved, ResolvedPrefit, ResolvedSwarm
 from ..settings.schedule import Schedule
 
 # A factor on the preset's spread around the seed and on its first speeds, where the seed is an earlier result: with
@@ -69,7 +69,9 @@ def finished_alike(before: Sequence[Resolved], stages: Sequence[Resolved]) -> in
 
 
 def _one_search(a: Resolved, b: Resolved) -> bool:
-    """Whether two phases are of one kind and search the same."""
+    """Whether two phases are of one kind and search the same, and the first measures what the second would."""
+    if isinstance(a, ResolvedPrefit) and isinstance(b, ResolvedPrefit) and b.seeks and not a.seeks:
+        return False
     cycles = (a.cycle, b.cycle) if isinstance(a, ResolvedSwarm) and isinstance(b, ResolvedSwarm) else (0, 0)
     return type(a) is type(b) and a.title == b.title and cycles[0] == cycles[1]
 

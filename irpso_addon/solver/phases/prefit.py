@@ -67,8 +67,7 @@ class PrefitPhase(Phase):
         self.own = _first_estimates(self._model, model, estimates, domain)
         self._adopt = _adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
-        seeks = schedule.prefit.indirect_shadow > 0 and not resolved.indirect
-        self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if seeks else None
+        self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
         self._refining = False
         if schedule.swarm.seed == "given":  # a first guess has a normal, but no parameter of the prefit's model
             schedule = schedule.replaced(seed="lambert")

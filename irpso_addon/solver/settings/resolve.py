@@ -68,11 +68,15 @@ class ResolvedMaterials(ResolvedRefinement):
 
 @dataclass(frozen=True)
 class ResolvedPrefit:
-    """The prefit: its swarms and its refinement, of its own model. indirect: only where the light is indirect."""
+    """The prefit: its swarms and its refinement, of its own model.
+
+    indirect: only where the light is indirect. seeks: whether it measures the evidence of such light.
+    """
 
     stage: ResolvedSwarm
     refinement: ResolvedRefinement
     indirect: bool = False
+    seeks: bool = False
 
     @property
     def title(self) -> str:
@@ -129,7 +133,9 @@ def _resolve_prefit(prefit: Prefit) -> tuple[ResolvedPrefit | ResolvedIndirect, 
     solved = tuple(p for p in model.parameters if p.kind == "linear")
     stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)
     first = ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
-    return (first, ResolvedIndirect(), replace(first, indirect=True)) if prefit.indirect_shadow else (first,)
+    if not prefit.indirect_shadow:
+        return (first,)
+    return replace(first, seeks=True), ResolvedIndirect(), replace(first, indirect=True)
 
 
 def _resolve_refinement(

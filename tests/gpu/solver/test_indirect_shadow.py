@@ -181,3 +181,12 @@ def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(r
     assert not again._textures.shadow.any() and "prefit_shadow" not in again.memory().arrays
     again.step()
     again.close()
+
+
+def test_a_run_that_is_to_seek_indirect_light_prefits_again(recover):
+    recovery = recover(corner()[0], LAMBERT, SHORT.replaced(prefit_indirect_shadow=0.0))
+    recovery.step(iterations=9)
+    again = recovery.reconfigure(SHORT)
+    again.step()
+    assert raised(again).any()
+    again.close()
