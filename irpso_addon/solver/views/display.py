@@ -63,13 +63,13 @@ class Shown:
 class Display:
     """Pictures of a running recovery. ``close`` it before the recovery; make a new one for another recovery.
 
-    Raises InputError for a recovery in tiles.
+    whole: of which the recovery is a tile; it knows the indirect light. Raises InputError for a recovery in tiles.
     """
 
-    def __init__(self, recovery: RecoveryEngine):
+    def __init__(self, recovery: RecoveryEngine, whole: RecoveryEngine | None = None):
         if recovery.capabilities.view != "whole":
             raise InputError("the recovery runs in tiles, which cannot be shown while it runs; lower the resolution")
-        self._recovery = recovery
+        self._recovery, self._whole = recovery, whole or recovery
         self._defines = kernel_defines(recovery.domain)
         self._size: tuple[int, int] | None = None
         self._begin()
@@ -182,12 +182,14 @@ class Display:
         return self._measures[kind]
 
     def _indirect(self, alike: Texture) -> Texture:
-        """Return the recovery's ``indirect_share``, packed, in the size of ``alike``; below 0 where it has none."""
-        domain, share = self._recovery.domain, self._recovery.indirect_share
+        """Return the ``indirect_share`` of the texels, packed, in the size of ``alike``; below 0 where it has none."""
+        domain, share = self._recovery.domain, self._whole.indirect_share
         if share is None:
             return textures.empty(alike.width, alike.height, "R32F", _UNMEASURED)
         if self._share is None or self._share[0] is not share:
-            self._share = share, textures.upload(Packing(domain.solvable, domain.seams).pack(share))
+            (x, y), (x0, y0), (height, width) = domain.origin, self._whole.domain.origin, domain.shape
+            own = share[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
+            self._share = share, textures.upload(Packing(domain.solvable, domain.seams).pack(own))
         return self._share[1]
 
     def _colors(self) -> Texture:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from ...geometry.domain import Domain
@@ -53,7 +54,7 @@ class TiledDisplay:
         """Return a texture like Display.picture; the budget is for all tiles together."""
         live = self._recovery.tiles()
         share = None if time_budget_s is None else time_budget_s / len(live)
-        _follow(self._displays, live, Display)
+        _follow(self._displays, live, partial(Display, whole=self._recovery))
         target = self._kept(shown)
         for box, tile in live:
             piece = self._displays[tile].picture(shown, share)

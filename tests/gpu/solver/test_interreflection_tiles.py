@@ -90,13 +90,14 @@ def test_tiles_that_take_turns_make_many_iterations_at_a_turn(bowl, monkeypatch,
 
 
 def test_a_window_shows_tiles_through_all_rounds(bowl):
-    pictures, shown = [], Shown("parameter", "base_color")
+    pictures, color, light = [], Shown("parameter", "base_color"), Shown("indirect", limit=1.0)
     for recovery in (rounds_of(bowl), in_tiles(bowl)):
         with recovery, closing(display_of(recovery)) as display:
             while not recovery.step(9).done:
-                assert textures.download(display.picture(shown))[..., :3].any()
-            pictures.append(textures.download(display.picture(shown)).copy())
+                assert textures.download(display.picture(color))[..., :3].any()
+            pictures.append([textures.download(display.picture(shown)).copy() for shown in (color, light)])
     np.testing.assert_array_equal(*pictures)
+    assert np.ptp(pictures[0][1][..., 0]) > 0.1
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
