@@ -129,6 +129,8 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         )
     for name, share in report.get("priors_decided", {}).items():
         lines.append(f"{name}: the prior outweighs the photographs on {share:.0%} of the texels")
+    if (share := report.get("unknown", {}).get("normal", 0)) >= 0.005:
+        lines.append(f"normal: unknown on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():
         highlights = report["relighting_highlights_psnr_db"][name]
         figures = [f"{psnr:.2f} dB" if psnr is not None else "nothing to compare"]

@@ -38,7 +38,7 @@ def prior_declaration(model: ReflectanceModel) -> str:
     for p in model.parameters:
         if p.prior is None:
             continue
-        value, width, extent = p.prior.value, p.prior.width, p.range[1] - p.range[0]
+        value, width, extent = p.prior.value, p.prior.width, p.width
         along = model.parameter(p.prior.vanishes_with) if p.prior.vanishes_with else None
         for i in range(model.offset(p.name), model.offset(p.name) + p.components):
             lines = [f"float d = c[{i}] - {value!r};", f"float w = {width!r};"]

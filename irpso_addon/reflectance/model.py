@@ -82,6 +82,16 @@ class Parameter:
     prior: ParameterPrior | None = None
 
     @property
+    def width(self) -> float:
+        """The width of its range: the deviation of a number about which nothing is known, a normal's in radians."""
+        return math.pi / 2 if self.is_normal else self.range[1] - self.range[0]
+
+    @property
+    def has_unknown(self) -> bool:
+        """Whether one deviation says at which texels it is unknown: of a normal, or of a searched number."""
+        return self.is_normal or (self.kind == "search" and self.components == 1)
+
+    @property
     def is_albedo(self) -> bool:
         """Whether radiance is proportional to this colour: brightness bounds it, a seed starts it."""
         return self.kind == "linear" and self.components == 3

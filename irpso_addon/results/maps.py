@@ -41,12 +41,12 @@ class Maps:
     two_modes: dict[str, np.ndarray] = field(default_factory=dict)
 
     def unknown(self) -> dict[str, np.ndarray]:
-        """Return, for each searched number, (H, W) bool: covered texels with wide ``confidence`` or two modes."""
+        """Return, for normals and searched numbers, (H, W) bool: texels with wide ``confidence`` or two modes."""
         return {
-            p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * (p.range[1] - p.range[0]))
+            p.name: self.covered & (self.confidence[p.name][..., 0] > UNKNOWN * p.width)
             | self.two_modes.get(p.name, False)
             for p in self.model.parameters
-            if self.confidence is not None and p.kind == "search" and p.components == 1
+            if self.confidence is not None and p.has_unknown
         }
 
 

@@ -115,7 +115,7 @@ def prior_shares(maps: Maps, given: Collection[str] = ()) -> dict[str, float]:
         if p.prior.vanishes_with:
             other = model.parameter(p.prior.vanishes_with)
             place = (maps.values[other.name][maps.covered] - other.range[0]) / (other.range[1] - other.range[0])
-        variance = p.prior.variance(maps.values[p.name][maps.covered], p.range[1] - p.range[0], place)
+        variance = p.prior.variance(maps.values[p.name][maps.covered], p.width, place)
         measured = np.square(maps.confidence[p.name][maps.covered])
         decided = (2 * measured if p.prior.kind == "normal" else measured) > variance
         shares[p.name] = round(float(decided.mean()), 4)

@@ -16,6 +16,11 @@
 // are fewer than 1 in 50.
 #define SINGULAR (1.0 / 262144.0)
 
+// Of the light that reaches a texel in hollows: where the estimates leave more of it, other surfaces throw most of it, and
+// what was found is not the material. On rendered captures the normals of such texels are off by 60° (a goblet of brass)
+// and 35° (a concave mix of materials) in the median; those of the others by 5.6 and 6.6° in the mean, not 19.6 and 9.3.
+#define LEAST_UNEXPLAINED 0.1
+
 // Two steps for a derivative of second order: to both sides, or, at an end of the range, both inward. The stencil's own
 // error is (2⁻¹⁰ f‴ / f′)² / 6, under 1 % in a lobe of m = 0.05.
 vec2 steps_of(inout float c[12], int u)
@@ -29,13 +34,18 @@ vec2 steps_of(inout float c[12], int u)
 }
 
 // Sums JᵀJ (upper triangle; J per range), the errors and the squared radiances. A bound that is met adds nothing.
-void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy)
+// unexplained: the errors as a part of the light.
+void accumulate(
+    ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out ErrorSums sums, out float energy,
+    out float unexplained)
 {
     for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
         a[i] = 0.0;
     }
     clear_errors(sums);
     energy = 0.0;
+    float off = 0.0;
+    float light = 0.0;
     vec2 steps[FREE_COUNT];
     for (int u = 0; u < FREE_COUNT; u++) {
         steps[u] = steps_of(c, u);
@@ -52,6 +62,8 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
         vec3 weight = relative * relative * counted;
         add_error(sums, error, weight, counted);
         energy += dot(weight, render * render);
+        off += dot(counted, abs(error));
+        light += dot(counted, abs(o.radiance));
         vec3 j[FREE_COUNT];
         for (int u = 0; u < FREE_COUNT; u++) {
             vec2 by = steps[u];
@@ -67,6 +79,7 @@ void accumulate(ivec2 texel, inout float c[12], out float a[FREE_COUNT * FREE_CO
             }
         }
     }
+    unexplained = light > 0.0 ? off / light : 0.0;
 }
 
 // Adds the precision of the model's priors, in samples of this variance.
@@ -181,11 +194,15 @@ bool texel_kernel(ivec2 texel)
         float a[FREE_COUNT * FREE_COUNT];
         ErrorSums sums;
         float energy;
-        accumulate(texel, c, a, sums, energy);
+        float unexplained;
+        accumulate(texel, c, a, sums, energy, unexplained);
         float deviation[FREE_COUNT];
         float variance = variance_of(texel, sums);
 #ifndef NOISE_GIVEN
         add_priors(c, variance, a);
+        if (shadow_at(texel) > 0.0 && unexplained > LEAST_UNEXPLAINED) {
+            variance = -1.0;
+        }
 #endif
         if (variance >= 0.0) {
             deviations_from(a, variance, energy, deviation);

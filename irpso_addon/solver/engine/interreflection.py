@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -105,7 +104,7 @@ class InterreflectionRounds(Successive):
             if p.name not in self.fixed:
                 values[p.name] = np.where(self._unknown[..., None], self._stand_in[p.name], values[p.name])
                 if deviations:
-                    widest = np.float32(math.pi / 2 if p.is_normal else p.range[1] - p.range[0])
+                    widest = np.float32(p.width)
                     deviations[p.name] = np.where(self._unknown[..., None], widest, deviations[p.name])
         return replace(maps, values=values, confidence=deviations)
 

@@ -58,7 +58,7 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
             defines |= {"NORMAL_SIZE": size, "NORMAL_AT": at}
             at += size
             continue
-        low, width = p.range[0], p.range[1] - p.range[0]
+        low, width = p.range[0], p.width
         span = f"{width!r} * reach" if p.is_albedo else repr(width)
         for i in range(p.components):
             field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"

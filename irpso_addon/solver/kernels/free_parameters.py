@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ...reflectance.model import Parameter, ReflectanceModel, Start
-
-NORMAL_RANGE = math.pi / 2  # radians: what is said of a normal about which the observations say nothing
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,10 @@ def build_free_parameters(model: ReflectanceModel, fixed: Collection[str]) -> Fr
         if p.is_normal:
             defines = {"NORMAL_FREE": len(rows), "NORMAL_COMPONENT": at}
             normal = [len(rows), len(rows) + 1]
-            rows += [(at, 0.0, NORMAL_RANGE)] * 2
+            rows += [(at, 0.0, p.width)] * 2
         else:
             searched += [] if has_basis(p, model) else range(len(rows), len(rows) + p.components)
-            rows += [(at + i, p.range[0], p.range[1] - p.range[0]) for i in range(p.components)]
+            rows += [(at + i, p.range[0], p.width) for i in range(p.components)]
     cases = [
         f"    if (u == {u}) {{ free.at = {at}; free.low = {low}; free.width = {width}; }}"
         for u, (at, low, width) in enumerate(rows)
@@ -74,7 +71,7 @@ def build_slopes(model: ReflectanceModel, fixed: Collection[str], central: bool)
     for p in _free(model, fixed):
         u, count = len(channels), 2 if p.is_normal else p.components
         if has_basis(p, model):
-            lines.append(f"basis = {p.range[1] - p.range[0]!r} * basis_{p.name}(s, l, v);")
+            lines.append(f"basis = {p.width!r} * basis_{p.name}(s, l, v);")
             lines += [f"vec3 slope_{u + i} = basis;" for i in range(p.components)]
             # A colour's number has a slope in its own channel alone.
             channels += [""] if p.components == 1 else list("rgb")

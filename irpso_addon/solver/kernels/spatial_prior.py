@@ -123,7 +123,7 @@ def components_source(model: ReflectanceModel, resolved: ResolvedPrior) -> str:
     lines = []
     for p in model.parameters:
         kind = "scalar" if p.name in pooled else "other" if p.is_normal else "color"
-        body = f"{{ width = {p.range[1] - p.range[0]!r}; kind = {_KINDS[kind]}; }}"
+        body = f"{{ width = {p.width!r}; kind = {_KINDS[kind]}; }}"
         lines += [f"    if (i == {model.offset(p.name) + i}) {body}" for i in range(p.components)]
     defines = [f"#define COMPONENT_{name.upper()} {value}" for name, value in _KINDS.items()]
     return "\n".join(

@@ -51,7 +51,7 @@ def features_of(model: ReflectanceModel, parameters: Sequence[Parameter], sample
             features += [np.zeros(len(sample))] * 2
             continue
         at = 3 + model.offset(p.name)
-        x = np.clip((sample[:, at : at + p.components] - p.range[0]) / (p.range[1] - p.range[0]), 0.0, 1.0)
+        x = np.clip((sample[:, at : at + p.components] - p.range[0]) / p.width, 0.0, 1.0)
         linear = p.kind == "linear" and p.name in model.bases
         features += list((np.sqrt(x) / ALIKE_LINEAR if linear else x / ALIKE_SEARCHED).T)
     return np.column_stack(features)

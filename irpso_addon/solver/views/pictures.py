@@ -46,23 +46,24 @@ def error_preview(
 
 
 def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
-    """Return the picture "confidence": each searched number, striped where it is unknown, and its σ.
+    """Return the picture "confidence": normals and searched numbers, striped where they are unknown, and their σ.
 
-    {} without confidence, or without such a number in the model.
+    {} without confidence, or without such a parameter in the model.
     """
     images, labels = [], []
     for name, unknown in maps.unknown().items():
         p = maps.model.parameter(name)
         deviation = (maps.confidence or {})[name][..., 0]
-        red = UNKNOWN * (p.range[1] - p.range[0])
+        red = UNKNOWN * p.width
         images += [
             _striped(display_image([p], [maps.values[name]]), unknown),
             false_color(deviation, red, maps.covered),
         ]
-        labels += [_title(name), f"± one sigma (red: {red:.2g})"]
+        reading = f"{np.degrees(red):.0f}°" if p.is_normal else f"{red:.2g}"
+        labels += [_title(name), f"± one sigma (red: {reading})"]
     if not images:
         return {}
-    heading = "Striped: the photographs do not determine it; the value is the model's prior"
+    heading = "Striped: the photographs do not determine it"
     return {"confidence": gallery(heading, images, labels, maps.covered)}
 
 

@@ -129,13 +129,13 @@ def shows_itself(context, running: Session) -> bool:
 def _unknown_from(view, running: Session, name: str) -> float:
     """Return the deviation above which a map's value is marked as unknown; 0 for no marks, as during the search."""
     p = running.job.model.parameter(name)
-    if not view.mark_unknown or running.active or p.kind != "search" or p.components > 1 or name in running.job.fixed:
+    if not view.mark_unknown or running.active or not p.has_unknown or name in running.job.fixed:
         return 0.0
-    return UNKNOWN * (p.range[1] - p.range[0])
+    return UNKNOWN * p.width
 
 
 def _deviation_limit(view, model: ReflectanceModel, name: str) -> float:
     parameter = model.parameter(name)
     if parameter.is_normal:
         return view.red_angle or _RED_ANGLE
-    return view.red_deviation or round_up(_RED_SHARE * (parameter.range[1] - parameter.range[0]))
+    return view.red_deviation or round_up(_RED_SHARE * parameter.width)

@@ -12,7 +12,6 @@ from irpso_addon.gpu.bands import Bands
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.engine.confidence import Confidence
 from irpso_addon.solver.engine.recovery import Recovery
-from irpso_addon.solver.kernels.free_parameters import NORMAL_RANGE
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
@@ -66,12 +65,16 @@ def observed(model, domain, values, noise, seed=0):
     return Subject(model, with_samples(domain, stack), values)
 
 
-def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
-    """What the pass says, name → (H, W, components) over the domain, NaN where nothing is solved."""
+def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM, shadow=None):
+    """What the pass says, name → (H, W, components) over the domain, NaN where nothing is solved.
+
+    shadow: (H, W), raised where the light is indirect.
+    """
     context.ensure()
     domain, pack = subject.domain, Packing(subject.domain.solvable)
     scale = pack.pack(np.ones(domain.shape, np.float32))
     uploaded = DomainTextures(domain, pack, pack_layers(pack, domain.stack.values), scale)
+    uploaded.raise_shadow(0.0 if shadow is None else pack.pack(np.float32(shadow)))
     estimates = Estimates(subject.model, {n: pack.pack(v) for n, v in (values or subject.values).items()})
     work = Confidence(subject.model, fixed, fitness, uploaded.defines)
     for _ in work.measuring(uploaded, estimates, False, Bands(), seconds):
@@ -83,7 +86,7 @@ def deviations(subject, fixed=(), values=None, seconds=0.25, fitness=UNIFORM):
 
 def width(p):
     """The range of a parameter, a normal's in radians."""
-    return NORMAL_RANGE if p.is_normal else p.range[1] - p.range[0]
+    return np.pi / 2 if p.is_normal else p.range[1] - p.range[0]
 
 
 @pytest.mark.parametrize(
@@ -239,6 +242,18 @@ def test_samples_count_by_their_weight():
     )
     for name in few:
         assert np.allclose(few[name], halves[name], rtol=1e-4)
+
+
+def test_indirect_light_that_is_not_explained_leaves_everything_open():
+    subject = make_subject("lambert", noise=0.0, holes=False, changes={"base_color": 0.5})
+    dark = {**subject.values, "base_color": 0.8 * subject.values["base_color"]}
+    shadow = np.zeros(SHAPE)
+    shadow[:, ::2] = 0.01
+    explained, unexplained = (deviations(subject, values=values, shadow=shadow) for values in (None, dark))
+    for p in subject.model.parameters:
+        np.testing.assert_array_equal(unexplained[p.name][:, ::2], np.float32(p.width))
+        assert (unexplained[p.name][:, 1::2] < 0.9 * p.width).mean() > 0.5
+        assert (explained[p.name] < 0.9 * p.width).mean() > 0.5
 
 
 def test_bands_of_rows_change_nothing():

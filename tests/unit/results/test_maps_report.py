@@ -107,13 +107,14 @@ def test_unknown_numbers_are_counted_and_striped():
     sigma = {p.name: np.zeros((*shape, 1 if p.is_normal else p.components), np.float32) for p in model.parameters}
     sigma["metallic"][:, :12] = 0.26  # of a range of 1
     sigma["roughness"][:5] = 0.24  # of a range of 0.98
+    sigma["normal"][:2] = 0.4  # of π/2
     sigma["base_color"][:] = 0.9  # no searched number: an uncertain colour is that of a sure metal, too
     covered = np.ones(shape, bool)
     covered[:, 28:] = covered[:, :2] = False
     maps = Maps(model, values, covered, np.zeros(shape, np.float32), sigma)
     made = build_report(maps, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
     assert "noise_codes" not in made
-    assert made["unknown"] == {"roughness": 0.0, "metallic": round(10 / 26, 4), "specular": 0.0}
+    assert made["unknown"] == {"normal": 0.1, "roughness": 0.0, "metallic": round(10 / 26, 4), "specular": 0.0}
     striped = confidence_preview(maps)["confidence"]
     sure = confidence_preview(replace(maps, confidence={name: 0 * s for name, s in sigma.items()}))["confidence"]
     orange = np.isclose(striped, (0.93, 0.45, 0.12), atol=0.02).all(axis=-1)

@@ -88,7 +88,7 @@ def test_two_modes_are_unknown_in_the_report_and_warned_of_where_they_are_many()
     marked = with_modes(maps_of(of_halves(0.0, 5.0)))
     report = build_report(marked, settings={}, seed=0, gpu="none", iterations=1, evaluations=1, seconds={})
     assert report["two_modes"] == {"roughness": 0.5, "metallic": 0.0}
-    assert report["unknown"] == {"roughness": 0.5, "metallic": 0.0, "specular": 0.0}
+    assert report["unknown"] == {"normal": 0.0, "roughness": 0.5, "metallic": 0.0, "specular": 0.0}
     (line,) = mode_warnings(marked, True)
     assert line.startswith("roughness of 50% of the texels could as well be far from the map's value")
     assert "the prior decided" in line and "the prior decided" not in mode_warnings(marked, False)[0]
