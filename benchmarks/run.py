@@ -40,7 +40,10 @@ _MODULES = (
     swarm_scaling, recovery_scaling, killed, window, interreflection,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
-OTHERS = {"neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4"}
+OTHERS = {
+    "neighbour_term": "What the neighbour term does: the window H and the constant c3 of Eq. 4",
+    "surface": "What the phase Surface does to normals",
+}
 _NICE = 10  # whoever works at the machine meanwhile goes first
 
 

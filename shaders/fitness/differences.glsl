@@ -9,11 +9,17 @@
 #define STEP (1.0 / 1024.0)
 #define DIFFERENCE_ROUNDING (1.0 / 16384.0)
 
+// The first of the two axes along which a normal turns; the second is cross(n, axis). Any axes will do: no result that
+// uses both depends on them.
+vec3 turning_axis(vec3 n)
+{
+    return normalize(cross(n, abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+}
+
 // A unit normal turned by two angles in its tangent plane; tan approximates the angle.
 vec3 turned_normal(vec3 n, vec2 angles)
 {
-    // Any axes will do: no result that uses both depends on them.
-    vec3 axis = normalize(cross(n, abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+    vec3 axis = turning_axis(n);
     n += angles.x * axis + angles.y * cross(n, axis);
     return n * inversesqrt(1.0 + dot(angles, angles));
 }

@@ -2,17 +2,14 @@
 // square. Reads the working estimates, u_status, the geometry, the sample stack and what penalty.glsl reads; writes
 // o_estimate and o_status.
 //
-// The first loop over the observations sums JᵀWJ and JᵀWe; the second renders the steps of CANDIDATES dampings. Linear
-// parameters have their basis as derivative, the others a difference: slopes.glsl, generated for both by
-// solver/kernels/free_parameters.py. penalty.glsl adds to the loss: no_penalty.glsl, or that of the prefit or a prior.
+// The first loop over the observations sums JᵀWJ and JᵀWe (linearise.glsl); the second renders the steps of CANDIDATES
+// dampings. penalty.glsl adds to the loss: no_penalty.glsl, or that of the prefit or a prior.
 
-#include "fitness/fitness.glsl"
+#include "refine/linearise.glsl"
 #include "refine/status.glsl"
-#include "fitness/differences.glsl"
 #include "refine/normal_equations.glsl"
 #include "fitness/lobes.glsl"
 #include "penalty.glsl"
-#include "slopes.glsl"
 
 // Ratio of the dampings of one iteration, and their bounds: below 2⁻²⁰ damping is lost in rounding.
 #define RATIO 8.0
@@ -23,35 +20,6 @@
 // lobe has no strength and so no gradient of its width. Random principled materials in shadow that miss their optimum from
 // one start: 1 in 15, without the bound 1 in 10; for two lobes no difference.
 #define FARTHEST 0.2
-
-// Sums JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material, and the weights.
-vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
-{
-    Material s = material_from(c);
-    Steps steps;
-    steps.none = 0.0;
-    take_steps(c, steps);
-    NormalSums sums;
-    clear_sums(sums);
-    float scale = loss_scale(t.scale);
-    float loss = 0.0;
-    float weights = 0.0;
-    Observation o;
-    EACH_OBSERVATION(t, o) {
-        vec3 render = reflectance(s, o.l, o.v);
-        vec3 error = error_of(o, render);
-        float relative = relative_error(t, o);
-        loss += o.weight * loss_of(scale * relative * error);
-        weights += o.weight;
-        vec3 weight = reweighted(t, o, error, relative) * o.intensity;
-        add_slopes(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
-    }
-    for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
-        a[i] = 0.0;
-    }
-    sums_to(sums, a, slope);
-    return vec2(loss, weights);
-}
 
 // Adds the model's priors to the normal equations, J per range. The derivative of n log(F + NOISE_FLOOR) + D is that of
 // n F + (F + NOISE_FLOOR) D over F + NOISE_FLOOR. JᵀWJ and JᵀWe are half the second and first derivative of the loss

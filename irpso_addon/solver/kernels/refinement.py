@@ -47,12 +47,17 @@ class RefinementPasses:
 def renders(model: ReflectanceModel, resolved: ResolvedRefinement) -> tuple[int, int]:
     """Return the renders of all observations that a step and a spread make at a texel."""
     free, _ = resolved_slopes(model, resolved)
-    stepped = free.defines["STEPPED"] * (2 if resolved.refinement.central else 1)
-    # The bases of the linear parameters make up another render.
-    evaluations = 1 + stepped + (1 if free.defines["STEPPED"] < free.count else 0) + CANDIDATES
+    evaluations = slope_renders(free, resolved.refinement) + CANDIDATES
     if isinstance(resolved, ResolvedMaterials):
         return evaluations, resolved.materials.count
     return evaluations, _OFFERS[free.defines["SEARCHED"] > 0]
+
+
+def slope_renders(free: FreeParameters, settings: Refinement) -> int:
+    """Return the renders of all observations that the normal equations take."""
+    stepped = free.defines["STEPPED"] * (2 if settings.central else 1)
+    # The bases of the linear parameters make up another render.
+    return 1 + stepped + (1 if free.defines["STEPPED"] < free.count else 0)
 
 
 def step_defines(settings: Refinement) -> Defines:

@@ -1,1 +1,1 @@
-"""Phases: normal prefit, sequential and synchronous swarms, refinement, shared materials, spatial prior."""
+"""Phases: normal prefit, sequential and synchronous swarms, refinement, shared materials, spatial prior, surface."""

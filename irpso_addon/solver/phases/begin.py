@@ -16,6 +16,7 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSurface,
 )
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates
@@ -26,6 +27,7 @@ from .refinement import RefinementPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
 from .spatial_prior import SpatialPriorPhase
+from .surface import SurfacePhase
 from .synchronous_swarm import SynchronousSwarmPhase
 
 _SEEDS = 2**31  # a push constant holds 32 bits, one of them the sign
@@ -62,6 +64,8 @@ def begin_phase(
         return kind(stage, model, schedule, domain, estimates, entry, test)
     if isinstance(stage, ResolvedPrior):
         return SpatialPriorPhase(stage, model, schedule, domain, estimates, entry, acceptance())
+    if isinstance(stage, ResolvedSurface):
+        return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
         return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedIndirect):

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from ...reflectance.model import ReflectanceModel
 from ..engine.alternatives import varied
+from ..kernels import spatial_prior as prior_kernels
+from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
 from ..kernels.refinement import SPREAD_REACH, renders
-from ..kernels.spatial_prior import FIRST_ROUND, evaluations_of, reach_of, taps_of
 from ..phases import indirect
 from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
@@ -18,6 +19,7 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSurface,
     ResolvedSwarm,
     prefit_model,
     resolve,
@@ -29,6 +31,7 @@ from ..state.phase_textures import (
     prior_table,
     refinement_table,
     sequential_swarm_table,
+    surface_table,
     synchronous_swarm_table,
 )
 
@@ -38,7 +41,10 @@ _GEOMETRY = 4  # layers: position, normal, tangent, place
 STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equations
 MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 LOOKS = 10.0  # of a prior, per neighbour
+SWEEP = 7.0  # of a surface: one sweep of its relaxation
 INDIRECT = 0.1  # share of the texels whose light is indirect
+_FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
+_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect
 
 
 @dataclass(frozen=True)
@@ -159,6 +165,8 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return sequential_swarm_table(particles, blocks)
     if isinstance(resolved, ResolvedIndirect):
         return indirect_table()
+    if isinstance(resolved, ResolvedSurface):
+        return surface_table()
     kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
     return kind(-(-model.components // 4))
 
@@ -179,10 +187,13 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
         return _refinement_work(resolved, model, observations, STEP)
     if isinstance(resolved, ResolvedIndirect):
         return (LOOKS * indirect.TAPS,)
-    neighbour_reads, first_step = LOOKS * taps_of(resolved.prior), FIRST_ROUND + resolved.prior.rounds
-    made = [evaluations_of(resolved, model, i) * observations for i in range(resolved.iterations)]
-    found, fitted = made[:FIRST_ROUND], made[first_step:]
-    return (*map(float, found), *[neighbour_reads] * resolved.prior.rounds, *(STEP * renders for renders in fitted))
+    if isinstance(resolved, ResolvedSurface):
+        round_of, rounds = SWEEP * surface_kernels.SWEEPS, resolved.surface.rounds
+    else:
+        round_of, rounds = LOOKS * prior_kernels.taps_of(resolved.prior), resolved.prior.rounds
+    made = [n * observations for n in _renders_of_each(resolved, model, schedule)]
+    found, fitted = made[:_FOUND], made[_FOUND + rounds :]
+    return (*map(float, found), *[round_of] * rounds, *(STEP * renders for renders in fitted))
 
 
 def _swarm_work(stage: ResolvedSwarm, schedule: Schedule, observations: int) -> tuple[float, ...]:
@@ -220,9 +231,7 @@ def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     )
 
 
-def _neighbour_reads(
-    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedIndirect, schedule: Schedule
-) -> tuple[int, int]:
+def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]:
     """Return the largest distance of neighbour reads, and the number of iterations that make them."""
     if isinstance(resolved, ResolvedSwarm):
         reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
@@ -230,20 +239,27 @@ def _neighbour_reads(
     if isinstance(resolved, ResolvedIndirect):
         return indirect.REACH, 1
     if isinstance(resolved, ResolvedPrior):
-        return reach_of(resolved.prior), 1 + resolved.prior.rounds
+        return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
+    if isinstance(resolved, ResolvedSurface):
+        return surface_kernels.REACH, 1 + resolved.surface.rounds
     return SPREAD_REACH * int(resolved.refinement.rounds > 0), resolved.refinement.rounds
 
 
-def _evaluations(
-    resolved: ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedIndirect,
-    model: ReflectanceModel,
-    schedule: Schedule,
-) -> int:
+def _evaluations(resolved: _Searched, model: ReflectanceModel, schedule: Schedule) -> int:
     if isinstance(resolved, ResolvedIndirect):
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))
-    if isinstance(resolved, ResolvedPrior):
-        return sum(evaluations_of(resolved, model, i) for i in range(resolved.iterations))
+    if isinstance(resolved, ResolvedPrior | ResolvedSurface):
+        return sum(_renders_of_each(resolved, model, schedule))
     step, spread = renders(model, resolved)
     return resolved.iterations * step + resolved.refinement.rounds * spread
+
+
+def _renders_of_each(
+    resolved: ResolvedPrior | ResolvedSurface, model: ReflectanceModel, schedule: Schedule
+) -> list[int]:
+    """Return the renders of all observations of each iteration."""
+    if isinstance(resolved, ResolvedSurface):
+        return [surface_kernels.evaluations_of(resolved, model, schedule, i) for i in range(resolved.iterations)]
+    return [prior_kernels.evaluations_of(resolved, model, i) for i in range(resolved.iterations)]

@@ -251,6 +251,24 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Surface:
+    """Normals that belong to one surface: shaders/surface/relax.glsl has the problem that is solved."""
+
+    rounds: int = setting(
+        "Rounds", "Rounds of seven sweeps that make the slopes of neighboring texels agree, as far as their own samples"
+        " leave room; 0 for none of this", 0, soft_max=8,
+    )  # fmt: skip
+    weight: float = setting(
+        "Weight", "What it costs, as −log of a likelihood, if the slopes around four texels fail to close by one"
+        " standard deviation of their noise. More bends normals further", 1.0, above=True, soft_max=4, precision=2,
+    )  # fmt: skip
+    tolerance: float = setting(
+        "Tolerance", "By how many standard deviations of the noise a texel's fit may become worse", 3.0, above=True,
+        soft_max=10, precision=1,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Interreflection:
     """Light that the subject throws on itself: found from the maps, taken off the photographs, then all is found again.
 

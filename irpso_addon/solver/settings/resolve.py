@@ -8,7 +8,7 @@ from functools import cache
 from ...core.errors import InputError
 from ...core.paths import SHADERS
 from ...reflectance.model import Parameter, ReflectanceModel, Start, load_model
-from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage
+from .groups import Materials, NormalSearch, Prefit, Prior, Refinement, Stage, Surface
 from .schedule import ALL, MAX_DIMENSIONS, REST, Schedule
 
 _ROUNDS = 2  # of the neighbours' offers, with the normals held
@@ -117,7 +117,22 @@ class ResolvedPrior:
         return 2 + self.prior.rounds + self.prior.iterations
 
 
-Resolved = ResolvedPrefit | ResolvedIndirect | ResolvedSwarm | ResolvedRefinement | ResolvedPrior
+@dataclass(frozen=True)
+class ResolvedSurface:
+    """The surface that the normals belong to, for one model. parameters: all of it."""
+
+    parameters: tuple[Parameter, ...]
+    surface: Surface
+
+    title = "surface"
+
+    @property
+    def iterations(self) -> int:
+        """The number of iterations: the noise, the room that it leaves, and the rounds."""
+        return 2 + self.surface.rounds
+
+
+Resolved = ResolvedPrefit | ResolvedIndirect | ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface
 
 
 @cache
@@ -191,10 +206,17 @@ def _resolve_prior(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tup
     return (ResolvedPrior(parameters, pooled, prior, ResolvedRefinement(moved, schedule.refinement, ())),)
 
 
+def _resolve_surface(schedule: Schedule, parameters: tuple[Parameter, ...]) -> tuple[ResolvedSurface, ...]:
+    if schedule.surface.rounds == 0 or not any(p.is_normal for p in parameters):
+        return ()
+    return (ResolvedSurface(parameters, schedule.surface),)
+
+
 def resolve(
     schedule: Schedule, model: ReflectanceModel, fixed: set[str], observations: int = 0
 ) -> tuple[Resolved, ...]:
-    """Return the phases that find a model's free parameters: prefit, stages, refinement, shared materials, prior.
+    """Return the phases that find a model's free parameters: prefit, stages, refinement, shared materials, prior,
+    surface.
 
     observations: their number; a prefit needs ``schedule.prefit.observations``. Raises InputError.
     """
@@ -215,6 +237,7 @@ def resolve(
             resolved += _resolve_refinement_of_the_rest(schedule.refinement, model, parameters)
         resolved += _resolve_materials(schedule, parameters)
         resolved += _resolve_prior(schedule, parameters)
+        resolved += _resolve_surface(schedule, parameters)
     if not resolved:
         raise InputError("search: nothing is left to find; every parameter searched is fixed")
     return tuple(resolved)

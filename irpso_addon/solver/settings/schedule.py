@@ -12,7 +12,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import load_shipped_table, shipped_names
 from ...core.paths import PRESETS
-from .groups import Fitness, Interreflection, Materials, Prefit, Prior, Refinement, Stage, Swarm
+from .groups import Fitness, Interreflection, Materials, Prefit, Prior, Refinement, Stage, Surface, Swarm
 from .setting import Setting, setting, settings_of
 
 MAX_DIMENSIONS = 8  # two RGBA texels a particle
@@ -28,8 +28,8 @@ _GROUPS = ("swarm", "fitness")  # their settings go by their bare names, those o
 class Schedule:
     """A preset: the stages in order, gone through ``cycles`` times, and the constants they share.
 
-    Order: prefit, whose normals the stages hold; stages; refinement; shared materials; spatial prior. All of it again
-    after each round of interreflection.
+    Order: prefit, whose normals the stages hold; stages; refinement; shared materials; spatial prior; surface.
+    All of it again after each round of interreflection.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Schedule:
     refinement: Refinement = Refinement()
     materials: Materials = Materials()
     prior: Prior = Prior()
+    surface: Surface = Surface()
     interreflection: Interreflection = Interreflection()
 
     def settings(self) -> dict[str, Any]:
@@ -120,7 +121,7 @@ def refuse_interreflection(schedule: Schedule, why: str, remedy: str) -> None:
 # Groups with defaults: a preset sets what differs, and without their table there is no such phase.
 _OPTIONAL = {
     "prefit": Prefit, "refinement": Refinement, "materials": Materials, "prior": Prior,
-    "interreflection": Interreflection,
+    "surface": Surface, "interreflection": Interreflection,
 }  # fmt: skip
 
 

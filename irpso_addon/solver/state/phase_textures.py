@@ -137,6 +137,18 @@ def prior_table(estimates: int) -> TextureTable:
     })  # fmt: skip
 
 
+def surface_table() -> TextureTable:
+    """Return the table of the surface that the normals belong to.
+
+    noise: of the samples (shaders/prior/variance.glsl). field, covariance: shaders/surface/relax.glsl.
+    """
+    return TextureTable({
+        "noise": TextureGroup(("u_noise",), ("noise",), double=True),
+        "field": TextureGroup(("u_field",), ("field",), double=True),
+        "covariance": TextureGroup(("u_covariance",), ("covariance",)),
+    })  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Atlas:
     """Number of W×H tiles side by side, across and down."""

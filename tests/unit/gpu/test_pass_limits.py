@@ -16,6 +16,7 @@ from irpso_addon.solver.kernels import kernels
 from irpso_addon.solver.kernels import refinement as refinement_kernels
 from irpso_addon.solver.kernels import sequential_swarm as sequential_kernels
 from irpso_addon.solver.kernels import spatial_prior as prior_kernels
+from irpso_addon.solver.kernels import surface as surface_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
@@ -26,6 +27,7 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSurface,
     prefit_model,
     resolve,
 )
@@ -64,6 +66,8 @@ def make_passes(resolved, model, schedule):
         refinement_kernels.build_refinement_passes(model, resolved, schedule.fitness, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedPrior):
         prior_kernels.build_prior_passes(model, resolved, schedule, DOMAIN, "fragment")
+    elif isinstance(resolved, ResolvedSurface):
+        surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):
         indirect._indirect_pass(schedule, DOMAIN)
     elif isinstance(resolved, ResolvedPrefit):
@@ -100,7 +104,7 @@ def samplers_of(kernel):
 def test_every_pass_of_every_model_and_preset_fits_the_common_limits(made, name, variant):
     model = load_model(name)
     for preset in shipped_presets():
-        schedule = load_schedule(preset).replaced(**VARIANTS[variant])
+        schedule = load_schedule(preset).replaced(surface_rounds=1, **VARIANTS[variant])
         if schedule.swarm.linear == "search" and preset in ONE_STAGE and model.name in TOO_MANY_TO_SEARCH:
             with pytest.raises(InputError, match='9 dimensions together.*linear = "solve"'):
                 resolve(schedule, model, set(), observations=24)

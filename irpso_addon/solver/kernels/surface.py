@@ -1,0 +1,84 @@
+"""The kernels of the surface that the normals belong to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...gpu.passes import Defines, Entry, Kernel, Output, Pass, Samplers
+from ...reflectance.model import ReflectanceModel
+from ..settings.groups import Prior
+from ..settings.resolve import ResolvedSurface
+from ..settings.schedule import Schedule
+from .free_parameters import FreeParameters, build_slopes, has_basis
+from .kernels import FITNESS, FLOAT_2D, OBSERVATIONS, PACKING, fitness_defines, model_includes, packed
+from .refinement import slope_renders
+
+NOISE, INFORMATION, FIRST_ROUND = 0, 1, 2  # iterations
+SWEEPS = 7  # of a round: each reads the next texels, and the normals read one further
+NOISE_REACH, REACH = 2, SWEEPS + 1
+_NOISE_TAPS = 24  # shaders/common/taps.glsl
+
+
+@dataclass(frozen=True)
+class SurfacePasses:
+    """The compiled passes, in their order. ``bend`` is always a fragment pass: what it wrote may be read back."""
+
+    noise: Pass
+    variance: Pass
+    information: Pass
+    relax: Pass
+    bend: Pass
+
+    def close(self) -> None:
+        """Free the shaders."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name).close()
+
+
+def build_surface_passes(
+    model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule, domain_defines: Defines, entry: Entry
+) -> SurfacePasses:
+    """Compile the passes of the surface."""
+    free, slopes = _slopes(model, resolved, schedule)
+    defines = {
+        **domain_defines, **free.defines, **fitness_defines(schedule.fitness), "TAPS": _NOISE_TAPS,
+        "NOISE_FREEDOM": f"{Prior().noise_freedom:.9f}", "WEIGHT": f"{resolved.surface.weight:.9f}",
+        "TOLERANCE": f"{resolved.surface.tolerance:.9f}",
+    }  # fmt: skip
+    numbers = packed(model)
+    samplers: Samplers = {
+        "u_estimate": numbers, "u_noise": FLOAT_2D, "u_field": FLOAT_2D, "u_covariance": FLOAT_2D, **PACKING,
+        **OBSERVATIONS,
+    }  # fmt: skip
+    includes = {**model_includes(model), "free_parameters.glsl": free.source, "slopes.glsl": slopes}
+
+    def make(source: str, *outputs: Output, how: Entry = entry) -> Pass:
+        constants = {**FITNESS, "u_momentum": "FLOAT"}
+        return Pass(Kernel(f"{source}.glsl", outputs, samplers, constants, defines, includes), how)
+
+    return SurfacePasses(
+        noise=make("prior/noise", Output("o_noise"), Output("o_mean", numbers)),
+        variance=make("prior/variance", Output("o_noise")),
+        information=make("surface/information", Output("o_field"), Output("o_covariance")),
+        relax=make("surface/relax", Output("o_field")),
+        bend=make("surface/bend", Output("o_estimate", numbers), how="fragment"),
+    )
+
+
+def evaluations_of(resolved: ResolvedSurface, model: ReflectanceModel, schedule: Schedule, iteration: int) -> int:
+    """Return the renders of all observations that an iteration makes at a texel."""
+    if iteration == NOISE:
+        return 1
+    return slope_renders(_slopes(model, resolved, schedule)[0], schedule.refinement) if iteration == INFORMATION else 0
+
+
+def _slopes(model: ReflectanceModel, resolved: ResolvedSurface, schedule: Schedule) -> tuple[FreeParameters, str]:
+    """Return the slopes of the normal and of the linear parameters.
+
+    What is searched is held. Few samples of one texel hardly tell it from the normal, but by now it is known from
+    others: with it free, bending doubled the error of texels that three lights see.
+    """
+    fixed = {p.name for p in model.parameters} - {
+        p.name for p in resolved.parameters if p.is_normal or has_basis(p, model)
+    }
+    return build_slopes(model, fixed, schedule.refinement.central)

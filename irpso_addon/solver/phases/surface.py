@@ -1,0 +1,101 @@
+"""The surface that the normals belong to: they are bent so that they integrate, where their samples leave room."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from ...gpu.bands import Bands
+from ...gpu.passes import Entry, Pass
+from ...gpu.textures import Texture
+from ...reflectance.model import ReflectanceModel
+from ..kernels.surface import (
+    FIRST_ROUND,
+    INFORMATION,
+    NOISE,
+    NOISE_REACH,
+    REACH,
+    SWEEPS,
+    SurfacePasses,
+    build_surface_passes,
+    evaluations_of,
+)
+from ..settings.resolve import ResolvedSurface
+from ..settings.schedule import Schedule
+from ..state.phase_textures import PhaseTextures, surface_table
+from ..state.textures import DomainTextures, Estimates, loss_constants
+from .phase import Acceptance, TexturePhase
+
+
+class SurfacePhase(TexturePhase):
+    """A Phase: iteration 0 measures the noise of the samples, iteration 1 how well they determine the slopes.
+
+    Each round relaxes the slopes (shaders/surface/relax.glsl). In the end the normals are bent, and the linear
+    parameters follow (bend.glsl). A texel keeps its estimates if its samples or the acceptance test reject the others.
+    """
+
+    shared = ("noise", "field", "covariance")
+    placed = False  # bent normals show at the end
+    passes: SurfacePasses
+
+    def __init__(
+        self,
+        resolved: ResolvedSurface,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+        acceptance: Acceptance | None = None,
+    ):
+        super().__init__(resolved, model, schedule, domain, estimates, entry, acceptance)
+        self.resolved = resolved
+        self.passes = build_surface_passes(model, resolved, schedule, domain.defines, entry)
+        self.textures = PhaseTextures(surface_table(), *estimates.size)
+
+    @property
+    def evaluations(self) -> int:
+        """Renders of all observations that the next iteration makes at a texel that has not converged."""
+        return evaluations_of(self.resolved, self.model, self.schedule, self.iteration)
+
+    @property
+    def reach(self) -> int:
+        """Distance, in texels, at which the next iteration reads neighbours."""
+        return 0 if self.done or self.iteration == NOISE else NOISE_REACH if self.iteration == INFORMATION else REACH
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
+        yield from self.textures.make()
+        held, passes = self.textures, self.passes
+        if self.iteration == NOISE:
+            # Its copy of the estimates is not used.
+            targets = [*held.of("noise"), *self.estimates.resolved]
+            yield from self._banded("noise", passes.noise, targets, bands, seconds)
+        elif self.iteration == INFORMATION:
+            yield from self._banded("variance", passes.variance, held.spares("noise"), bands, seconds)
+            held.swap("noise")
+            targets = held.of("field", "covariance")
+            yield from self._banded("information", passes.information, targets, bands, seconds)
+        else:
+            first = SWEEPS * (self.iteration - FIRST_ROUND)
+            for sweep in range(first, first + SWEEPS):
+                momentum = sweep / (sweep + 3)
+                yield from self._banded("relax", passes.relax, held.spares("field"), bands, seconds, momentum)
+                held.swap("field")
+        self.iteration += 1
+
+    def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Write the materials with bent normals into the resolved estimates."""
+        yield from self._banded("bend", self.passes.bend, self.estimates.resolved, bands, seconds)
+        if self.acceptance is not None:
+            yield from self.acceptance.deciding(bands, seconds)
+
+    def reached(self, threshold: float) -> bool:
+        """Return False: bent normals do not lower the fitness."""
+        return False
+
+    def _banded(
+        self, name: str, work: Pass, targets: Sequence[Texture], bands: Bands, seconds: float, momentum: float = 0.0
+    ) -> Iterator[None]:
+        inputs = {**self.estimates.bindings(), **self.textures.bindings(), **self.domain.textures}
+        constants = {**loss_constants(self.domain, self.schedule.fitness.delta), "u_momentum": momentum}
+        return work.in_bands(name, bands, seconds, targets, inputs, constants, counted=True)

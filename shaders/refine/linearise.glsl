@@ -1,0 +1,35 @@
+// The normal equations of a material's samples. Linear parameters have their basis as derivative, the others a difference:
+// slopes.glsl, generated for both by solver/kernels/free_parameters.py.
+
+#include "fitness/fitness.glsl"
+#include "fitness/differences.glsl"
+#include "slopes.glsl"
+
+// Sums JᵀWJ (upper triangle; J per range) and JᵀWe. Returns the loss of the material, and the weights.
+vec2 linearise(Texel t, inout float c[12], out float a[FREE_COUNT * FREE_COUNT], out float slope[FREE_COUNT])
+{
+    Material s = material_from(c);
+    Steps steps;
+    steps.none = 0.0;
+    take_steps(c, steps);
+    NormalSums sums;
+    clear_sums(sums);
+    float scale = loss_scale(t.scale);
+    float loss = 0.0;
+    float weights = 0.0;
+    Observation o;
+    EACH_OBSERVATION(t, o) {
+        vec3 render = reflectance(s, o.l, o.v);
+        vec3 error = error_of(o, render);
+        float relative = relative_error(t, o);
+        loss += o.weight * loss_of(scale * relative * error);
+        weights += o.weight;
+        vec3 weight = reweighted(t, o, error, relative) * o.intensity;
+        add_slopes(s, steps, render, o.l, o.v, weight * error, weight * o.intensity, sums);
+    }
+    for (int i = 0; i < FREE_COUNT * FREE_COUNT; i++) {
+        a[i] = 0.0;
+    }
+    sums_to(sums, a, slope);
+    return vec2(loss, weights);
+}

@@ -1,0 +1,82 @@
+"""Oracle of the surface that normals belong to: slopes, their covariance, and the relaxed slopes, in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from tests.oracles import confidence as confidence_oracle
+from tests.oracles.swarm import frames
+
+LET_GO = 2.5
+_STEP = 1e-6
+
+
+def grid_of(domain):
+    """(H, W, 2, 2) steps of a texel, [along x, along y][tangent, bitangent], without seams; 0 without neighbours."""
+    position, frame = domain.bake.position.astype(np.float64), frames(domain.bake)
+    steps = np.zeros((*domain.shape, 2, 2))
+    for row, column in np.argwhere(domain.solvable):
+        for axis, (down, right) in enumerate(((0, 1), (1, 0))):
+            ends = []
+            for side in (-1, 1):
+                place = row + side * down, column + side * right
+                inside = 0 <= place[0] < domain.shape[0] and 0 <= place[1] < domain.shape[1]
+                ends.append(place if inside and domain.solvable[place] else (row, column))
+            count = sum(end != (row, column) for end in ends)
+            way = (position[ends[1]] - position[ends[0]]) / max(count, 1)
+            steps[row, column, axis] = frame[row, column, :2] @ way
+    return steps
+
+
+def slopes_of(normal, grid, lean):
+    """(H, W, 2) rise along a step in x and in y. normal: (H, W, 3) in the texel's frame. lean: (H, W, 2)."""
+    facing = normal[..., 2] + (normal[..., :2] * lean).sum(axis=-1)
+    return np.einsum("hwai,hwi->hwa", grid, -normal[..., :2] / facing[..., None])
+
+
+def covariance_of(domain, model, values, variance, grid, lean):
+    """(H, W, 2, 2) of the slopes, by samples of this variance (H, W); what is searched is held.
+
+    Each number has its range for a prior's width.
+    """
+    held = [p.name for p in model.parameters if p.kind == "search" and not p.is_normal]
+    unknowns = confidence_oracle.unknowns(model, held)
+    j = confidence_oracle.jacobian(domain, model, values, held)
+    weight = domain.stack.values[..., 3].astype(np.float64)
+    precision = np.einsum("khw,akhwc,bkhwc->hwab", weight, j, j) / variance[..., None, None] + np.eye(len(unknowns))
+    normal = [i for i, (p, _, _) in enumerate(unknowns) if p.is_normal]
+    angles = np.linalg.inv(precision)[..., normal, :][..., normal] * (np.pi / 2) ** 2
+    (p,) = {p for p, _, _ in unknowns if p.is_normal}
+    by = [
+        slopes_of(confidence_oracle.moved(values, p, i, np.full(domain.shape, _STEP))[p.name], grid, lean)
+        for i in (0, 1)
+    ]
+    change = (np.stack(by, axis=-1) - slopes_of(values[p.name].astype(np.float64), grid, lean)[..., None]) / _STEP
+    return change @ angles @ np.swapaxes(change, -1, -2)
+
+
+def circulation(begins):
+    """(L, H, W, 2) factors on the slopes in the circulation of each loop. begins: (H, W) bool, its least texel."""
+    loops = []
+    for row, column in np.argwhere(begins):
+        factors = np.zeros((*begins.shape, 2))
+        round_trip = [(row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column)]
+        for (r0, c0), (r1, c1) in zip(round_trip, [*round_trip[1:], round_trip[0]], strict=True):
+            for end in ((r0, c0), (r1, c1)):  # an edge has the mean slope of its ends
+                factors[end] += np.array((c1 - c0, r1 - r0)) / 2
+        loops.append(factors)
+    return np.array(loops)
+
+
+def relaxed(slopes, covariance, begins, weight):
+    """(H, W, 2) slopes of least ½ Σ (s − s₀)ᵀ P⁻¹ (s − s₀) + Σ κ |circulation|: bounded least squares of the dual."""
+    c = circulation(begins).reshape(int(begins.sum()), -1)
+    root = np.linalg.cholesky(covariance)
+    half = np.einsum("lhwi,hwij->lhwj", c.reshape(-1, *slopes.shape), root).reshape(len(c), -1)  # C √P
+    found, sigma = c @ slopes.reshape(-1), np.sqrt((half**2).sum(axis=1))
+    kappa = weight / (sigma * (1 + (found / (LET_GO * sigma)) ** 4))
+    target = np.linalg.solve(root, slopes[..., None]).reshape(-1)  # √P⁻¹ s₀
+    dual = lsq_linear(half.T, target, (-kappa, kappa), method="bvls", tol=1e-14, max_iter=10000)
+    pull = np.einsum("hwij,hwj->hwi", covariance, (c.T @ dual.x).reshape(slopes.shape))
+    return slopes - pull
