@@ -81,6 +81,6 @@ def photographed_card(name, truth, rng, lights=40):
 
 def recovered(domain, model):
     """Return the values of a recovery by the preset standard without a spatial prior."""
-    with Recovery(domain, model, load_schedule("standard").replaced(prior_rounds=0), 1) as recovery:
+    with Recovery(domain, model, load_schedule("standard").replaced(prior_rounds=0, surface_rounds=0), 1) as recovery:
         recovery.step()
         return recovery.maps(confidence=False).values

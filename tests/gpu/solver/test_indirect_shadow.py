@@ -22,7 +22,7 @@ from tests.builders.domains import bits_of, ended_prefit, make_domain, pack_laye
 from tests.oracles import confidence as confidence_oracle
 
 LAMBERT = load_model("lambert")
-RAISED = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0)
+RAISED = load_schedule("standard").replaced(prior_rounds=0, surface_rounds=0, materials_rounds=0)
 OFF = RAISED.replaced(prefit_indirect_shadow=0.0)
 OBSERVATIONS = 96
 LIMITS = 0.2, 0.03  # of misfit and surplus

@@ -61,7 +61,7 @@ def test_rounds_in_tiles_find_the_maps_of_the_whole(bowl, whole, turns, tmp_path
 
 def test_tiles_begin_with_the_materials_of_the_round_before(bowl):
     # Its roughness is searched: where the swarms begin shows in the maps. Lambert is solved in closed form.
-    schedule = ROUNDS.replaced(iterations=2, prefit_iterations=2, materials_rounds=0, prior_rounds=0,
+    schedule = ROUNDS.replaced(iterations=2, prefit_iterations=2, materials_rounds=0, prior_rounds=0, surface_rounds=0,
                                refinement_iterations=2, refinement_rounds=0)  # fmt: skip
     found = []
     for make in (rounds_of, in_tiles):

@@ -161,7 +161,7 @@ def test_reweighting_from_the_best_finds_the_albedo_under_cast_shadow(recover, n
     domain = with_samples(domain, stack)
     schedule = load_schedule("standard").replaced(
         update="all", linear="solve", iterations=10, shadow=0.0, refinement_iterations=0, prefit_iterations=0,
-        prior_rounds=0, particles=1, particles_per_dimension=0.0, seed="random",
+        prior_rounds=0, surface_rounds=0, particles=1, particles_per_dimension=0.0, seed="random",
     )  # fmt: skip
     fixed = {n: v for n, v in truth.items() if model.parameter(n).kind == "search"}
     recovery = recover(domain, model, schedule, fixed=fixed)

@@ -30,7 +30,7 @@ from tests.oracles import confidence as confidence_oracle
 from tests.oracles.loss import loss
 from tests.oracles.refinement import Texel
 
-STANDARD = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0)
+STANDARD = load_schedule("standard").replaced(prior_rounds=0, surface_rounds=0, materials_rounds=0)
 PRINCIPLED = load_model("principled")
 LAMBERT = load_model("lambert")
 DIRECTIONS = 40

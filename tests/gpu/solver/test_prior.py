@@ -38,6 +38,7 @@ def schedule_of(swarm=8, loss="robust", **settings):
         loss=loss,
         shadow=0.0,
         materials_rounds=0,
+        surface_rounds=0,
     )
     return schedule.replaced(prior=replace(PRIOR, **settings))
 

@@ -24,8 +24,8 @@ LAMBERT = load_model("lambert")
 BOXES = [(0, 0, 2, 3), (2, 0, 5, 3), (0, 3, 7, 2), (7, 0, 10, 5), (0, 5, 5, 8), (5, 5, 11, 3), (16, 5, 1, 1),
          (16, 6, 1, 2), (5, 8, 11, 5), (16, 8, 1, 5)]  # fmt: skip
 FEW = [(0, 0, 2, 3), (2, 0, 15, 3), (0, 3, 17, 10)]
-# The search for indirect light reads texels 8 away: tests/gpu/solver/test_indirect_shadow.py.
-NARROW = load_schedule("standard").replaced(prefit_indirect_shadow=0.0)
+# These read texels 8 away: tests/gpu/solver/test_indirect_shadow.py, test_surface.py.
+NARROW = load_schedule("standard").replaced(prefit_indirect_shadow=0.0, surface_rounds=0)
 SCHEDULES = {
     "one particle at a time": SHORT.replaced(neighbour_every=3),
     "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),
@@ -35,6 +35,7 @@ SCHEDULES = {
         iterations=2,
         prefit_iterations=0,
         prior_rounds=0,
+        surface_rounds=0,
         refinement_iterations=2,
         refinement_rounds=0,
         materials_iterations=3,
