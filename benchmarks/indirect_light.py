@@ -41,7 +41,7 @@ from irpso_addon.solver.views.indirect import IndirectLight
 
 _CACHE = report.CACHE.parent / "hollows"
 _CHOSEN = (0, 13, 26, 39)  # lights, from the middle of the dome to its rim
-_BOUNCES = 8
+_BOUNCES = hollows.BOUNCES
 _INDIRECT = {"INDIRECT", "DIFFUSE", "GLOSSY"}
 _MODEL = "metallic_roughness"
 
@@ -51,7 +51,8 @@ class Body:
 
     def __init__(self, name: str, quick: bool, cache: Path):
         side, self.texels, photographed, samples = (40, 24, 2, 4) if quick else (128, 80, 64, 256)
-        self.body, (folder, _) = hollows.HOLLOWS[name], hollows.photograph(name, side, photographed, cache)
+        self.body = hollows.HOLLOWS[name]
+        folder = hollows.photograph(name, self.body, _BOUNCES, side, photographed, cache)
         self.capture = read_capture(folder / CAPTURE, decoder=decode)
         bpy.ops.wm.open_mainfile(filepath=str(folder / BLEND))
         self.thing = bpy.data.objects[NAME]
