@@ -13,14 +13,11 @@ from mathutils import Matrix, Vector
 from . import subjects
 
 _MARGIN = 0.01  # of the UV square
-_SHEET = 0.8  # of its side: a sheet then has little more texels than other bodies
 _Stroke = Sequence[tuple[float, float]]
 _LETTERS: tuple[tuple[_Stroke, ...], ...] = (
-    (((0.4, 0), (0.4, 1)),),
-    (((0, 0), (0, 1), (0.75, 1), (0.75, 0.5), (0, 0.5)), ((0.35, 0.5), (0.8, 0))),
-    (((0, 0), (0, 1), (0.75, 1), (0.75, 0.5), (0, 0.5)),),
     (((0.75, 1), (0, 1), (0, 0.5), (0.75, 0.5), (0.75, 0), (0, 0)),),
-    (((0, 0), (0.75, 0), (0.75, 1), (0, 1), (0, 0)),),
+    (((0.4, 0), (0.4, 1)),),
+    (((0, 0), (0, 1), (0.75, 1), (0.75, 0.5), (0, 0.5)),),
 )
 # Cubes of side 1: x, layer, z, degrees around the vertical.
 _PILE = ((-0.7, 0, 0.1, 12), (0.62, 0, 0.35, -20), (0.05, 0, -0.85, 40), (-0.3, 1, -0.1, -28), (0.55, 1, -0.3, 35),
@@ -52,22 +49,21 @@ def cloth(folds: float = 3.5, angles: tuple[float, float] = (40.0, 85.0)) -> bpy
     length = 2.4 / along.shape[1]
     x, z = (length * np.cumsum(part, axis=1) for part in (np.cos(direction), np.sin(direction)))
     x, z = (part - part.mean(axis=1, keepdims=True) for part in (x, z))
-    return subjects.finished(_sheet(np.stack([x, 1 - 2 * down, z], axis=-1)), turn=(np.radians(-20), 0, 0))
+    return subjects.finished(_sheet(np.stack([x, 1 - 2 * down, z], axis=-1), 0.8), turn=(np.radians(-20), 0, 0))
 
 
 def coin() -> bpy.types.Object:
-    """Return one side of a coin: a rim, letters, beads and a flower, raised by a twentieth of the diameter."""
+    """Return one side of a coin: a rim, letters and beads, with slopes of up to 52 degrees."""
     y, x = np.meshgrid(np.linspace(1, -1, 401), np.linspace(-1, 1, 401), indexing="ij")
-    radius, around = np.hypot(x, y), np.arctan2(y, x)
-    raised = [np.abs(radius - 0.94) - 0.05, radius - 0.26 - 0.08 * np.cos(5 * around)]
-    for angle, letter in zip(np.radians((155, 122.5, 90, 57.5, 25)), _LETTERS, strict=True):
-        up, across = x * np.cos(angle) + y * np.sin(angle), x * np.sin(angle) - y * np.cos(angle)
-        raised += [_distance(across / 0.24 + 0.4, (up - 0.48) / 0.24, stroke) * 0.24 - 0.03 for stroke in letter]
-    for angle in np.radians((205, 237.5, 270, 302.5, 335)):
-        raised.append(np.hypot(x - 0.62 * np.cos(angle), y - 0.62 * np.sin(angle)) - 0.1)
-    step = np.clip(0.5 - np.minimum.reduce(raised) / 0.08, 0, 1)
-    points = np.stack([x, y, 0.1 * step * step * (3 - 2 * step)], axis=-1)
-    return subjects.finished(_sheet(points, radius < 1), turn=(np.radians(-15), 0, 0))
+    radius, size = np.hypot(x, y), 0.56
+    raised = [np.abs(radius - 0.93) - 0.06]
+    for middle, letter in zip((-0.44, 0.02, 0.48), _LETTERS, strict=True):
+        raised += [size * _distance((x - middle) / size + 0.4, y / size + 0.5, stroke) - 0.07 for stroke in letter]
+    for angle in np.radians((60, 90, 120, 240, 270, 300)):
+        raised.append(np.hypot(x - 0.64 * np.cos(angle), y - 0.64 * np.sin(angle)) - 0.09)
+    step = np.clip(0.5 - np.minimum.reduce(raised) / 0.14, 0, 1)
+    points = np.stack([x, y, 0.12 * step * step * (3 - 2 * step)], axis=-1)
+    return subjects.finished(_sheet(points, 0.95, radius < 1), turn=(np.radians(-15), 0, 0))
 
 
 def cubes() -> bpy.types.Object:
@@ -127,8 +123,8 @@ def _unwrap_lathed(mesh: bpy.types.Mesh) -> None:
     _set_uv(mesh, np.stack([around, along[ring] / along[-1]], axis=-1))
 
 
-def _sheet(points: np.ndarray, kept: np.ndarray | None = None) -> bpy.types.Object:
-    """Return a sheet of points (rows, columns, 3), from the top left, its UVs those of the grid. kept: which points."""
+def _sheet(points: np.ndarray, side: float, kept: np.ndarray | None = None) -> bpy.types.Object:
+    """Return a sheet of points (rows, columns, 3), from the top left. side: of the UVs' square. kept: which points."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
     faces = np.stack([number[1:, :-1], number[1:, 1:], number[:-1, 1:], number[:-1, :-1]], axis=-1).reshape(-1, 4)
@@ -138,7 +134,7 @@ def _sheet(points: np.ndarray, kept: np.ndarray | None = None) -> bpy.types.Obje
         faces = faces.reshape(-1, 4)
     row, column = np.divmod(number.ravel(), columns)
     uv = np.stack([column / (columns - 1), 1 - row / (rows - 1)], axis=-1)
-    return _unwrapped(points.reshape(-1, 3)[number.ravel()], faces, _SHEET * uv[faces])
+    return _unwrapped(points.reshape(-1, 3)[number.ravel()], faces, side * uv[faces])
 
 
 def _unwrapped(points: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> bpy.types.Object:
