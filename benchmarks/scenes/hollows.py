@@ -54,7 +54,6 @@ HOLLOWS = {
     "vase": Hollow(hollow_shapes.vase, (0.7, 0.5, 0.3)),
     "cloth": Hollow(hollow_shapes.cloth, _GREY, 0.8),
     "cloth, black satin": Hollow(hollow_shapes.cloth, _BLACK, _SATIN),
-    "coin, plaster": Hollow(hollow_shapes.coin, _WHITE, 0.8),
     "coin, metal paint": Hollow(hollow_shapes.coin, (0.7, 0.6, 0.4), 0.4, 1.0),
     "cubes, white": Hollow(hollow_shapes.cubes, _WHITE),
     "cubes, glazed": Hollow(hollow_shapes.cubes, _GREY, _GLAZED),
