@@ -13,6 +13,7 @@ from mathutils import Matrix, Vector
 from . import subjects
 
 _MARGIN = 0.01  # of the UV square
+_ISLAND = 0.2  # of it: how far a part of a scan reaches
 _Stroke = Sequence[tuple[float, float]]
 _LETTERS: tuple[tuple[_Stroke, ...], ...] = (
     (((0.75, 1), (0, 1), (0, 0.5), (0.75, 0.5), (0.75, 0), (0, 0)),),
@@ -86,12 +87,19 @@ def cubes() -> bpy.types.Object:
 
 
 def part_of_scan(path: Path, middle: Sequence[float], radius: float, turn: float) -> bpy.types.Object:
-    """Return what of an .obj file lies within a ball; its UVs fill the square. turn: around the vertical, degrees."""
+    """Return what of an .obj file lies within a ball; its UVs fill the square. turn: around the vertical, degrees.
+
+    Without what lies elsewhere in the UVs: the inside of the mouth.
+    """
     made = subjects.scan(path, 1)
     edited = bmesh.new()
     edited.from_mesh(made.data)
-    far = [face for face in edited.faces if (face.calc_center_median() - Vector(middle)).length > radius]
-    bmesh.ops.delete(edited, geom=far, context="FACES")
+    layer = edited.loops.layers.uv.active
+    place = {face: np.array(face.loops[0][layer].uv) for face in edited.faces}
+    near = [face for face in place if (face.calc_center_median() - Vector(middle)).length <= radius]
+    center = np.median([place[face] for face in near], axis=0)
+    kept = {face for face in near if np.linalg.norm(place[face] - center) < _ISLAND}
+    bmesh.ops.delete(edited, geom=[face for face in place if face not in kept], context="FACES")
     edited.to_mesh(made.data)
     edited.free()
     made = subjects.finished(made, turn=(0, np.radians(turn), 0))
