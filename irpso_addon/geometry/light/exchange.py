@@ -98,11 +98,14 @@ class _Grid:
     def __init__(self, bake: SurfaceBake, resolution: int):
         self._bake = bake
         height, width = bake.coverage.shape
-        self._stride = stride = -(-max(height, width) // resolution)
+        longer = max(height, width)
+        count = min(resolution, longer)
+        self._stride = stride = longer / count  # texels along a cell, no whole number
         rows, columns = np.nonzero(bake.coverage)
-        self._cells = -(-height // stride), -(-width // stride)
-        cell = (rows // stride) * self._cells[1] + columns // stride
-        off = np.hypot(rows % stride - (stride - 1) / 2, columns % stride - (stride - 1) / 2)
+        self._cells = -(-height * count // longer), -(-width * count // longer)
+        row, column = ((2 * at + 1) * count // (2 * longer) for at in (rows, columns))
+        cell = row * self._cells[1] + column
+        off = np.hypot(*(at + 0.5 - stride * (own + 0.5) for at, own in ((rows, row), (columns, column))))
         order = np.lexsort((off, cell))
         first = order[np.unique(cell[order], return_index=True)[1]]
         self.texels = rows[first] * width + columns[first]

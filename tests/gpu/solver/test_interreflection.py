@@ -91,6 +91,19 @@ def test_a_closed_sphere_of_metal_sends_on_what_its_lobe_reflects(bounces, toler
     np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=tolerance)
 
 
+@pytest.mark.parametrize(("shape", "cells"), [((24, 48), (24, 48)), ((40, 80), (32, 64)), ((64, 128), (32, 64))])
+def test_elements_are_as_fine_as_the_resolution_allows(shape, cells):
+    mesh = cavity_mesh()
+    exchange = exchange_of(mesh, cavity(mesh, shape), resolution=64, rays=1)
+    rows, columns = np.divmod(exchange.texels, shape[1])
+    # Each in a cell of its own, at the texel nearest to its middle.
+    for at, texels, count in ((rows, shape[0], cells[0]), (columns, shape[1], cells[1])):
+        place = (np.unique(at) + 0.5) * count / texels
+        assert (np.floor(place) == np.arange(count)).all()
+        assert np.abs(place - np.floor(place) - 0.5).max() <= 0.5 * count / texels
+    assert len(exchange.texels) == cells[0] * cells[1]
+
+
 def test_a_place_whose_material_is_not_known_has_that_of_the_nearest():
     mesh = cavity_mesh()
     domain = cavity(mesh)
