@@ -70,7 +70,7 @@ def measure(quick: bool) -> dict[str, Any]:
     parts = [
         row
         for name in _IN_PARTS[: 1 if quick else None]
-        for row in _compared(name, bodies[name], hollows.BOUNCES, _PARTS, size)
+        for row in _compared(name, bodies[name], hollows.BOUNCES, _RUNS if quick else _PARTS, size)
     ]
     return {"rows": rows, "few": few, "parts": parts, "size": size}
 
