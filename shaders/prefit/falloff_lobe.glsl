@@ -1,29 +1,15 @@
-// The prefit's model: a diffuse base with a free fall-off, under one GGX lobe of any strength. See ../README.md for the
-// contract of a model. It is fitted to grey samples: the colours of base and lobe do not matter.
-// Minnaert 1941, The Reciprocity Principle in Lunar Photometry: diffuse radiance is proportional to (n·l)^k. Surfaces are
-// seldom Lambertian, and a wrong fall-off turns the normal more than any other error: on renders whose base darkens toward
-// the terminator (bunny_lambert) a free k reduces the mean error from 3.1 to 0.5°.
+// The prefit's model: base and lobe. See ../README.md for the contract of a model.
 
-#include "brdf/angles.glsl"
-#include "brdf/d_ggx.glsl"
-#include "brdf/v_smith_ggx.glsl"
+#include "prefit/bases.glsl"
 
 vec3 basis_base(Material s, vec3 l, vec3 v)
 {
-    float NoL = dot(s.normal, l);
-    // n·l > 0 above the horizon, so pow() is defined.
-    return vec3(above_horizon(NoL, dot(s.normal, v)) ? pow(NoL, s.falloff) : 0.0);
+    return falloff_base(s, l, v);
 }
 
-// π f_r n·l of a mirror of microfacets: what Fresnel's term would bend is less than what lobes differ by.
 vec3 basis_lobe(Material s, vec3 l, vec3 v)
 {
-    if (!above_horizon(dot(s.normal, l), dot(s.normal, v))) {
-        return vec3(0.0);
-    }
-    Angles a = angles_of(s.normal, l, v);
-    float alpha = s.roughness * s.roughness;
-    return vec3(3.14159265358979 * D_GGX(a.NoH, a.sin2_h, alpha) * V_SmithGGX(a.NoL, a.NoV, alpha) * a.NoL);
+    return ggx_lobe(s, l, v);
 }
 
 vec3 reflectance(Material s, vec3 l, vec3 v)

@@ -148,3 +148,16 @@ def run_tiled(domain, model, schedule, halo, entry="fragment"):
     with TiledRecovery(domain, model, schedule, 1, entry=entry, boxes=boxes, halo=halo) as recovery:
         recovery.step()
         return bits_of(recovery.maps())
+
+
+def degrees(maps, normal):
+    """Return (H, W) angles between the normals of maps and others (H, W, 3)."""
+    cosine = (maps.values["normal"].astype(np.float64) * normal).sum(axis=-1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def taps():
+    """Return the offsets that tests of neighbours read: 5×5, and the rims of such squares, two and four apart."""
+    near = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
+    rim = [(x, y) for x, y in near if max(abs(x), abs(y)) == 2]
+    return near + [(step * x, step * y) for step in (2, 4) for x, y in rim]

@@ -19,7 +19,8 @@ from ...gpu.textures import Texture
 from ...reflectance.model import ReflectanceModel
 from ...results.maps import Maps
 from ..phases.begin import begin_phase, check_seed
-from ..phases.indirect import MEASURED, SHADOW, IndirectPhase, measured_by
+from ..phases.indirect import MEASURED, SHADOW, measured_by
+from ..phases.neighbour_test import NeighbourTest
 from ..phases.phase import BACKGROUND_BAND_SECONDS, Phase, band_seconds
 from ..phases.prefit import FITNESS, AcceptanceTest, PrefitPhase
 from ..phases.swarm import SwarmPhase
@@ -347,7 +348,7 @@ class Recovery(RecoveryEngine):
     def _end_stage(self, phase: Phase, seconds: float) -> Iterator[None]:
         yield from phase.conclude(self._bands, seconds)
         self._estimates.accept()
-        if isinstance(phase, PrefitPhase | IndirectPhase):
+        if isinstance(phase, PrefitPhase | NeighbourTest):
             self._take_prefit((yield from phase.measuring(self._bands, seconds)))
         yield  # the last one: view() must not see a closed phase
         phase.close()

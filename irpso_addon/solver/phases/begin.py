@@ -16,6 +16,7 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSheen,
     ResolvedSurface,
 )
 from ..settings.schedule import Schedule
@@ -26,6 +27,7 @@ from .prefit import AcceptanceTest, PrefitPhase
 from .refinement import RefinementPhase
 from .sequential_swarm import SequentialSwarmPhase
 from .shared_materials import SharedMaterialsPhase
+from .sheen import SheenPhase
 from .spatial_prior import SpatialPriorPhase
 from .surface import SurfacePhase
 from .synchronous_swarm import SynchronousSwarmPhase
@@ -68,6 +70,8 @@ def begin_phase(
         return SurfacePhase(stage, model, schedule, domain, estimates, entry, acceptance())
     if isinstance(stage, ResolvedPrefit):
         return PrefitPhase(stage, model, schedule, seed, domain, estimates, entry, prefit)
+    if isinstance(stage, ResolvedSheen):
+        return SheenPhase(stage, model, schedule, domain, estimates, entry, prefit)
     if isinstance(stage, ResolvedIndirect):
         return IndirectPhase(stage, model, schedule, domain, estimates, entry, prefit)
     kind_of_swarm = SynchronousSwarmPhase if schedule.swarm.update == "all" else SequentialSwarmPhase

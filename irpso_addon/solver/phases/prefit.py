@@ -17,7 +17,7 @@ from ...reflectance.model import ReflectanceModel
 from ..kernels import kernels
 from ..kernels.free_parameters import build_free_parameters
 from ..kernels.refinement import NO_PENALTY
-from ..settings.resolve import ResolvedPrefit, prefit_model
+from ..settings.resolve import ResolvedPrefit
 from ..settings.schedule import Schedule
 from ..state.textures import DomainTextures, Estimates, loss_constants
 from .phase import Phase
@@ -29,7 +29,8 @@ from .synchronous_swarm import SynchronousSwarmPhase
 # few of its 50 lights reach, falls from 0.82 to 0.69°.
 _SAMPLES_PER_UNKNOWN = 3
 _ACCEPTANCE_FLOOR = 0.005  # mean of bounded losses: fits below it are equally good
-FITNESS, EVIDENCE = "prefit_fitness", "prefit_evidence"  # of what a prefit measures
+FITNESS, EVIDENCE, SHEEN = "prefit_fitness", "prefit_evidence", "prefit_sheen"  # of what prefits measure
+UNFIT = np.float32(1e30)  # shaders/fitness/unfit.glsl: no measure
 _PENALTY = SHADERS / "prefit" / "falloff_penalty.glsl"
 # Of the prior on the exponent, of mean 1, under narrow lights. On balls under 12 lights within 22° it lowers the mean
 # error from 0.66 to 0.36° (Lambert) and from 3.95 to 2.95° (Oren–Nayar, σ = 0.2). Wide lights determine the exponent:
@@ -42,7 +43,8 @@ class PrefitPhase(Phase):
 
     Its result is the estimates of the recovery's model with the prefit's normals. inner: the swarms, later the
     refinement. own: the estimates of the prefit's model. before: what an earlier prefit has measured; an indirect one
-    moves nothing but the texels whose shadow is raised, each by itself.
+    moves nothing but the texels whose shadow is raised, each by itself, and one with sheen nothing at all: SheenPhase
+    adopts its normals.
     """
 
     def __init__(
@@ -60,12 +62,12 @@ class PrefitPhase(Phase):
             schedule, domain = schedule.replaced(c3=0.0, neighbour_every=0), domain.where_indirect()
         self._resolved, self._schedule, self._seed, self._entry = resolved, schedule, seed, entry
         self._domain, self._estimates, self._before = grey(domain, schedule), estimates, before
-        self._model, self.title = prefit_model(), resolved.title
+        self._model, self.title = resolved.model, resolved.title
         self._domain.defines |= {
             "FALLOFF_COMPONENT": self._model.offset("falloff"), "FALLOFF_DEVIATION": f"{_FALLOFF_DEVIATION:.9f}",
         }  # fmt: skip
         self.own = _first_estimates(self._model, model, estimates, domain)
-        self._adopt = _adopt_pass(model, domain.defines)
+        self._adopt = adopt_pass(model, domain.defines)
         self._measure = _measure_pass(self._model, schedule, self._domain.defines)
         self._evidence = _evidence_pass(self._model, schedule, self._domain.defines) if resolved.seeks else None
         self._refining = False
@@ -93,8 +95,8 @@ class PrefitPhase(Phase):
 
     @property
     def placed(self) -> bool:
-        """Whether the particles have been placed."""
-        return self._refining or self.inner.placed
+        """Whether there are normals to show."""
+        return not self._resolved.sheen and (self._refining or self.inner.placed)
 
     def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Make one iteration in bands of rows of about ``seconds``; yields after each band."""
@@ -107,6 +109,9 @@ class PrefitPhase(Phase):
     def conclude(self, bands: Bands, seconds: float) -> Iterator[None]:
         """Write the normals so far into the resolved estimates."""
         yield from self.inner.conclude(bands, seconds)
+        if self._resolved.sheen:
+            self._estimates.accept()  # what is accepted twice is as it was
+            return
         yield from self._adopt.at_once(bands, self._estimates.resolved, self._inputs(self.own.resolved))
 
     def preview(self, targets: Sequence[Texture]) -> None:
@@ -123,7 +128,8 @@ class PrefitPhase(Phase):
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
         """Return by name, packed, float32: the fitness (h, w) of the prefit's model with what is resolved. In bands.
 
-        With what was measured before; where indirect light is sought, its evidence (h, w, 4), too.
+        With what was measured before; where indirect light is sought, its evidence (h, w, 4), too. Of a prefit with
+        sheen its normals and fitness (h, w, 4).
         """
         targets = [textures.empty(*self.own.size, "R32F")]
         inputs = {**self.own.bindings(resolved=True), **self._domain.textures}
@@ -132,6 +138,9 @@ class PrefitPhase(Phase):
         fitness = textures.download(targets[0])[..., 0]
         if self._resolved.indirect:
             fitness = np.where(self._domain.shadow > 0, fitness, self._before[FITNESS])
+        if self._resolved.sheen:
+            normals = normals_of(self.own, self._model, resolved=True)
+            return {**self._before, SHEEN: np.concatenate([normals, fitness[..., None]], axis=-1)}
         if self._evidence is None:
             return {**self._before, FITNESS: fitness}
         targets = [textures.empty(*self.own.size)]
@@ -226,17 +235,22 @@ def _first_estimates(
     own: ReflectanceModel, model: ReflectanceModel, estimates: Estimates, domain: DomainTextures
 ) -> Estimates:
     """The prefit's first estimates: the recovery's normals, on matt surfaces of each texel's own scale."""
-    normal = next(p.name for p in model.parameters if p.is_normal)
-    packed = np.concatenate([textures.download(t) for t in estimates.current], axis=-1)
-    at = model.offset(normal)
+    normals = normals_of(estimates, model)
     values = {
-        p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*packed.shape[:2], p.components))
+        p.name: np.broadcast_to(np.asarray(p.default, np.float32), (*normals.shape[:2], p.components))
         for p in own.parameters
     }
-    return Estimates(own, values | {"normal": packed[..., at : at + 3], "base": domain.scale[..., None]})
+    return Estimates(own, values | {"normal": normals, "base": domain.scale[..., None]})
 
 
-def _adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
+def normals_of(estimates: Estimates, model: ReflectanceModel, resolved: bool = False) -> np.ndarray:
+    """Return the normals (h, w, 3) of the current estimates, or of the resolved ones, packed."""
+    name = next(p.name for p in model.parameters if p.is_normal)
+    return estimates.values(resolved)[name]
+
+
+def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
+    """Compile the pass that gives the estimates the normals of u_prefit_0."""
     normal = next(p.name for p in model.parameters if p.is_normal)
     packed = kernels.packed(model)
     samplers: Samplers = {"u_estimate": packed, **kernels.GEOMETRY, "u_prefit_0": kernels.FLOAT_2D}

@@ -11,7 +11,7 @@ from ..kernels import spatial_prior as prior_kernels
 from ..kernels import surface as surface_kernels
 from ..kernels.encoding import blocks_of
 from ..kernels.refinement import SPREAD_REACH, renders
-from ..phases import indirect
+from ..phases import neighbour_test
 from ..phases.swarm import particle_count, reach_at
 from ..settings.resolve import (
     Resolved,
@@ -19,9 +19,9 @@ from ..settings.resolve import (
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSheen,
     ResolvedSurface,
     ResolvedSwarm,
-    prefit_model,
     resolve,
 )
 from ..settings.schedule import Schedule
@@ -31,6 +31,7 @@ from ..state.phase_textures import (
     prior_table,
     refinement_table,
     sequential_swarm_table,
+    sheen_table,
     surface_table,
     synchronous_swarm_table,
 )
@@ -44,7 +45,7 @@ LOOKS = 10.0  # of a prior, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
 INDIRECT = 0.1  # share of the texels whose light is indirect
 _FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
-_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect
+_Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect | ResolvedSheen
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,8 @@ def phase_table(resolved: Resolved, model: ReflectanceModel, schedule: Schedule)
         return indirect_table()
     if isinstance(resolved, ResolvedSurface):
         return surface_table()
+    if isinstance(resolved, ResolvedSheen):
+        return sheen_table()
     kind = prior_table if isinstance(resolved, ResolvedPrior) else refinement_table
     return kind(-(-model.components // 4))
 
@@ -177,7 +180,7 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
     Progress counts it: it is roughly proportional to time.
     """
     if isinstance(resolved, ResolvedPrefit):
-        own, share = prefit_model(), INDIRECT if resolved.indirect else 1.0
+        own, share = resolved.model, INDIRECT if resolved.indirect else 1.0
         prefit = (*_swarm_work(resolved.stage, schedule.replaced(update="all"), observations),
                 *_refinement_work(resolved.refinement, own, observations, 1.0))  # fmt: skip
         return tuple(share * work for work in prefit)
@@ -185,8 +188,8 @@ def work_of(resolved: Resolved, model: ReflectanceModel, schedule: Schedule, obs
         return _swarm_work(resolved, schedule, observations)
     if isinstance(resolved, ResolvedRefinement):
         return _refinement_work(resolved, model, observations, STEP)
-    if isinstance(resolved, ResolvedIndirect):
-        return (LOOKS * indirect.TAPS,)
+    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
+        return (LOOKS * neighbour_test.TAPS,)
     if isinstance(resolved, ResolvedSurface):
         round_of, rounds = SWEEP * surface_kernels.SWEEPS, resolved.surface.rounds
     else:
@@ -216,7 +219,7 @@ def _refinement_work(
 
 def _prefit_cost(resolved: ResolvedPrefit, schedule: Schedule) -> PhaseCost:
     """Return the cost of a prefit: of the larger of its two phases, and of its own model's estimates."""
-    model = prefit_model()
+    model = resolved.model
     swarm = phase_cost(resolved.stage, model, schedule.replaced(update="all"))
     refinement = phase_cost(resolved.refinement, model, schedule)
     own = FLOAT4 * -(-model.components // 4)
@@ -236,8 +239,8 @@ def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]
     if isinstance(resolved, ResolvedSwarm):
         reaches = [reach_at(schedule, i, resolved.iterations) for i in range(resolved.iterations)]
         return max(reaches), sum(reach > 0 for reach in reaches)
-    if isinstance(resolved, ResolvedIndirect):
-        return indirect.REACH, 1
+    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
+        return neighbour_test.REACH, 1
     if isinstance(resolved, ResolvedPrior):
         return prior_kernels.reach_of(resolved.prior), 1 + resolved.prior.rounds
     if isinstance(resolved, ResolvedSurface):
@@ -246,7 +249,7 @@ def _neighbour_reads(resolved: _Searched, schedule: Schedule) -> tuple[int, int]
 
 
 def _evaluations(resolved: _Searched, model: ReflectanceModel, schedule: Schedule) -> int:
-    if isinstance(resolved, ResolvedIndirect):
+    if isinstance(resolved, ResolvedIndirect | ResolvedSheen):
         return 0
     if isinstance(resolved, ResolvedSwarm):
         return int(sum(_swarm_work(resolved, schedule, 1)))

@@ -143,6 +143,10 @@ class Prefit:
         "Shadow Where Indirect", "The same in all that follows where the light is mostly indirect: there normals are"
         " prefit once more, to the brightest samples. 0 is off", 0.0, soft_max=1,
     )  # fmt: skip
+    sheen_gain: float = setting(
+        "Sheen Gain", "Where the prefit fits badly, a second one has sheen, bright at grazing angles as velvet is. Its"
+        " normals count where it fits by this part better. 0 is off", 0.0, soft_max=0.5,
+    )  # fmt: skip
     observations: int = setting("Least Images", "With fewer observations the prefit is left out", 10, soft_max=100)
     acceptance_delta: float = setting(
         "Acceptance Delta", "Delta with which the prefit's normals and the model's are compared", 0.0125, above=True,

@@ -70,23 +70,39 @@ class ResolvedMaterials(ResolvedRefinement):
 class ResolvedPrefit:
     """The prefit: its swarms and its refinement, of its own model.
 
-    indirect: only where the light is indirect. seeks: whether it measures the evidence of such light.
+    indirect: only where the light is indirect. seeks: whether it measures the evidence of such light. sheen: with the
+    model that has it.
     """
 
     stage: ResolvedSwarm
     refinement: ResolvedRefinement
     indirect: bool = False
     seeks: bool = False
+    sheen: bool = False
 
     @property
     def title(self) -> str:
         """What is searched, for people."""
-        return "prefit of the normals" + (" in indirect light" if self.indirect else "")
+        where = " in indirect light" if self.indirect else " with sheen" if self.sheen else ""
+        return "prefit of the normals" + where
+
+    @property
+    def model(self) -> ReflectanceModel:
+        """The prefit's own model."""
+        return prefit_model(self.sheen)
 
     @property
     def iterations(self) -> int:
         """The number of all iterations."""
         return self.stage.iterations + self.refinement.iterations
+
+
+@dataclass(frozen=True)
+class ResolvedSheen:
+    """Finds where the prefit with sheen replaces the first one."""
+
+    title = "sheen"
+    iterations = 1
 
 
 @dataclass(frozen=True)
@@ -132,25 +148,39 @@ class ResolvedSurface:
         return 2 + self.surface.rounds
 
 
-Resolved = ResolvedPrefit | ResolvedIndirect | ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface
+Resolved = (
+    ResolvedPrefit
+    | ResolvedSheen
+    | ResolvedIndirect
+    | ResolvedSwarm
+    | ResolvedRefinement
+    | ResolvedPrior
+    | ResolvedSurface
+)
 
 
 @cache
-def prefit_model() -> ReflectanceModel:
-    """Return the prefit's own model."""
-    return load_model(SHADERS / "prefit" / "falloff_lobe.toml")
+def prefit_model(sheen: bool = False) -> ReflectanceModel:
+    """Return the prefit's own model, or that with sheen."""
+    return load_model(SHADERS / "prefit" / f"falloff_{'sheen' if sheen else 'lobe'}.toml")
 
 
-def _resolve_prefit(prefit: Prefit) -> tuple[ResolvedPrefit | ResolvedIndirect, ...]:
-    model = prefit_model()
+def _resolve_prefit(prefit: Prefit) -> list[Resolved]:
+    first = _prefit_by(prefit_model(), prefit)
+    resolved: list[Resolved] = [replace(first, seeks=prefit.indirect_shadow > 0)]
+    if prefit.sheen_gain:
+        resolved += [replace(_prefit_by(prefit_model(sheen=True), prefit), sheen=True), ResolvedSheen()]
+    if prefit.indirect_shadow:
+        resolved += [ResolvedIndirect(), replace(first, indirect=True)]
+    return resolved
+
+
+def _prefit_by(model: ReflectanceModel, prefit: Prefit) -> ResolvedPrefit:
     refinement = Refinement(prefit.refinement_iterations, starts=False, rounds=0)
     searched = tuple(p for p in model.parameters if p.kind == "search")
     solved = tuple(p for p in model.parameters if p.kind == "linear")
     stage = ResolvedSwarm(searched, prefit.iterations, solved=solved)
-    first = ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
-    if not prefit.indirect_shadow:
-        return (first,)
-    return replace(first, seeks=True), ResolvedIndirect(), replace(first, indirect=True)
+    return ResolvedPrefit(stage, ResolvedRefinement(model.parameters, refinement, ()))
 
 
 def _resolve_refinement(
@@ -224,7 +254,7 @@ def resolve(
     free = [p for p in model.parameters if p.name not in fixed and any(_is_asked(p, s, asked) for s in schedule.stages)]
     prefit = schedule.prefit
     has_prefit = prefit.iterations > 0 and observations >= prefit.observations and any(p.is_normal for p in free)
-    resolved: list[Resolved] = [*_resolve_prefit(prefit)] if has_prefit else []
+    resolved: list[Resolved] = _resolve_prefit(prefit) if has_prefit else []
     for cycle in range(schedule.cycles):
         for stage in schedule.stages:
             wanted = [p for p in free if _is_asked(p, stage, asked) and not (has_prefit and p.is_normal)]

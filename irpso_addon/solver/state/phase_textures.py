@@ -110,6 +110,14 @@ def refinement_table(estimates: int) -> TextureTable:
     })  # fmt: skip
 
 
+def sheen_table() -> TextureTable:
+    """Return the table of the choice between two prefits: shaders/prefit/sheen.glsl."""
+    return TextureTable({
+        "fits": TextureGroup(("u_fits",), ("fits",)),
+        "chosen": TextureGroup(("u_chosen",), ("chosen",), "R32F"),
+    })  # fmt: skip
+
+
 def indirect_table() -> TextureTable:
     """Return the table of the search for indirect light: shaders/prefit/evidence.glsl, and the result."""
     return TextureTable({

@@ -16,7 +16,6 @@ from ..engine.engine import RecoveryEngine
 from ..kernels import kernels
 from ..phases.prefit import PrefitPhase
 from ..phases.swarm import SwarmPhase
-from ..settings.resolve import prefit_model
 from ..state.packing import level_size
 from ..state.textures import UNFIT, kernel_defines
 
@@ -135,7 +134,7 @@ def running_swarm(recovery: RecoveryEngine) -> tuple[SwarmPhase, ReflectanceMode
     """Return the phase with searching swarms and their model, or None."""
     phase, model = recovery.phase, recovery.model
     if isinstance(phase, PrefitPhase):
-        phase, model = phase.inner, prefit_model()
+        model, phase = phase.own.model, phase.inner
     # Between two phases the textures of the first one are already freed.
     if not isinstance(phase, SwarmPhase) or phase.encoding.dimensions == 0 or not phase.textures.current:
         return None

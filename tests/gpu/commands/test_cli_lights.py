@@ -54,7 +54,16 @@ def test_wrong_default_intensities_get_a_warning_with_the_remedy(tmp_path, captu
 
 def test_contradicted_intensities_are_estimated_and_reported(tmp_path, capture, truth, factors):
     # Tiles need no wide halo.
-    narrow = "--set", "prior_rounds=0", "--set", "prefit_indirect_shadow=0", "--set", "surface_rounds=0"
+    narrow = (
+        "--set",
+        "prior_rounds=0",
+        "--set",
+        "prefit_indirect_shadow=0.0",
+        "--set",
+        "prefit_sheen_gain=0.0",
+        "--set",
+        "surface_rounds=0",
+    )
     _, report = recover(capture, tmp_path / "whole", *narrow)
     assert off(np.array(report["lights"]["intensities"]), factors).max() < 0.02
     assert ["so they were estimated" in line for line in report["warnings"]] == [True]

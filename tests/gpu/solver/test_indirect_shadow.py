@@ -18,12 +18,12 @@ from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, ended_prefit, make_domain, pack_layers, recoveries, unit
+from tests.builders.domains import bits_of, degrees, ended_prefit, make_domain, pack_layers, recoveries, taps, unit
 from tests.oracles import confidence as confidence_oracle
 
 LAMBERT = load_model("lambert")
-RAISED = load_schedule("standard").replaced(prior_rounds=0, surface_rounds=0, materials_rounds=0)
-OFF = RAISED.replaced(prefit_indirect_shadow=0.0)
+RAISED = load_schedule("standard").replaced(prior_rounds=0, surface_rounds=0, materials_rounds=0, prefit_sheen_gain=0.0)
+OFF = RAISED.replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0)
 OBSERVATIONS = 96
 LIMITS = 0.2, 0.03  # of misfit and surplus
 recover = pytest.fixture(recoveries)
@@ -50,11 +50,6 @@ def corner(shape=(20, 36)):
         made, lights=np.float32(np.pad(lights, ((0, 0), (0, 1)))), intensities=np.ones((OBSERVATIONS, 3), np.float32)
     )
     return with_samples(made, stack), normal, between
-
-
-def degrees(maps, normal):
-    cosine = (maps.values["normal"].astype(np.float64) * normal).sum(axis=-1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def raised(recovery):
@@ -92,13 +87,6 @@ def test_the_evidence_matches_float64(recover):
     np.testing.assert_allclose(evidence[..., 1], np.maximum(-error, 0).sum(axis=0) / light, rtol=2e-3, atol=1e-5)
     enough = (shown >= 0.5 * scale).sum(axis=0) >= 18  # three for each of the prefit's six free numbers
     np.testing.assert_array_equal(evidence[..., 2], enough)
-
-
-def taps():
-    """Return the offsets that are read besides a texel's own: 5×5, and the rims of such squares, two and four apart."""
-    near = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
-    rim = [(x, y) for x, y in near if max(abs(x), abs(y)) == 2]
-    return near + [(step * x, step * y) for step in (2, 4) for x, y in rim]
 
 
 @pytest.mark.parametrize("holes", [False, True])
@@ -177,14 +165,14 @@ def test_without_the_raised_shadow_a_run_that_goes_on_counts_all_samples_again(r
     recovery = recover(domain, LAMBERT, SHORT)
     recovery.step(iterations=9)
     assert recovery._textures.shadow.any()
-    again = recovery.reconfigure(SHORT.replaced(prefit_indirect_shadow=0.0))
+    again = recovery.reconfigure(SHORT.replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0))
     assert not again._textures.shadow.any() and "prefit_shadow" not in again.memory().arrays
     again.step()
     again.close()
 
 
 def test_a_run_that_is_to_seek_indirect_light_prefits_again(recover):
-    recovery = recover(corner()[0], LAMBERT, SHORT.replaced(prefit_indirect_shadow=0.0))
+    recovery = recover(corner()[0], LAMBERT, SHORT.replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0))
     recovery.step(iterations=9)
     again = recovery.reconfigure(SHORT)
     again.step()

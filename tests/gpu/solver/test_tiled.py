@@ -25,7 +25,7 @@ BOXES = [(0, 0, 2, 3), (2, 0, 5, 3), (0, 3, 7, 2), (7, 0, 10, 5), (0, 5, 5, 8), 
          (16, 6, 1, 2), (5, 8, 11, 5), (16, 8, 1, 5)]  # fmt: skip
 FEW = [(0, 0, 2, 3), (2, 0, 15, 3), (0, 3, 17, 10)]
 # These read texels 8 away: tests/gpu/solver/test_indirect_shadow.py, test_surface.py.
-NARROW = load_schedule("standard").replaced(prefit_indirect_shadow=0.0, surface_rounds=0)
+NARROW = load_schedule("standard").replaced(prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0, surface_rounds=0)
 SCHEDULES = {
     "one particle at a time": SHORT.replaced(neighbour_every=3),
     "wide window": SHORT.replaced(neighbourhood=5, c3_until=0.0, seed="lambert"),

@@ -20,15 +20,16 @@ from irpso_addon.solver.kernels import surface as surface_kernels
 from irpso_addon.solver.kernels import synchronous_swarm as synchronous_swarm_kernels
 from irpso_addon.solver.kernels.encoding import build_encoding
 from irpso_addon.solver.kernels.linear_weights import linear_weights
-from irpso_addon.solver.phases import indirect, prefit
+from irpso_addon.solver.phases import indirect, prefit, sheen
+from irpso_addon.solver.phases.neighbour_test import decision_pass
 from irpso_addon.solver.phases.swarm import particle_count
 from irpso_addon.solver.settings.resolve import (
     ResolvedIndirect,
     ResolvedPrefit,
     ResolvedPrior,
     ResolvedRefinement,
+    ResolvedSheen,
     ResolvedSurface,
-    prefit_model,
     resolve,
 )
 from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
@@ -69,13 +70,15 @@ def make_passes(resolved, model, schedule):
     elif isinstance(resolved, ResolvedSurface):
         surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):
-        indirect._indirect_pass(schedule, DOMAIN)
+        decision_pass("prefit/indirect.glsl", "evidence", "shadow", indirect.limits(schedule), DOMAIN)
+    elif isinstance(resolved, ResolvedSheen):
+        decision_pass("prefit/sheen.glsl", "fits", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
-            make_passes(part, prefit_model(), schedule)
-        prefit._adopt_pass(model, DOMAIN)
-        prefit._measure_pass(prefit_model(), schedule, DOMAIN)
-        prefit._evidence_pass(prefit_model(), schedule, DOMAIN)
+            make_passes(part, resolved.model, schedule)
+        prefit.adopt_pass(model, DOMAIN)
+        prefit._measure_pass(resolved.model, schedule, DOMAIN)
+        prefit._evidence_pass(resolved.model, schedule, DOMAIN)
         prefit._acceptance_pass(model, schedule, DOMAIN)
     else:
         codec = build_encoding(model, resolved, schedule.swarm.normal)

@@ -16,6 +16,7 @@ from irpso_addon.solver.settings.resolve import (
     ResolvedMaterials,
     ResolvedPrefit,
     ResolvedRefinement,
+    ResolvedSheen,
     ResolvedSurface,
     ResolvedSwarm,
     resolve,
@@ -40,11 +41,12 @@ def test_the_standard_preset_moves_whole_swarms_solves_prefits_and_refines():
     assert (standard.swarm.update, standard.swarm.linear, standard.swarm.seed) == ("all", "solve", "lambert")
     stages = resolve(standard.replaced(prior_rounds=0), load_model("principled"), set(), observations=50)
     assert [type(stage) for stage in stages] == [
-        ResolvedPrefit, ResolvedIndirect, ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement,
+        ResolvedPrefit, ResolvedPrefit, ResolvedSheen, ResolvedIndirect, ResolvedPrefit, ResolvedSwarm, ResolvedRefinement, ResolvedRefinement,
         ResolvedMaterials, ResolvedSurface,
     ]  # fmt: skip
-    assert [stage.indirect for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, True]
-    swarm = stages[3]
+    assert [stage.indirect for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, False, True]
+    assert [stage.sheen for stage in stages if isinstance(stage, ResolvedPrefit)] == [False, True, False]
+    swarm = stages[5]
     assert [p.name for p in swarm.parameters] == ["roughness", "specular"]
     assert [p.name for p in swarm.solved] == ["base_color"]
     assert particle_count(standard, swarm.dimensions("hemisphere")) <= MAX_PARTICLES
@@ -134,8 +136,8 @@ def test_a_preset_without_a_prefit_has_none():
 
 def test_a_prefit_comes_first_and_takes_the_normal_from_the_stages_but_not_from_the_refinement():
     standard = load_schedule("standard").replaced(
-        prefit_iterations=7, prefit_refinement_iterations=4, prefit_indirect_shadow=0.0, cycles=2, prior_rounds=0,
-        surface_rounds=0,
+        prefit_iterations=7, prefit_refinement_iterations=4, prefit_indirect_shadow=0.0, prefit_sheen_gain=0.0,
+        cycles=2, prior_rounds=0, surface_rounds=0,
     )  # fmt: skip
     stages = resolve(standard, load_model("principled"), set(), observations=standard.prefit.observations)
     assert [stage.title for stage in stages] == [

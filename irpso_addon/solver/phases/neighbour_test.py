@@ -1,0 +1,107 @@
+"""What phases share that decide at every texel by what prefits have measured of it and its neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+
+import numpy as np
+
+from ...gpu.bands import Bands
+from ...gpu.passes import Defines, Entry, Kernel, Output, Pass
+from ...reflectance.model import ReflectanceModel
+from ..kernels import kernels
+from ..kernels.spatial_prior import taps_of
+from ..settings.groups import Prior
+from ..settings.resolve import ResolvedIndirect, ResolvedSheen
+from ..settings.schedule import Schedule
+from ..state.phase_textures import PhaseTextures, TextureTable
+from ..state.textures import DomainTextures, Estimates
+from .phase import TexturePhase
+
+REACH, TAPS = 8, taps_of(Prior(scales=3))
+
+
+class NeighbourTest(TexturePhase):
+    """A Phase of one iteration: it compares what was measured of a texel and its neighbours with limits.
+
+    table: of two groups, what was measured and the decisions. measured: the first one's array (h, w, 4), packed; None
+    where a state follows. limits: by the names that the shader has for them.
+    """
+
+    placed = False  # it moves no estimate
+    passes: Pass
+
+    def __init__(
+        self,
+        resolved: ResolvedIndirect | ResolvedSheen,
+        model: ReflectanceModel,
+        schedule: Schedule,
+        domain: DomainTextures,
+        estimates: Estimates,
+        entry: Entry,
+        table: TextureTable,
+        source: str,
+        limits: Mapping[str, float],
+        measured: np.ndarray | None,
+    ):
+        super().__init__(resolved, model, schedule, domain, estimates, entry)
+        self._given, self.decided = table.groups
+        self.shared = (self._given,)
+        self.textures = PhaseTextures(table, *estimates.size)
+        self.passes = decision_pass(source, self._given, self.decided, limits, domain.defines)
+        self._measured = measured
+
+    @property
+    def evaluations(self) -> int:
+        """Return 0: it renders nothing."""
+        return 0
+
+    @property
+    def reach(self) -> int:
+        """Distance, in texels, at which the next iteration reads neighbours."""
+        return 0 if self.done else REACH
+
+    def advance(self, bands: Bands, seconds: float) -> Iterator[None]:
+        """Decide, in bands."""
+        self._make()
+        held = self.textures
+        inputs = {**held.bound(self._given, held.of(self._given)), **self.domain.textures}
+        yield from self.passes.in_bands(self.title, bands, seconds, held.of(self.decided), inputs, {})
+        self.iteration += 1
+
+    def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
+        """Return by name, packed, what is known after the decisions."""
+        raise NotImplementedError
+
+    def reached(self, threshold: float) -> bool:
+        """Return False: nothing is searched."""
+        return False
+
+    def read(self, *names: str) -> np.ndarray:
+        """Return (h, w, channels) of the current textures of some groups, channels side by side."""
+        self._make()
+        return super().read(*names)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that outlives an iteration, by name."""
+        self._make()
+        return super().state()
+
+    def restore(self, arrays: dict[str, np.ndarray], iteration: int) -> None:
+        """Continue from the ``state`` of an iteration."""
+        self._make()
+        super().restore(arrays, iteration)
+
+    def _make(self) -> None:
+        """Allocate the textures, and give them what was measured, at first use."""
+        self.textures.ensure()
+        if self._measured is not None:
+            self.textures.upload(self._given, [self._measured])
+            self._measured = None
+
+
+def decision_pass(source: str, given: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:
+    """Compile the pass of a NeighbourTest."""
+    samplers = {f"u_{given}": kernels.FLOAT_2D, **kernels.PACKING}
+    defines = {**defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in limits.items()}}
+    return Pass(Kernel(source, (Output(f"o_{decided}", "R32F"),), samplers, {}, defines, {}))
