@@ -15,7 +15,7 @@ from ..settings.schedule import Schedule
 from ..state.phase_textures import sheen_table
 from ..state.textures import DomainTextures, Estimates
 from .neighbour_test import NeighbourTest
-from .prefit import EVIDENCE, FITNESS, SHEEN, UNFIT, adopt_pass, normals_of
+from .prefit import FITNESS, SHEEN, UNFIT, adopt_pass, normals_of
 
 # On a bunny whose base only darkens toward the terminator the prefit with sheen fits by a third better, and turns the
 # normals by 2.7°. There the mean fitness around a texel is 0.11, with highlights 0.20 (95 %: 0.33), on velvet 0.57.
@@ -50,13 +50,11 @@ class SheenPhase(NeighbourTest):
         yield from self._adopt.at_once(bands, self.estimates.resolved, inputs)
 
     def measuring(self, bands: Bands, seconds: float) -> Generator[None, None, dict[str, np.ndarray]]:
-        """Return what the prefits have measured, by name: of the chosen texels the fitness with sheen, no evidence."""
+        """Return what the prefits have measured, by name: of the chosen texels the fitness with sheen."""
         yield
         chosen, known = self.read(self.decided)[..., 0] > 0, dict(self._prefits)
         sheen = known.pop(SHEEN)
         known[FITNESS] = np.where(chosen, sheen[..., 3], known[FITNESS])
-        if EVIDENCE in known:
-            known[EVIDENCE] = np.where(chosen[..., None], np.float32(0), known[EVIDENCE])
         return known
 
     def close(self) -> None:
