@@ -65,6 +65,7 @@ FILES = {
 OTHERS = {
     "residual.exr",
     "confidence.exr",
+    "confidence.png",
     "maps.exr",
     "report.json",
     "preview.png",
@@ -77,7 +78,6 @@ OTHERS = {
 def test_a_result_holds_exactly_its_files(name, recovered):
     _, out, _ = recovered(name)
     pictures = {f"{stem}.{kind}" for stem in FILES[name] for kind in ("png", "exr")}
-    pictures |= {"confidence.png"} if name != "lambert" else set()  # which has no number that is searched
     assert {path.name for path in out.iterdir()} == pictures | OTHERS
     with OpenEXR.File(str(out / "maps.exr"), separate_channels=True) as file:
         parts = {part.name() for part in file.parts}

@@ -192,11 +192,11 @@ def test_changed_constants_apply_from_the_next_iteration(recover):
 
 def test_finished_stages_do_not_run_again(recover):
     first = recover(observed(TWO_LOBES), TWO_LOBES, STANDARD)
-    first.step(iterations=5 + 1 + 5 + 2)  # the prefit, the search for indirect light, the prefit there
-    assert first.progress.stage == 3
+    first.step(iterations=2 * (5 + 1) + 5 + 2)  # the prefit, with sheen, both tests, the prefit in indirect light
+    assert first.progress.stage == 5
     second = first.reconfigure(STANDARD.replaced(prefit_iterations=50, iterations=20))
-    assert (second.progress.stage, second.progress.iteration) == (3, 2)
-    assert second.step(iterations=18).stage == 4
+    assert (second.progress.stage, second.progress.iteration) == (5, 2)
+    assert second.step(iterations=18).stage == 6
     second.close()
 
 
