@@ -2,7 +2,8 @@
 
 Usage: python tests/run.py [FILE_OR_FOLDER…] [--jobs 2] [--timeout 1200] [-- ARGUMENTS FOR PYTEST]
 The last line is `N passed, N failed, N skipped`; the exit code is 1 if anything failed. IRPSO_REQUIRE_GPU=1 turns a
-missing GPU context from a reason to skip into a failure.
+missing GPU context from a reason to skip into a failure. A process that a signal ends runs once more, and a line AGAIN
+names the test: under load, software GL sometimes crashes in a draw or a new texture.
 """
 
 import argparse
@@ -54,6 +55,7 @@ class Result:
     failed: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
     output: str = ""
+    crash: str = ""  # of the first process: its test and signal
     seconds: float = 0.0
 
 
@@ -87,10 +89,13 @@ def probe_gpu() -> str:
     return f"no GPU context: the probe {'timed out' if code is None else f'ended with {code}'} ({last})"
 
 
-def run_pytest(target: Path, timeout: float, arguments: list[str], no_gpu: str) -> Result:
-    """Run pytest on one file or folder in its own process and read what it recorded, however the process ended."""
+def run_pytest(target: Path, timeout: float, arguments: list[str], no_gpu: str, crash: str = "") -> Result:
+    """Run pytest on one file or folder in its own process and read what it recorded, however the process ended.
+
+    crash: of a process before this one; without it, one that a signal ends is followed by another.
+    """
     name = str(target.relative_to(ROOT))
-    result, started = Result(name), time.monotonic()
+    result, started = Result(name, crash=crash), time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "record"
         environment = {**os.environ, "IRPSO_TEST_RECORD": str(record), "IRPSO_NO_GPU": no_gpu}
@@ -104,6 +109,8 @@ def run_pytest(target: Path, timeout: float, arguments: list[str], no_gpu: str) 
     if unfinished or (code != 0 and not result.failed and not nothing_matched):
         ending = f"stopped after {timeout:.0f} s" if code is None else f"process ended with {code}"
         result.failed.append(f"{(unfinished or [name])[0]} ({ending})")
+    if code is not None and code < 0 and not crash:
+        return run_pytest(target, timeout, arguments, no_gpu, result.failed[-1])
     return result
 
 
@@ -141,6 +148,8 @@ def report(result: Result) -> None:
     counts = f"{result.passed} passed, {len(result.failed)} failed, {len(result.skipped)} skipped"
     if result.failed:
         print(result.output.rstrip(), flush=True)
+    if result.crash:
+        print(f"again: {result.crash}", flush=True)
     print(f"{'FAIL' if result.failed else 'ok':4} {result.name}: {counts} ({result.seconds:.0f} s)", flush=True)
 
 
@@ -168,6 +177,9 @@ def main() -> int:
     skipped = [test for result in results for test in result.skipped]
     for test in skipped:
         print(f"SKIPPED {test}")
+    for result in results:
+        if result.crash:
+            print(f"AGAIN {result.crash}")
     for test in failed:
         print(f"FAILED {test}")
     print(f"{sum(result.passed for result in results)} passed, {len(failed)} failed, {len(skipped)} skipped")
