@@ -156,8 +156,11 @@ def degrees(maps, normal):
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def taps():
-    """Return the offsets that tests of neighbours read: 5×5, and the rims of such squares, two and four apart."""
-    near = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0)]
+def around(values):
+    """Return the sums of (H, W, n) over each texel, 5×5 around it, and the rims of such squares, two and four apart."""
+    near = [(x, y) for x in range(-2, 3) for y in range(-2, 3)]
     rim = [(x, y) for x, y in near if max(abs(x), abs(y)) == 2]
-    return near + [(step * x, step * y) for step in (2, 4) for x, y in rim]
+    height, width = values.shape[:2]
+    padded = np.pad(values.astype(np.float64), ((8, 8), (8, 8), (0, 0)))
+    taps = near + [(step * x, step * y) for step in (2, 4) for x, y in rim]
+    return sum(padded[8 + y : 8 + y + height, 8 + x : 8 + x + width] for x, y in taps)

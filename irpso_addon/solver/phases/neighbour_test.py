@@ -48,7 +48,7 @@ class NeighbourTest(TexturePhase):
         self._given, self.decided = table.groups
         self.shared = (self._given,)
         self.textures = PhaseTextures(table, *estimates.size)
-        self.passes = decision_pass(source, self._given, self.decided, limits, domain.defines)
+        self.passes = decision_pass(source, self.decided, limits, domain.defines)
         self._measured = measured
 
     @property
@@ -100,8 +100,8 @@ class NeighbourTest(TexturePhase):
             self._measured = None
 
 
-def decision_pass(source: str, given: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:
+def decision_pass(source: str, decided: str, limits: Mapping[str, float], defines: Defines) -> Pass:
     """Compile the pass of a NeighbourTest."""
-    samplers = {f"u_{given}": kernels.FLOAT_2D, **kernels.PACKING}
+    samplers = {"u_measured": kernels.FLOAT_2D, **kernels.PACKING}
     defines = {**defines, "TAPS": TAPS, **{name: f"{value:.9f}" for name, value in limits.items()}}
     return Pass(Kernel(source, (Output(f"o_{decided}", "R32F"),), samplers, {}, defines, {}))

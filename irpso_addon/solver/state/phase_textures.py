@@ -113,7 +113,7 @@ def refinement_table(estimates: int) -> TextureTable:
 def sheen_table() -> TextureTable:
     """Return the table of the choice between two prefits: shaders/prefit/sheen.glsl."""
     return TextureTable({
-        "fits": TextureGroup(("u_fits",), ("fits",)),
+        "fits": TextureGroup(("u_measured",), ("fits",)),
         "chosen": TextureGroup(("u_chosen",), ("chosen",), "R32F"),
     })  # fmt: skip
 
@@ -121,7 +121,7 @@ def sheen_table() -> TextureTable:
 def indirect_table() -> TextureTable:
     """Return the table of the search for indirect light: shaders/prefit/evidence.glsl, and the result."""
     return TextureTable({
-        "evidence": TextureGroup(("u_evidence",), ("evidence",)),
+        "evidence": TextureGroup(("u_measured",), ("evidence",)),
         "shadow": TextureGroup(("u_shadow",), ("shadow",), "R32F"),
     })  # fmt: skip
 

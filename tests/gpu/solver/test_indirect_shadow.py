@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.resolve import ResolvedIndirect
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, degrees, ended_prefit, make_domain, pack_layers, recoveries, taps, unit
+from tests.builders.domains import around, bits_of, degrees, ended_prefit, make_domain, pack_layers, recoveries, unit
 from tests.oracles import confidence as confidence_oracle
 
 LAMBERT = load_model("lambert")
@@ -109,10 +109,7 @@ def test_texels_are_chosen_by_the_means_over_their_neighbours(holes):
     run_steps(phase.advance(Bands(), 1.0))
     found = pack.unpack(run_steps(phase.measuring(Bands(), 1.0))["prefit_shadow"])
     phase.close()
-    padded = np.pad(evidence.astype(np.float64), ((8, 8), (8, 8), (0, 0)))
-    sums = evidence.astype(np.float64)
-    for x, y in taps():
-        sums = sums + padded[8 + y : 8 + y + domain.shape[0], 8 + x : 8 + x + domain.shape[1]]
+    sums = around(evidence)
     with np.errstate(all="ignore"):
         misfit, surplus = sums[..., 0] / sums[..., 3], sums[..., 1] / sums[..., 3]
     wanted = (evidence[..., 2] > 0) & (misfit > LIMITS[0]) & (surplus > LIMITS[1])

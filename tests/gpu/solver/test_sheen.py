@@ -18,7 +18,7 @@ from irpso_addon.solver.settings.resolve import ResolvedSheen
 from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.solver.state.packing import Packing
 from irpso_addon.solver.state.textures import DomainTextures, Estimates
-from tests.builders.domains import bits_of, degrees, make_domain, pack_layers, recoveries, taps, unit
+from tests.builders.domains import around, bits_of, degrees, make_domain, pack_layers, recoveries, unit
 
 LAMBERT = load_model("lambert")
 SHEEN = load_schedule("standard").replaced(prior_rounds=0, materials_rounds=0, surface_rounds=0,
@@ -93,10 +93,7 @@ def test_texels_are_chosen_by_the_fits_of_their_neighbours(holes):
     found = pack.unpack(estimates.values()["normal"])
     phase.close()
     counted = domain.solvable & (first < UNFIT)
-    fits = np.stack([first, second, counted], axis=-1).astype(np.float64) * counted[..., None]
-    padded, sums = np.pad(fits, ((8, 8), (8, 8), (0, 0))), fits
-    for x, y in taps():
-        sums = sums + padded[8 + y : 8 + y + domain.shape[0], 8 + x : 8 + x + domain.shape[1]]
+    sums = around(np.stack([first, second, counted], axis=-1) * counted[..., None])
     chosen = counted & (sums[..., 0] > LEAST * sums[..., 2]) & (sums[..., 1] < (1 - GAIN) * sums[..., 0])
     assert 0.1 < chosen[domain.solvable].mean() < 0.9
     inside = domain.solvable

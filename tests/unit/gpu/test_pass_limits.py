@@ -70,9 +70,9 @@ def make_passes(resolved, model, schedule):
     elif isinstance(resolved, ResolvedSurface):
         surface_kernels.build_surface_passes(model, resolved, schedule, DOMAIN, "fragment")
     elif isinstance(resolved, ResolvedIndirect):
-        decision_pass("prefit/indirect.glsl", "evidence", "shadow", indirect.limits(schedule), DOMAIN)
+        decision_pass("prefit/indirect.glsl", "shadow", indirect.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedSheen):
-        decision_pass("prefit/sheen.glsl", "fits", "chosen", sheen.limits(schedule), DOMAIN)
+        decision_pass("prefit/sheen.glsl", "chosen", sheen.limits(schedule), DOMAIN)
     elif isinstance(resolved, ResolvedPrefit):
         for part in (resolved.stage, resolved.refinement):
             make_passes(part, resolved.model, schedule)
