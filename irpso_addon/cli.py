@@ -125,6 +125,17 @@ def _add_recover(commands: argparse._SubParsersAction) -> None:
     )
     add.add_argument("--colour-space", choices=("auto", "srgb", "linear"), default="auto", help=_COLOUR_SPACE)
     _add_distance(add)
+    add.add_argument(
+        "--crop", metavar="X,Y,W,H", help="part of a card's pictures, in pixels from the upper left corner"
+    )
+    add.add_argument("--corners", metavar="X1,Y1,…,X4,Y4",
+                     help="corners of a flat rectangle, clockwise from its upper left one: it is recovered as seen"
+                     " straight from the front")  # fmt: skip
+    add.add_argument(
+        "--scale", type=float, metavar="S", help="size of the pictures, 0.25 for a quick preview (default 1)"
+    )
+    add.add_argument("--card-width", type=float, metavar="W",
+                     help="width of the card as shown, in the unit of light positions; gives its distance")  # fmt: skip
     add.add_argument("--skip-damaged", action="store_true", help=_SKIP_DAMAGED)
     add.add_argument(
         "--intensities",

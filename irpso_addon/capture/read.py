@@ -6,6 +6,7 @@ from pathlib import Path
 
 from .errors import CaptureError
 from .formats import diligent, rti, table
+from .framing import Framing, framed
 from .images.image import ImageStore
 from .images.linearise import COLOUR_SPACES, Decoder
 from .inspect.damage import without_damaged
@@ -16,7 +17,11 @@ _REMEDY = "a capture is a folder with capture.toml, with filenames.txt and light
 
 
 def read_capture(
-    path: Path | str, decoder: Decoder | None = None, colour_space: str = "auto", skip_damaged: bool = False
+    path: Path | str,
+    decoder: Decoder | None = None,
+    colour_space: str = "auto",
+    skip_damaged: bool = False,
+    framing: Framing | None = None,
 ) -> Capture:
     """Read a capture: a folder, a .lp file or a capture.toml. Images are decoded at first use.
 
@@ -25,12 +30,13 @@ def read_capture(
     decoder: reads formats other than EXR (``irpso_addon.blender.images.decode`` is one); without it they are refused.
     colour_space: "srgb", "linear", or "auto": 8-bit files are sRGB unless they state or clearly show that they are
     linear (``encoding.py``), all others linear. skip_damaged: leave out images that cannot be decoded, and list them in
-    the capture; this decodes each image once now. Raises InputError naming the file and the remedy.
+    the capture; this decodes each image once now. framing: in place of the files' own. Raises InputError naming the
+    file and the remedy.
     """
     spec = read_spec(path, colour_space)
     if skip_damaged:
         spec = without_damaged(spec, ImageStore(decoder))
-    return build_capture(spec, decoder)
+    return framed(build_capture(spec, decoder), spec.framing if framing is None else framing)
 
 
 def read_spec(path: Path | str, colour_space: str = "auto") -> CaptureSpec:

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.steps import at_once
 from .camera import Camera
 from .errors import CaptureError, raise_all
+from .framing import Framing
 from .images.encoding import Encoding, LitImage, encoding_of
 from .images.image import ImageRef, ImageStore
 from .images.linearise import Decoder, Samples
@@ -57,7 +58,7 @@ class ViewSpec:
 class CaptureSpec:
     """A capture as described. kind: "DiLiGenT folder", "RTI light positions" or "capture table".
 
-    card_distance, left_out: as Capture's.
+    card_distance, left_out: as Capture's. framing: of its pictures; ``build_steps`` leaves them as they are.
     """
 
     name: str
@@ -67,6 +68,7 @@ class CaptureSpec:
     views: tuple[ViewSpec, ...]
     card_distance: float | None = None
     left_out: tuple[LeftOut, ...] = ()
+    framing: Framing = Framing()
 
 
 def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[None, None, Capture]:

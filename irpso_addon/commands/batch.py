@@ -26,7 +26,7 @@ _PATHS = ("capture", "blend", "ground_truth")  # keys whose values are relative 
 _NAMES_OR_PATHS = ("model", "preset")
 _OURS = ("output", "resume", "json", "quiet", "help", "dry_run")
 _OF_MESHES = ("resolution", "object", "slots", "no_shadows")  # defaults that do not apply to cards
-_OF_CARDS = ("distance",)  # defaults that do not apply to meshes
+_OF_CARDS = ("distance", "crop", "corners", "card_width")  # defaults that do not apply to meshes
 _EVERY = 60.0  # default seconds between checkpoints
 _FIGURES = (
     "texels", "seconds", "residual", "ground_truth", "relighting_psnr_db", "relighting_highlights_psnr_db", "warnings",

@@ -6,16 +6,18 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import CaptureError
+from ..framing import Framing
 from ..spec import CaptureSpec, ObservationSpec
 from ..types import triple
 from .cameras import Views
-from .toml_file import image_ref, known_keys, load_toml, number, rows, text, vector
+from .toml_file import image_ref, is_number, known_keys, load_toml, number, rows, text, vector
 
 TABLE = "capture.toml"
 FORMAT = 1
 CARD_DISTANCE = "card_distance"
 _TOP = {
     "format", "name", "colour_space", "image", "cameras", "cameras_matrix", CARD_DISTANCE, "camera", "observation",
+    "crop", "corners", "scale", "card_width",
 }  # fmt: skip
 _EMISSION = ("light_axis", "light_cone_degrees", "light_cosine")
 _OBSERVATION = {
@@ -42,7 +44,29 @@ def spec_of_table(path: Path, colour_space: str = "auto") -> CaptureSpec:
         _shot({**defaults, **row, **override}, path, n, views)
         for n, row in enumerate(rows(table, "observation", path), 1)
     )
-    return CaptureSpec(name, "capture table", path, shots, tuple(views.specs), distance)
+    framing = _framing(table, str(path))
+    return CaptureSpec(name, "capture table", path, shots, tuple(views.specs), distance, framing=framing)
+
+
+def _framing(table: dict[str, Any], where: str) -> Framing:
+    given: dict[str, Any] = {key: number(table, key, where) for key in ("scale", "card_width") if key in table}
+    if "crop" in table:
+        given["crop"] = vector(table, "crop", 4, where)
+    if "corners" in table:
+        points = table["corners"]
+        if not isinstance(points, list) or not all(map(_is_point, points)):
+            raise CaptureError(f"{where}: corners must be a list of four points [x, y]", "value")
+        given["corners"] = tuple(tuple(map(float, point)) for point in points)
+    if "card_width" in given and CARD_DISTANCE in table:
+        raise CaptureError(f"{where}: give one of card_width and {CARD_DISTANCE}", "value")
+    try:
+        return Framing(**given)
+    except CaptureError as error:
+        raise CaptureError(f"{where}: {error.message}", error.code) from error
+
+
+def _is_point(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(is_number, value))
 
 
 def _shot(row: dict[str, Any], path: Path, count: int, views: Views) -> ObservationSpec:

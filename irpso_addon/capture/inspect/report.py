@@ -14,6 +14,7 @@ import numpy as np
 from ...core.steps import at_once, map_steps
 from .. import places
 from ..errors import CaptureError
+from ..framing import framed
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
@@ -95,7 +96,10 @@ def inspect_steps(
         capture = yield from _numbered("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
-    facts += _facts(spec, capture)
+    try:
+        facts += _facts(spec, capture, framed(capture, spec.framing))
+    except CaptureError as error:
+        findings += _errors(error)
     if capture.encoding is not None:
         yield from _numbered("Testing the encoding", 0, capture.encoding.testing())
         facts.append(("encoding", _encoding(capture.encoding)))
@@ -142,7 +146,7 @@ def _errors(error: CaptureError) -> tuple[Finding, ...]:
     return tuple(Finding(fault.code, fault.message, severity="error") for fault in error.all)
 
 
-def _facts(spec: CaptureSpec, capture: Capture) -> list[tuple[str, str]]:
+def _facts(spec: CaptureSpec, capture: Capture, part: Capture) -> list[tuple[str, str]]:
     formats = Counter(shot.image.path.suffix.lower().lstrip(".") for shot in spec.observations)
     lights = [observation.light for observation in capture.observations]
     kinds = (
@@ -155,14 +159,16 @@ def _facts(spec: CaptureSpec, capture: Capture) -> list[tuple[str, str]]:
         ("formats", ", ".join(f"{count} {name}" for name, count in formats.items())),
         ("lights", ", ".join(f"{count} {kind}" for count, kind in kinds if count or kind in ("distant", "near"))),
     ]
-    for view, camera, mask in zip(spec.views, capture.cameras, capture.masks, strict=True):
+    for view, camera, mask, seen in zip(spec.views, capture.cameras, capture.masks, part.cameras, strict=True):
         kind = "perspective" if camera.perspective else "orthographic"
         kind += " with lens distortion" if any(camera.distortion) else ""
         masked = f"mask keeps {mask.sum()} ({mask.mean():.1%})" if view.mask else "no mask"
         facts.append((view.name, f"{camera.width}×{camera.height} {kind}, {masked}"))
-    if capture.card_distance is not None and len(capture.cameras) == 1:
-        width, height = places.card_size(capture.cameras[0], capture.card_distance)
-        facts.append(("card", f"{capture.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
+        if part is not capture:
+            facts.append(("used", f"{seen.width}×{seen.height} of that"))
+    if part.card_distance is not None and len(part.cameras) == 1:
+        width, height = places.card_size(part.cameras[0], part.card_distance)
+        facts.append(("card", f"{part.card_distance:g} from its camera, {width:.4g} × {height:.4g}"))
     return facts
 
 

@@ -13,9 +13,10 @@ from ...blender.mesh import extract_mesh
 from ...blender.occluders import named_occluders, with_occluders
 from ...blender.scenes.scene import empty_blend, mesh_object, open_blend
 from ...blender.scenes.scene_capture import capture_of_open_file, wide_lights_around
+from ...capture.framing import Framing, framed
 from ...capture.inspect.damage import naming_remedy
 from ...capture.inspect.sufficiency import check_normal
-from ...capture.read import read_capture
+from ...capture.read import read_capture, read_spec
 from ...capture.types import Capture
 from ...core.errors import InputError
 from ...core.udim import ONE_SQUARE
@@ -33,7 +34,15 @@ from ...solver.planning.planning import scratch_folder
 from ...solver.settings.schedule import Schedule
 from ...solver.state.checkpoint import glance
 from ...solver.views.held_out import held_out_last
-from .values import check_size, fixed_from_options, held_out_list, positive, schedule_from_options, size_option
+from .values import (
+    check_size,
+    fixed_from_options,
+    framing_from_options,
+    held_out_list,
+    positive,
+    schedule_from_options,
+    size_option,
+)
 
 _RESOLUTION = "512"
 
@@ -104,6 +113,9 @@ def _output_folder(options: Namespace) -> Path:
 
 def _check_mesh_options(options: Namespace) -> None:
     """Raise InputError for an option of meshes without a mesh, or of cards with one."""
+    for option in ("crop", "corners", "card_width"):
+        if options.blend and getattr(options, option) is not None:
+            raise InputError(f"--{option.replace('_', '-')} is of a flat card; leave it out with a mesh (--blend FILE)")
     if options.blend and options.distance is not None:
         raise InputError("--distance is of a flat card from its camera; a mesh (--blend FILE) has its own position")
     for option in ("object", "slots", "resolution", "occluder"):
@@ -130,9 +142,14 @@ def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, s
 def _capture(options: Namespace) -> Capture:
     """Return the capture; a scene's cameras and lights are read from the open file."""
     if _is_scene(options.capture):
-        return capture_of_open_file(options.colour_space, options.skip_damaged)
+        capture = capture_of_open_file(options.colour_space, options.skip_damaged)
+        return framed(capture, Framing(**framing_from_options(options)))
+    if options.distance and options.card_width:
+        raise InputError("--distance and --card-width: give one of them")
     distance = positive("--distance", options.distance)
-    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged)
+    changes = framing_from_options(options)
+    framing = replace(read_spec(options.capture).framing, **changes) if changes else None
+    capture = read_capture(options.capture, decode, options.colour_space, options.skip_damaged, framing)
     return replace(capture, card_distance=distance or capture.card_distance)
 
 

@@ -6,6 +6,7 @@ import math
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,31 @@ def positive(option: str, value: float | None) -> float | None:
     if value is not None and not 0 < value < math.inf:
         raise InputError(f"{option} {value:g}: give a number above 0")
     return value
+
+
+def framing_from_options(options: Namespace) -> dict[str, Any]:
+    """Return the given fields of a capture's Framing. Raises InputError."""
+    if options.crop is not None and options.corners is not None:
+        raise InputError("--crop and --corners: give one of them")
+    changes: dict[str, Any] = {}
+    if options.crop is not None:
+        numbers = _numbers("--crop", options.crop, 4, "X,Y,WIDTH,HEIGHT in pixels from the upper left corner")
+        changes |= {"crop": numbers, "corners": None}
+    if options.corners is not None:
+        form = "X1,Y1,…,X4,Y4 in pixels from the upper left corner"
+        numbers = _numbers("--corners", options.corners, 8, form)
+        changes |= {"corners": tuple(zip(numbers[::2], numbers[1::2], strict=True)), "crop": None}
+    for name in ("scale", "card_width"):
+        if getattr(options, name) is not None:
+            changes[name] = getattr(options, name)
+    return changes
+
+
+def _numbers(option: str, text: str, count: int, form: str) -> tuple[float, ...]:
+    numbers = numbers_of_text(text) or []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{option} {text}: give {form}")
+    return tuple(numbers)
 
 
 def schedule_from_options(options: Namespace) -> Schedule:

@@ -18,6 +18,7 @@ from ...blender.scenes.scene_capture import ASPECT, CAPTURE, lights_in_order, ph
 from ...blender.scenes.scene_lights import LIGHT_TYPES
 from ...blender.scenes.scene_objects import RESOLUTION, set_camera, set_light
 from ...capture.camera import Camera
+from ...capture.framing import framed
 from ...capture.images.headers import read_header
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.raw import is_raw
@@ -271,16 +272,17 @@ class CreateScene(bpy.types.Operator):
             with naming_remedy(settings.skip_damaged):
                 capture = build_capture(spec, decode)
             on_card = settings.subject == "CARD" and len(capture.cameras) == 1
-            depth = card_depth(capture) if on_card else None
+            part = framed(capture, spec.framing)
+            depth = card_depth(part) if on_card else None
         except InputError as error:
             return failures.refused(self, error)
         lights = create_scene(scene, spec, capture)
         if on_card:
             settings.card_distance = capture.card_distance or 0.0  # so that the scene gives the same capture
-            rows, columns = capture.masks[0].shape
+            rows, columns = part.masks[0].shape
             card = material.card_object(capture.name, rows, columns)
             if is_free(card):  # else the user has moved it
-                place_card(card, capture.cameras[0], depth)
+                place_card(card, part.cameras[0], depth)
             if context.window is not None:
                 show_card(context, card, np.array(card.matrix_world), rows / columns)
         cameras = len(capture.cameras)

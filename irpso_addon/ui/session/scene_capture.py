@@ -10,6 +10,7 @@ import numpy as np
 
 from ...blender.images import decode
 from ...blender.scenes.scene_capture import photographed_lights, scene_steps
+from ...capture.framing import framed
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import naming_remedy, sound_steps
 from ...capture.read import read_spec
@@ -31,7 +32,8 @@ def capture_steps(scene) -> Generator[None, None, Capture]:
     with naming_remedy(settings.skip_damaged):
         if settings.source == "SCENE":
             return (yield from _scene_steps(scene))
-        return (yield from build_steps((yield from spec_steps(settings)), decode))
+        spec = yield from spec_steps(settings)
+        return framed((yield from build_steps(spec, decode)), spec.framing)
 
 
 def spec_steps(settings) -> Generator[None, None, CaptureSpec]:

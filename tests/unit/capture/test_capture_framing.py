@@ -1,0 +1,224 @@
+"""Framed captures against pictures of a plane that are computed anew, in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.bounds import bounded, weight_and_clipped
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.errors import CaptureError
+from irpso_addon.capture.formats.table import spec_of_table
+from irpso_addon.capture.framing import Framing, framed
+from irpso_addon.capture.inspect.report import inspect_capture
+from irpso_addon.capture.read import read_capture
+from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.capture.write import write_capture
+
+WIDTH, HEIGHT = 80, 60
+CARD = 4.0, 3.0  # width and height in world units
+WORLD = np.array([[0.0, 0, 1, 2], [1, 0, 0, -1], [0, 1, 0, 5], [0, 0, 0, 1]])  # a camera that is not at the origin
+
+
+def capture_of(image, camera=None, mask=None):
+    image = np.asarray(image, np.float32)
+    camera = camera or Camera.from_fov(image.shape[1], image.shape[0], 40.0, WORLD)
+    mask = np.ones(image.shape[:2], bool) if mask is None else mask
+    light = Light((0.0, 0.0, 1.0))
+    return Capture("card", (Observation("one", lambda: image, light),), (camera,), (mask,))
+
+
+def noise(channels=3):
+    colour = np.random.default_rng(1).random((HEIGHT, WIDTH, channels))
+    return np.concatenate([colour, np.ones((HEIGHT, WIDTH, 1))], axis=-1).astype(np.float32)
+
+
+def tilted_card(camera, tilt=25.0, turn=20.0, distance=9.0):
+    """Return the picture of a plane with a smooth pattern, its corners from the upper left pixel, and its axes."""
+    a, b = np.radians([tilt, turn])
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_z = np.array([[np.cos(b), -np.sin(b), 0], [np.sin(b), np.cos(b), 0], [0, 0, 1]])
+    axes = about_x @ about_z  # columns, in the camera's axes
+    middle = np.array([0.2, -0.1, -distance])
+    rays = replace(camera, matrix=np.eye(4)).points(1.0)
+    along = (axes[:, 2] @ middle) / (rays @ axes[:, 2])
+    place = (rays * along[..., None] - middle) @ axes[:, :2]
+    shown = np.concatenate([pattern(place), np.ones((*place.shape[:2], 1))], axis=-1)
+    corners = (
+        middle
+        + np.array([(-x, y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]) * np.divide(CARD, 2) @ axes[:, :2].T
+    )
+    pixels = replace(camera, matrix=np.eye(4)).project(corners)[0]
+    return shown, tuple((float(x), float(camera.height - y)) for x, y in pixels), axes, -(axes[:, 2] @ middle)
+
+
+def pattern(place):
+    x, y = place[..., 0], place[..., 1]
+    return np.stack([0.5 + 0.3 * np.sin(2 * x + y), 0.5 + 0.1 * x, 0.5 + 0.1 * y], axis=-1)
+
+
+def test_crop_is_a_part_of_the_picture_and_of_its_camera():
+    image, mask = noise(), np.zeros((HEIGHT, WIDTH), bool)
+    mask[:30] = True
+    found = framed(capture_of(image, mask=mask), Framing(crop=(10, 5, 40, 30)))
+    rows = slice(HEIGHT - 35, HEIGHT - 5)
+    np.testing.assert_array_equal(found.observations[0].read(), image[rows, 10:50])
+    np.testing.assert_array_equal(found.masks[0], mask[rows, 10:50])
+    point = np.array([0.5, 0.3, 1.0])
+    whole = capture_of(image).cameras[0].project(point)[0]
+    np.testing.assert_allclose(found.cameras[0].project(point)[0], whole - (10, HEIGHT - 35), atol=1e-9)
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.1, 0.02)])
+def test_scale_averages_whole_pixels(distortion):
+    image = noise()
+    camera = replace(Camera.from_fov(WIDTH, HEIGHT, 40.0, WORLD), distortion=distortion)
+    found = framed(capture_of(image, camera), Framing(scale=0.25))
+    expected = image[..., :3].reshape(15, 4, 20, 4, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(found.observations[0].read()[..., :3], expected, atol=1e-6)
+    point = np.array([0.5, 0.3, 1.0])
+    np.testing.assert_allclose(found.cameras[0].project(point)[0] * 4, camera.project(point)[0], atol=1e-9)
+
+
+def test_a_mask_keeps_pixels_that_it_covers_for_the_most_part():
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[:2, :2] = mask[0, 2:4] = mask[1, 4] = True
+    mask[1, 2] = True
+    found = framed(capture_of(noise(), mask=mask), Framing(scale=0.5)).masks[0]
+    np.testing.assert_array_equal(found[0, :4], [True, True, False, False])
+    assert found.sum() == 2
+
+
+def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    ramp = np.stack([x, y, x + y, np.ones_like(x)], axis=-1)
+    found = framed(capture_of(ramp), Framing(scale=0.37)).observations[0].read()
+    height, width = found.shape[:2]
+    assert (width, height) == (30, 22)
+    at_x, at_y = (np.arange(width) + 0.5) * WIDTH / width, (np.arange(height) + 0.5) * HEIGHT / height
+    inner = slice(1, -1), slice(1, -1)
+    np.testing.assert_allclose(found[inner][..., 0], np.broadcast_to(at_x, (height, width))[inner], atol=1e-4)
+    np.testing.assert_allclose(found[inner][..., 1], np.broadcast_to(at_y[:, None], (height, width))[inner], atol=1e-4)
+
+
+def test_weights_and_clipped_channels_survive_a_scale():
+    image = noise()
+    image[-2:, :2] = (0.9, 0.8, 1.0, 0)  # the upper left pixel of the result: one bound, three samples
+    image[-2:, :2, 3] = 1
+    image[-1, 0, 3] = bounded(np.array(1.0), np.array([False, False, True]))
+    image[-1, 2, :] = (np.nan, 0, 0, 0)  # its neighbour: one that counts for nothing
+    image[-2:, 4:6, 3] = 0
+    found = framed(capture_of(image), Framing(scale=0.5)).observations[0].read()
+    weight, clipped = weight_and_clipped(found[-1, :3, 3])
+    np.testing.assert_allclose(weight, (1, 0.75, 0), atol=1e-6)
+    np.testing.assert_array_equal(clipped, [[False, False, True], [False] * 3, [False] * 3])
+    np.testing.assert_allclose(found[-1, 0, :3], (0.9, 0.8, 1.0), atol=1e-6)
+    three = [image[-2, 2, :3], image[-2, 3, :3], image[-1, 3, :3]]
+    np.testing.assert_allclose(found[-1, 1, :3], np.mean(three, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.12, 0.03, 0.001, -0.001)])
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_corners_show_a_tilted_card_from_the_front(distortion, scale):
+    camera = replace(Camera.from_fov(320, 240, 45.0, WORLD), distortion=distortion)
+    image, corners, axes, distance = tilted_card(camera)
+    found = framed(capture_of(image, camera), Framing(corners=corners, scale=scale, card_width=CARD[0]))
+    seen = found.cameras[0]
+    np.testing.assert_allclose(seen.matrix[:3, :3], WORLD[:3, :3] @ axes, atol=2e-6)
+    np.testing.assert_allclose(seen.position, WORLD[:3, 3])
+    assert found.card_distance == pytest.approx(distance, rel=0.01)  # whole pixels
+    assert seen.width / seen.height == pytest.approx(CARD[0] / CARD[1], rel=0.03)
+    got = found.observations[0].read()
+    assert got.shape == (seen.height, seen.width, 4)
+    x = ((np.arange(seen.width) + 0.5) / seen.width - 0.5) * CARD[0]
+    y = ((np.arange(seen.height) + 0.5) / seen.height - 0.5) * CARD[1]
+    expected = pattern(np.stack(np.meshgrid(x, y), axis=-1))
+    np.testing.assert_allclose(got[1:-1, 1:-1, :3], expected[1:-1, 1:-1], atol=0.003)
+    assert (got[1:-1, 1:-1, 3] == 1).all()
+    # Nothing is shown more coarsely than in the picture, where the scale is 1.
+    longest = max(np.hypot(*np.subtract(corners[k], corners[k - 1])) for k in range(4))
+    assert max(seen.width, seen.height) == pytest.approx(longest * scale, rel=0.15)
+
+
+def test_the_first_corner_becomes_the_upper_left():
+    camera = Camera.from_fov(320, 240, 45.0)
+    image, corners, _, _ = tilted_card(camera)
+    turned = framed(capture_of(image, camera), Framing(corners=corners[1:] + corners[:1])).cameras[0]
+    assert turned.width / turned.height == pytest.approx(CARD[1] / CARD[0], rel=0.03)
+
+
+def test_an_orthographic_card_faces_the_camera():
+    camera = Camera.orthographic(WIDTH, HEIGHT, 2.0)
+    angle = np.radians(30)
+    along, down = 30 * np.array([np.cos(angle), np.sin(angle)]), 20 * np.array([-np.sin(angle), np.cos(angle)])
+    first = np.array([30.0, 10.0])
+    corners = tuple(map(tuple, (first, first + along, first + along + down, first + down)))
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, HEIGHT - np.arange(HEIGHT) - 0.5)
+    image = np.stack([x, y, 0 * x, 0 * x + 1], axis=-1)
+    found = framed(capture_of(image, camera), Framing(corners=corners))
+    got = found.observations[0].read()
+    assert got.shape == (20, 30, 4)
+    place = first + along / 60 + down / 40  # the middle of the upper left pixel
+    np.testing.assert_allclose(got[-1, 0, :2], place, atol=1e-4)
+    np.testing.assert_allclose(found.cameras[0].matrix[:3, 2], (0, 0, 1), atol=1e-12)
+
+
+def test_a_table_names_what_is_used_of_its_pictures(tmp_path):
+    image = noise()
+    write_capture(capture_of(image), tmp_path / "capture")
+    table = tmp_path / "capture" / "capture.toml"
+    table.write_text("crop = [10, 5, 40, 30]\nscale = 0.5\ncard_width = 2.0\n" + table.read_text())
+    found = read_capture(table)
+    assert found.observations[0].read().shape == (15, 20, 4)
+    assert found.card_distance == pytest.approx(2.0 * found.cameras[0].scale[0] / 20)
+    assert ("used", "20×15 of that") in inspect_capture(table).facts
+    whole = read_capture(table, framing=Framing())
+    assert whole.observations[0].read().shape == (HEIGHT, WIDTH, 4)
+    text = table.read_text()
+    for changed, said in (
+        ("crop = [10, 5, 40]", "crop must be a list of 4 numbers"),
+        ("crop = [10, 5, 40, 30.5]", "whole numbers"),
+        ("corners = [[1, 2], [3, 4]]", "four"),
+        ("corners = [[1, 2], [3, 4], [5, 6], 7]", "four points"),
+        ("crop = [10, 5, 40, 30]\ncorners = [[1, 2], [3, 4], [5, 6], [7, 8]]", "one of them"),
+        ("card_distance = 3.0", "one of card_width and card_distance"),
+    ):
+        table.write_text(text.replace("crop = [10, 5, 40, 30]", changed))
+        with pytest.raises(CaptureError, match=said) as error:
+            spec_of_table(table)
+        assert "capture.toml" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("framing", "said"),
+    [
+        ({"crop": (50, 5, 40, 30)}, "no part of pictures of 80×60"),
+        ({"crop": (0, 0, 2, 30)}, "at least 4 pixels"),
+        ({"corners": ((10, 10), (90, 10), (70, 50), (10, 50))}, "outside the picture"),
+        ({"corners": ((10, 50), (70, 50), (70, 10), (10, 10))}, "clockwise"),
+        ({"corners": ((10, 10), (70, 10), (40, 50), (5, 50))}, "right angle"),
+    ],
+)
+def test_a_part_that_is_none_is_refused(framing, said):
+    with pytest.raises(CaptureError, match=said):
+        framed(capture_of(noise()), Framing(**framing))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"scale": 0}, {"scale": 1.5}, {"card_width": -1.0}, {"crop": (0, 0, 8, 8.5)}, {"corners": ((0, 0),)}]
+)
+def test_a_framing_checks_its_numbers(wrong):
+    with pytest.raises(CaptureError, match=next(iter(wrong))):
+        Framing(**wrong)
+
+
+def test_only_one_camera_is_cropped_and_a_mask_must_keep_something():
+    one = capture_of(noise())
+    with pytest.raises(CaptureError, match="2 cameras"):
+        framed(replace(one, cameras=one.cameras * 2, masks=one.masks * 2), Framing(crop=(0, 0, 8, 8)))
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[:4] = True
+    with pytest.raises(CaptureError, match="keeps nothing"):
+        framed(capture_of(noise(), mask=mask), Framing(crop=(0, 0, 8, 8)))
+    with pytest.raises(CaptureError, match="world_width"):
+        framed(capture_of(noise(), Camera.orthographic(WIDTH, HEIGHT, 2.0)), Framing(card_width=2.0))
