@@ -32,6 +32,7 @@ MODULES = (
     "panels.image_editor",
     "overlay.handlers",
     "overlay.probes",
+    "overlay.card_marks",
 )
 
 

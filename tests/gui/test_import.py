@@ -156,6 +156,40 @@ def test_a_near_lit_card_asks_for_its_distance_and_uses_it(ready, tmp_path):
     assert ready.run("[item.message for item in settings().findings if 'distance' in item.message]") == []
 
 
+def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    ready.run(f"bpy.ops.irpso.import_capture(filepath={str(write_near_card(tmp_path / 'near'))!r})")
+    ready.wait("not checking()", timeout=180)
+    ready.run("settings().framing = 'CORNERS'")
+    ready.run("redrawn()", area="")
+    ready.click(*ready.find_button("irpso.mark_card"))
+    ready.wait("any(area.type == 'IMAGE_EDITOR' for area in main_window().screen.areas)", area="")
+    ready.run("redrawn()", area="")
+    to_region = "[bpy.context.region.view2d.view_to_region(*corner, clip=False) for corner in ((0, 0), (1, 1))]"
+    (x0, y0), (x1, y1) = ready.run(to_region, area="IMAGE_EDITOR")
+    box, marks = ready.region("IMAGE_EDITOR"), ((20, 4), (5, 3), (19, 13), (4, 12))  # of 24 × 16 pixels, y down
+
+    def on_screen(x, y):
+        up = y0 + (y1 - y0) * (16 - y) / 16
+        return round(box.x + x0 + (x1 - x0) * x / 24), round(box.y + box.height - 1 - up)
+
+    for mark in marks[:3]:
+        ready.click(*on_screen(*mark))
+    ready.key("Return")  # too early: one corner is missing
+    assert ready.run("list(settings().corners)", area="IMAGE_EDITOR") == [0] * 8
+    ready.click(*on_screen(8, 8))
+    ready.screenshot("three corners of a card, and a wrong one")
+    ready.drag(on_screen(8, 8), on_screen(*marks[3]))
+    ready.screenshot("a card is marked")
+    ready.key("Return")
+    ready.run("redrawn()", area="")
+    found = ready.run("list(settings().corners)", area="IMAGE_EDITOR")
+    expected = [value for mark in ((5, 3), (20, 4), (19, 13), (4, 12)) for value in mark]
+    assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < 0.2
+    ready.screenshot("panel of a marked card", ready.region(region="UI"))
+
+
 def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile()", area="")
     ready.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / 'scene.blend')!r})", area="")

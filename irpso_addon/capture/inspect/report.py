@@ -66,13 +66,15 @@ def inspect_steps(
     goals: Sequence[str] = ("normals",),
     card_distance: float | None = None,
     skip_damaged: bool = False,
+    card_width: float | None = None,
 ) -> Generator[str, None, Report]:
     """Check a capture, frame by frame; its faults become findings instead of errors. See read_capture.
     Yields the name of each piece of the work before it starts.
 
     goals: of sufficiency.GOALS, the purpose of the recovery: findings warn of lights too few or too narrow for it. The
-    facts have the other goals. card_distance: overrides the capture's own. skip_damaged: as for read_capture.
-    It takes at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the frames.
+    facts have the other goals. card_distance, card_width: override the capture's own. skip_damaged: as for
+    read_capture. It takes at most about 600 MB (300 frames of 1600×1200: 590 MB), whatever the number and size of the
+    frames.
     """
     path = Path(path)
     try:
@@ -82,7 +84,8 @@ def inspect_steps(
             spec = yield from _numbered("Looking for damaged images", len(spec.observations), steps)
     except CaptureError as error:
         return Report(path, (), _errors(error))
-    spec = replace(spec, card_distance=card_distance or spec.card_distance)
+    framing = replace(spec.framing, card_width=None if card_distance else card_width or spec.framing.card_width)
+    spec = replace(spec, card_distance=card_distance or spec.card_distance, framing=framing)
     left_out = f", {len(spec.left_out)} more left out" if spec.left_out else ""
     facts = [("kind", spec.kind), ("images", f"{len(spec.observations)}{left_out}")]
     findings = [Finding("left_out", f"left out: {one.why}") for one in spec.left_out]
@@ -97,7 +100,9 @@ def inspect_steps(
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
     try:
-        facts += _facts(spec, capture, framed(capture, spec.framing))
+        part = framed(capture, spec.framing)
+        capture = replace(capture, card_distance=part.card_distance)
+        facts += _facts(spec, capture, part)
     except CaptureError as error:
         findings += _errors(error)
     if capture.encoding is not None:

@@ -112,7 +112,7 @@ def begin_check(scene) -> None:
     goals = dict.fromkeys(("normals", *goals_of(settings)))  # the panel hides findings that do not matter
     steps = inspect_steps(
         capture_path(settings), decode, settings.colour_space, tuple(goals), settings.card_distance or None,
-        settings.skip_damaged,
+        settings.skip_damaged, settings.card_width or None,
     )  # fmt: skip
     _running[:] = [_Check(scene.session_uid, settings.capture_path, steps, "Checking")]
     if bpy.app.background:

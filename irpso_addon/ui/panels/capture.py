@@ -145,7 +145,7 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
         layout, settings = self.layout, context.scene.irpso
         layout.row().prop(settings, "subject", expand=True)
         if settings.subject != "MESH":
-            _draw_distance(layout, context.scene)
+            _draw_card(layout, context.scene)
             return
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -164,17 +164,42 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
         column.prop(settings, "shadows")
 
 
-def _draw_distance(layout, scene) -> None:
-    """Draw the distance from camera to card, if the result depends on it."""
+def _draw_card(layout, scene) -> None:
+    """Draw the part of the photographs with the card, and its distance, if the result depends on it."""
     settings = scene.irpso
-    if not wants_distance(scene):
-        return
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     files = settings.source == "FILES"  # files have a unit of their own; a scene's distance uses the scene's unit
-    column.prop(settings, "card_distance" if files else "card_length")
+    if files:
+        column.prop(settings, "framing")
+        if settings.framing != "FILE":
+            column.operator("irpso.mark_card", icon="EYEDROPPER")
+            if settings.framing == "CROP":
+                column.prop(settings, "crop")
+            else:
+                _draw_corners(column, settings)
+        column.prop(settings, "picture_scale")
+    if not wants_distance(scene):
+        return
+    if files and not settings.card_distance:
+        column.prop(settings, "card_width")
+    if not settings.card_width:
+        column.prop(settings, "card_distance" if files else "card_length")
     if files and settings.stated_distance and not settings.card_distance:
         column.label(text=f"The capture says {settings.stated_distance:g}", icon="INFO", translate=False)
+
+
+def _draw_corners(layout, settings) -> None:
+    """Draw X and Y of each corner in a row."""
+    for number, name in enumerate(("Upper Left", "Upper Right", "Lower Right", "Lower Left")):
+        split = layout.split(factor=0.4)
+        side = split.row()
+        side.alignment = "RIGHT"
+        side.label(text=name)
+        row = split.row(align=True)
+        row.use_property_split = False
+        for index in (2 * number, 2 * number + 1):
+            row.prop(settings, "corners", index=index, text="")
 
 
 class IRPSO_PT_material(BeforeRun, bpy.types.Panel):

@@ -11,6 +11,7 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
+    IntVectorProperty,
     PointerProperty,
     StringProperty,
 )
@@ -35,6 +36,11 @@ _COLOUR_SPACES = (
 _SOURCES = (
     ("FILES", "Files", "A folder of photographs with their lights, an .lp list or a capture.toml"),
     ("SCENE", "This Scene", "The cameras and lights of the open file, each light with its image"),
+)
+_FRAMINGS = (
+    ("FILE", "As Imported", "The whole photographs, or the part that the capture.toml names"),
+    ("CROP", "Crop", "A rectangle of the photographs"),
+    ("CORNERS", "Corners", "A flat card that was photographed at an angle, shown straight from the front"),
 )
 _STRENGTHS = (
     (
@@ -135,7 +141,8 @@ def _components(self, context, text: str) -> list[str]:
 
 def _capture_changed(self, context) -> None:
     """Reset the settings of the previous capture."""
-    self.near_lights, self.stated_distance, self.card_distance = False, 0.0, 0.0
+    self.near_lights, self.framing, self.picture_scale = False, "FILE", 1.0
+    self.stated_distance = self.stated_width = self.card_distance = self.card_width = 0.0
 
 
 class FindingItem(bpy.types.PropertyGroup):
@@ -276,6 +283,23 @@ class Settings(bpy.types.PropertyGroup):
         name="Card Distance", description="From the camera to the card, along the camera's axis, in the unit of the"
         " light positions. 0: card_distance of the capture.toml", min=0, soft_max=10_000, default=0, precision=4,
     )  # fmt: skip
+    framing: EnumProperty(name="Frame", description="The part of the photographs that is recovered", items=_FRAMINGS)
+    crop: IntVectorProperty(
+        name="X, Y, Width, Height", description="In pixels, from the upper left corner of the photographs", size=4,
+        min=0,
+    )  # fmt: skip
+    corners: FloatVectorProperty(
+        name="Corners", description="X and Y of the card's corners, clockwise from its upper left one, in pixels from"
+        " the upper left corner of the photographs", size=8, min=0, precision=1,
+    )  # fmt: skip
+    picture_scale: FloatProperty(
+        name="Scale", description="Size of the photographs, and so of a card's maps. 0.25 is a quick preview", min=0.01,
+        max=1, default=1, precision=2,
+    )  # fmt: skip
+    card_width: FloatProperty(
+        name="Card Width", description="Width of the card as it is shown, in the unit of the light positions: gives its"
+        " distance from the camera. 0: unknown", min=0, soft_max=10_000, default=0, precision=4,
+    )  # fmt: skip
     card_length: FloatProperty(
         name="Card Distance", description="From the camera to the card, along the camera's axis", min=0,
         subtype="DISTANCE", get=lambda self: self.card_distance,
@@ -283,6 +307,7 @@ class Settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     near_lights: BoolProperty(description="Whether the files give positions of lights")
     stated_distance: FloatProperty(description="card_distance of the capture.toml, 0 if it has none")
+    stated_width: FloatProperty(description="card_width of the capture.toml, 0 if it has none")
     slots: EnumProperty(name="Slots", description="Which material slots are recovered", items=_SLOTS, default="ALL")
     slot_list: StringProperty(
         name="Slots", description="Names of material slots, or their numbers from 0, separated by commas"

@@ -30,7 +30,7 @@ from ..properties.recipe import recipe_of
 from ..properties.scene_settings import model_of
 from ..properties.schedule_settings import schedule_of
 from .card_place import free_place
-from .scene_capture import capture_of, capture_path, wants_distance
+from .scene_capture import capture_of, capture_path, is_marked, knows_distance, wants_distance
 
 _MESH = "mesh"  # the origin of a mesh's maps, beside its name
 
@@ -63,9 +63,10 @@ def missing(context) -> str:
         if count < FEWEST and findings.wants_normal(settings):
             lights = "1 light has a photograph" if count == 1 else f"{count} lights have photographs"
             return f"Only {lights}: a normal needs at least three; add some, or give the normals"
-    stated = settings.stated_distance if settings.source == "FILES" else 0.0
-    if wants_distance(context.scene) and not (settings.card_distance or stated):
-        return "No distance of the card: its lights have positions; set Card Distance, in their unit"
+    if wants_distance(context.scene) and not knows_distance(settings):
+        return "No distance of the card: its lights have positions; set Card Distance or Card Width, in their unit"
+    if settings.source == "FILES" and settings.subject == "CARD" and not is_marked(settings):
+        return "Frame: nothing is marked; mark the card in the photograph, or set Frame to As Imported"
     if settings.subject == "MESH":
         obj = subject_object(context)
         if obj is None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...blender.images import decode
 from ...blender.scenes.scene_capture import photographed_lights, scene_steps
-from ...capture.framing import framed
+from ...capture.framing import Framing, framed
 from ...capture.images.image import ImageStore
 from ...capture.inspect.damage import naming_remedy, sound_steps
 from ...capture.read import read_spec
@@ -49,16 +50,38 @@ def spec_of(settings) -> CaptureSpec:
     """
     spec = read_spec(capture_path(settings), settings.colour_space)
     keep_places(settings, spec)
+    spec = replace(spec, framing=_framing_of(settings, spec.framing))
     # Blender stores 420.1 as 420.1000061: an unchanged field keeps the file's own digits.
     if settings.card_distance in (0.0, np.float32(spec.card_distance or 0.0)):
         return spec
-    return replace(spec, card_distance=settings.card_distance)
+    return replace(spec, card_distance=settings.card_distance, framing=replace(spec.framing, card_width=None))
+
+
+def _framing_of(settings, stated: Framing) -> Framing:
+    """Return the framing of the settings, where they change the capture's. Raises InputError."""
+    changes: dict[str, Any] = {}
+    if settings.subject == "CARD" and settings.framing == "CROP":
+        changes = {"crop": tuple(settings.crop), "corners": None}
+    elif settings.subject == "CARD" and settings.framing == "CORNERS":
+        numbers = [float(value) for value in settings.corners]
+        changes = {"crop": None, "corners": tuple(zip(numbers[::2], numbers[1::2], strict=True))}
+    if settings.subject == "CARD" and settings.card_width > 0:
+        changes["card_width"] = settings.card_width
+    if settings.picture_scale < 1:
+        changes["scale"] = settings.picture_scale
+    return replace(stated, **changes)
+
+
+def is_marked(settings) -> bool:
+    """Return whether the card is marked in the photographs, if it should be."""
+    marks = {"CROP": settings.crop, "CORNERS": settings.corners}.get(settings.framing)
+    return marks is None or any(marks)
 
 
 def keep_places(settings, spec: CaptureSpec) -> None:
     """Store whether lights of the files have positions, and the files' card distance."""
     settings.near_lights = not all(shot.distant for shot in spec.observations)
-    settings.stated_distance = spec.card_distance or 0.0
+    settings.stated_distance, settings.stated_width = spec.card_distance or 0.0, spec.framing.card_width or 0.0
 
 
 def wants_distance(scene) -> bool:
@@ -69,6 +92,12 @@ def wants_distance(scene) -> bool:
     if settings.source == "FILES":
         return settings.near_lights
     return any(obj.data.type != "SUN" for obj in photographed_lights(scene))
+
+
+def knows_distance(settings) -> bool:
+    """Return whether the distance of a card, or its width, is set or stated in the files."""
+    stated = settings.source == "FILES" and (settings.stated_distance or settings.stated_width or settings.card_width)
+    return bool(settings.card_distance or stated)
 
 
 def _scene_steps(scene) -> Generator[None, None, Capture]:

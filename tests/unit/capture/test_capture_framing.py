@@ -172,6 +172,8 @@ def test_a_table_names_what_is_used_of_its_pictures(tmp_path):
     assert found.observations[0].read().shape == (15, 20, 4)
     assert found.card_distance == pytest.approx(2.0 * found.cameras[0].scale[0] / 20)
     assert ("used", "20×15 of that") in inspect_capture(table).facts
+    assert dict(inspect_capture(table, card_width=4.0).facts)["card"].endswith("4 × 3")
+    assert dict(inspect_capture(table, card_distance=7.0).facts)["card"].startswith("7 from its camera")
     whole = read_capture(table, framing=Framing())
     assert whole.observations[0].read().shape == (HEIGHT, WIDTH, 4)
     text = table.read_text()

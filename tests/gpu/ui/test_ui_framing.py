@@ -1,0 +1,77 @@
+"""The part of the photographs in the window's settings: cropped, smaller, by four corners; and the card's width."""
+
+import itertools
+
+import bpy
+import numpy as np
+import pytest
+
+from irpso_addon.ui.overlay.card_marks import around
+from irpso_addon.ui.session import job, scene_capture
+from tests.builders.near_card import DISTANCE, write_near_card
+
+pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
+MARKS = ((4.0, 3.0), (20.0, 2.6), (19.5, 12.0), (3.6, 12.4))  # of a card, clockwise
+
+
+@pytest.fixture
+def settings(registered, tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder = write_near_card(tmp_path / "card")
+    bpy.context.scene.irpso.capture_path = str(folder)
+    return bpy.context.scene.irpso
+
+
+def shape(settings):
+    return scene_capture.capture_of(settings.id_data).masks[0].shape
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4)))[::5])
+def test_marked_corners_go_clockwise_from_the_upper_left(settings, order):
+    bpy.ops.irpso.mark_card(corners=np.take(MARKS, order, axis=0).ravel())
+    np.testing.assert_allclose(np.reshape(settings.corners, (4, 2)), MARKS, atol=1e-6)
+    assert (settings.framing, tuple(settings.crop)) == ("CORNERS", (3, 2, 17, 11))
+
+
+def test_corners_of_a_card_that_is_turned_begin_at_the_upper_left():
+    square = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # on its tip
+    np.testing.assert_array_equal(around(square + (0.1, 0)), np.roll(square + (0.1, 0), 1, axis=0))
+
+
+def test_what_is_marked_is_what_is_recovered(settings):
+    assert shape(settings) == (16, 24)
+    settings.framing = "CROP"
+    assert "nothing is marked" in job.missing(bpy.context)
+    bpy.ops.irpso.mark_card(corners=np.ravel(MARKS))
+    assert (settings.framing, shape(settings)) == ("CROP", (11, 17))
+    settings.framing = "CORNERS"
+    assert job.missing(bpy.context) == ""
+    found = scene_capture.capture_of(settings.id_data)
+    assert found.masks[0].shape == (9, 16)
+    assert not np.allclose(found.cameras[0].matrix, np.eye(4))
+    settings.picture_scale = 0.5
+    assert shape(settings) == (5, 8)
+
+
+def test_the_width_of_a_card_gives_its_distance(settings, tmp_path):
+    folder = write_near_card(tmp_path / "unknown", card_distance=None)
+    settings.capture_path = str(folder)
+    scene_capture.capture_of(settings.id_data)  # reads whether the lights are near
+    assert "Card Width" in job.missing(bpy.context)
+    settings.card_width = 2 * DISTANCE * np.tan(np.radians(15))  # of a picture over 30°
+    assert job.missing(bpy.context) == ""
+    assert scene_capture.capture_of(settings.id_data).card_distance == pytest.approx(DISTANCE, rel=1e-6)
+    settings.card_distance = 3.0
+    assert scene_capture.capture_of(settings.id_data).card_distance == 3.0
+
+
+def test_another_capture_is_whole_again(settings, tmp_path):
+    settings.framing, settings.picture_scale, settings.card_width = "CROP", 0.5, 2.0
+    settings.capture_path = str(write_near_card(tmp_path / "other"))
+    assert (settings.framing, settings.picture_scale, settings.card_width) == ("FILE", 1.0, 0.0)
+
+
+def test_a_mesh_is_not_cropped(settings):
+    bpy.ops.irpso.mark_card(corners=np.ravel(MARKS))
+    settings.subject = "MESH"
+    assert shape(settings) == (16, 24)
