@@ -29,6 +29,7 @@ from benchmarks.scenes import render, textured
 from benchmarks.scenes.command import ROOT, recover
 from benchmarks.scenes.lights import seen_and_unseen
 from benchmarks.scenes.scores import Errors, angles, psnr, ssim
+from irpso_addon.blender.scenes.true_surface import TrueMaps
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.png import encode_png
@@ -79,7 +80,7 @@ def side_by_side(below: np.ndarray, above: np.ndarray, count: int = 4) -> np.nda
     return np.concatenate([np.concatenate(list(series[:count]), axis=1) for series in (below, above)])
 
 
-def map_errors(out: Path, truth: textured.TrueMaps) -> tuple[tuple[Errors, Errors, Errors], int]:
+def map_errors(out: Path, truth: TrueMaps) -> tuple[tuple[Errors, Errors, Errors], int]:
     """Return the errors of normal, base colour and roughness at the texels that the camera sees, and their number."""
     found = read_maps(out, load_model("principled"))
     (coverage,) = read_exr(out / "maps.exr")["coverage"].values()

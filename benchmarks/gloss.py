@@ -44,8 +44,8 @@ from benchmarks.scenes.command import ROOT, recover
 from benchmarks.scenes.gloss_table import Row, coverage, one_run, read_rows, side_by_side
 from benchmarks.scenes.head import SCAN, head
 from benchmarks.scenes.scores import angles, psnr
-from benchmarks.scenes.textured import TrueMaps
 from irpso_addon.blender.images import decode
+from irpso_addon.blender.scenes.true_surface import TrueMaps
 from irpso_addon.capture.images.exr import read_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.core.encode import encode_normal, srgb_from_linear

@@ -108,6 +108,7 @@ def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
     from benchmarks.scenes import around, render, textured
     from irpso_addon.blender.mesh import extract_mesh
     from irpso_addon.blender.scenes.scene import camera_from_object
+    from irpso_addon.blender.scenes.true_surface import true_material
     from irpso_addon.geometry.project import Projector
     from irpso_addon.geometry.surface.bake import bake_camera, bake_uv
     from irpso_addon.gpu import context
@@ -115,7 +116,7 @@ def _photograph(scene, size: Size, view, folder: Path) -> _Subject:
     context.ensure()
     textured.prepare(scene, view, folder)
     truth = scene.maps(size.maps, size.detail)
-    bpy.data.objects[textured.NAME].data.materials.append(textured.true_material(truth))
+    bpy.data.objects[textured.NAME].data.materials.append(true_material(truth))
     for cameras, near in sorted({(case.cameras, case.near) for case in CASES}):
         around.write(folder, _capture(cameras, near), around.shots(cameras, size.lights, near), 1, view)
     mesh = extract_mesh(bpy.data.objects[textured.NAME])

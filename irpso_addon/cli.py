@@ -93,6 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_calibrate(commands)
     _add_develop(commands)
     _add_response(commands)
+    _add_sample(commands)
     _add_demo(commands)
     add = commands.add_parser("doctor", help="check the GPU: its limits, and the kind of passes that will be used")
     _add_common(add)
@@ -292,6 +293,16 @@ def _add_response(commands: argparse._SubParsersAction) -> None:
     add.add_argument(
         "--grey-card", action="append", metavar="X,Y,W,H=R", help="grey patch of reflectance R; give two or more"
     )
+    _add_common(add)
+
+
+def _add_sample(commands: argparse._SubParsersAction) -> None:
+    add = commands.add_parser("sample", help="render a capture to practise on: photographs and truth", epilog=_EPILOG)
+    add.add_argument("-o", "--output", required=True, metavar="DIR", help="new folder for photographs and truth")
+    add.add_argument("--photographs", type=int, metavar="N", help="number of photographs (default 16)")
+    add.add_argument("--size", metavar="WxH", help="size of the photographs in pixels (default 640x480)")
+    add.add_argument("--seed", type=_seed, default=0, metavar="S",
+                     help="seed of the lamp's places and of the noise (default 0)")  # fmt: skip
     _add_common(add)
 
 

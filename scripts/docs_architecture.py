@@ -22,7 +22,7 @@ FLOORS = (
     ("calibration", "geometry"),
     ("results",),
     ("blender", "solver"),
-    ("demo", "exports", "cluster"),
+    ("demo", "sample", "exports", "cluster"),
     ("pipeline",),
     ("commands", "ui"),
 )

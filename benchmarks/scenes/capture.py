@@ -18,10 +18,10 @@ import numpy as np
 
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.png import encode_png
+from irpso_addon.sample.sensor import Sensor
 
 from . import lights, materials, render, subjects
 from .catalogue import Scene, catalogue
-from .sensor import Sensor
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "scenes"
 _INTENSITIES = (1.5, 6.0)

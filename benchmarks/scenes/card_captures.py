@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from irpso_addon.blender.scenes.scene import camera_from_object
+from irpso_addon.blender.scenes.true_surface import TrueMaps
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.formats.table import TABLE
 from irpso_addon.capture.images.exr import write_exr
@@ -25,11 +26,11 @@ from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.files import new_folder
 from irpso_addon.core.toml_text import toml_value
 from irpso_addon.geometry.domain import Domain
+from irpso_addon.sample.sensor import Sensor
 
 from . import cards, render
 from .lights import dome_lights, lamp_places
-from .sensor import Sensor
-from .textured import TrueMaps, opaque, shots
+from .textured import opaque, shots
 
 CAPTURE = "capture"
 _MASK = "mask.exr"

@@ -17,13 +17,14 @@ import bpy
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from irpso_addon.blender.scenes.true_surface import TrueMaps, grid_quads, smooth_mesh, true_material
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture
 from irpso_addon.geometry.build import domain_from_card
 from irpso_addon.geometry.domain import Domain
 
 from .resample import resampled
-from .textured import TrueMaps, linear_picture, true_material
+from .textured import linear_picture
 
 SIDE, MARGIN = 128, 8
 WIDTH = 2.0  # of the card that the picture shows, in world units
@@ -204,9 +205,13 @@ def build_true(card: Card) -> None:
     height = map_coordinates(card.height, texels, order=3, mode="nearest")
     reach = WIDTH * _FULL / SIDE
     vertices = np.stack([(u - 0.5) * reach, (v - 0.5) * reach, height * WIDTH / SIDE], axis=-1)
-    corner = (np.arange(_QUADS)[:, None] * count + np.arange(_QUADS)).ravel()
-    quads = corner[:, None] + np.array([0, 1, count + 1, count])
-    made = _mesh(vertices.reshape(-1, 3), quads, np.stack([u, v], axis=-1).reshape(-1, 2))
+    made = smooth_mesh(
+        bpy.context.scene,
+        "card",
+        vertices.reshape(-1, 3),
+        grid_quads(count, count),
+        np.stack([u, v], axis=-1).reshape(-1, 2),
+    )
     made.data.materials.append(
         true_material(TrueMaps(card.base_color, None, card.roughness, np.asarray(card.metallic)))
     )
@@ -228,7 +233,7 @@ def build_rim(height: float) -> None:
         flat = np.array([(inner, -outer), (outer, -outer), (outer, outer), (inner, outer)]) @ turn.T
         corners = np.concatenate([np.insert(flat, 2, z, axis=1) for z in (low, high)])
         sides = np.array([(4, 5, 6, 7), (0, 3, 2, 1), (0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2)])
-        wall = _mesh(corners, sides, corners[:, :2])
+        wall = smooth_mesh(bpy.context.scene, "card", corners, sides, corners[:, :2])
         wall.data.shade_flat()
         wall.data.materials.append(made)
 
@@ -237,25 +242,8 @@ def build_flat(maps: TrueMaps) -> None:
     """Put a flat card that the picture shows pixel for pixel into the open scene, with recovered maps on it."""
     reach = WIDTH / 2
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * reach
-    made = _mesh(corners, np.arange(4)[None], (corners[:, :2] / reach + 1) / 2)
+    made = smooth_mesh(bpy.context.scene, "card", corners, np.arange(4)[None], (corners[:, :2] / reach + 1) / 2)
     made.data.materials.append(true_material(maps, flat=True))
-
-
-def _mesh(vertices: np.ndarray, quads: np.ndarray, uv: np.ndarray):
-    """Return a smooth object of vertices (N, 3) and quads (M, 4), with texture coordinates (N, 2) of the vertices."""
-    mesh = bpy.data.meshes.new("card")
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.add(quads.size)
-    mesh.loops.foreach_set("vertex_index", quads.astype(np.int32).ravel())
-    mesh.polygons.add(len(quads))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, quads.size, 4, dtype=np.int32))
-    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv[quads.ravel()].astype(np.float32).ravel())
-    mesh.update(calc_edges=True)
-    mesh.shade_smooth()
-    made = bpy.data.objects.new("card", mesh)
-    bpy.context.scene.collection.objects.link(made)
-    return made
 
 
 class _Noise:

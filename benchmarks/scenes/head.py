@@ -16,6 +16,7 @@ from mathutils import Matrix
 from scipy.ndimage import gaussian_filter
 
 from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.blender.scenes.true_surface import TrueMaps, true_material
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture
 from irpso_addon.geometry.build import domain_from_mesh
@@ -23,7 +24,7 @@ from irpso_addon.geometry.domain import Domain
 from irpso_addon.geometry.surface.bake import bake_camera
 
 from . import subjects
-from .textured import BLEND, NAME, TrueMaps, head_maps, save_blend, true_material
+from .textured import BLEND, NAME, head_maps, save_blend
 
 SCAN = "head_leeperrysmith"  # folder of the data
 _TEXELS, _DETAIL = 256, 128  # of the maps, along a side; a texel is some 1.5 pixels, their detail 3

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import bpy
-
-TRUTHS = ("base_color", "roughness", "metallic")  # AOVs that every material writes
+from irpso_addon.blender.scenes.true_surface import blank_material, wire_truths
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Finish:
 
 def build(finish: Finish):
     """Return a new Blender material of this finish."""
-    material, nodes = blank("subject")
+    material, nodes = blank_material("subject")
     shader = nodes["Principled BSDF"]
     shader.distribution = "GGX"
     shader.inputs["Specular IOR Level"].default_value = finish.specular
@@ -51,28 +49,8 @@ def build(finish: Finish):
         value = nodes.new("ShaderNodeValue")
         value.outputs[0].default_value = finish.metallic
         metallic = value.outputs[0]
-    wire(material, colour, roughness, metallic)
+    wire_truths(material, colour, roughness, metallic)
     return material
-
-
-def blank(name: str):
-    """Return a new material with a Principled node, and its nodes."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    return material, material.node_tree.nodes
-
-
-def wire(material, colour, roughness, metallic=None) -> None:
-    """Link sockets to the Principled node and to the AOVs that hold the truth."""
-    shader = material.node_tree.nodes["Principled BSDF"]
-    sockets = zip(TRUTHS, ("Base Color", "Roughness", "Metallic"), (colour, roughness, metallic), strict=True)
-    for truth, name, socket in sockets:
-        if socket is None:
-            continue
-        material.node_tree.links.new(socket, shader.inputs[name])
-        output = material.node_tree.nodes.new("ShaderNodeOutputAOV")
-        output.aov_name = truth
-        material.node_tree.links.new(socket, output.inputs["Color" if truth == "base_color" else "Value"])
 
 
 def _noise(material, place, scale: float, seed: float = 0.0):

@@ -12,11 +12,12 @@ import numpy as np
 
 from irpso_addon.blender.images import decode
 from irpso_addon.blender.scenes.scene import camera_from_object
+from irpso_addon.blender.scenes.true_surface import TrueMaps, true_material
 from irpso_addon.capture.types import Capture, Light, Observation
 from irpso_addon.capture.write import write_capture
 from irpso_addon.core.encode import linear_from_srgb
 
-from . import materials, render, subjects
+from . import render, subjects
 from .resample import resampled
 
 NAME = "Subject"
@@ -25,21 +26,6 @@ _DISTANCE = 6.0  # of the perspective camera
 _FILL = 0.94  # of the picture that the subject may span
 # The head comes without a roughness map: the shinier its specular map, the smoother.
 _HEAD_ROUGHNESS = (0.65, 0.45)
-
-
-@dataclass(frozen=True)
-class TrueMaps:
-    """base_color, normal: (N, N, 3), linear and unit vectors of Blender's tangent frame. roughness: (N, N).
-
-    normal: None where the mesh's own normals are meant. metallic, specular (Specular IOR Level): (N, N), None for
-    Blender's defaults, 0 and 0.5. Row 0 is at the bottom, at v = 0.
-    """
-
-    base_color: np.ndarray
-    normal: np.ndarray | None
-    roughness: np.ndarray
-    metallic: np.ndarray | None = None
-    specular: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -129,45 +115,6 @@ def photograph_result(blend: Path, view: render.View, folder: Path, unseen: np.n
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     render.set_up(bpy.context.scene, view)
     return np.stack(list(render.photographs(folder, unseen)))
-
-
-def true_material(truth: TrueMaps, flat: bool = False):
-    """Return a Blender material with these maps: Principled, GGX.
-
-    flat: for a plane whose texels are the picture's pixels: nothing is interpolated, and nothing darkened for normals
-    that face away from the plane, by which Cycles' correction of bump maps departs from the maps' own model.
-    """
-    material, nodes = materials.blank("truth")
-    link, shader = material.node_tree.links.new, nodes["Principled BSDF"]
-    shader.distribution = "GGX"
-    material.cycles.use_bump_map_correction = not flat
-    named = {name: getattr(truth, name) for name in ("base_color", "roughness", "metallic", "specular")}
-    named["normal"] = None if truth.normal is None else truth.normal / 2 + 0.5
-    sockets = {
-        name: _texture(nodes, name, values, "Closest" if flat else "Linear").outputs["Color"]
-        for name, values in named.items()
-        if values is not None
-    }
-    materials.wire(material, sockets["base_color"], sockets["roughness"], sockets.get("metallic"))
-    if "specular" in sockets:
-        link(sockets["specular"], shader.inputs["Specular IOR Level"])
-    if "normal" in sockets:
-        turned = nodes.new("ShaderNodeNormalMap")
-        link(sockets["normal"], turned.inputs["Color"])
-        link(turned.outputs["Normal"], shader.inputs["Normal"])
-    return material
-
-
-def _texture(nodes, name: str, values: np.ndarray, interpolation: str):
-    size = len(values)
-    rgba = np.ones((size, size, 4), np.float32)
-    rgba[..., :3] = values if values.ndim == 3 else values[..., None]
-    image = bpy.data.images.new(name, size, size, alpha=True, float_buffer=True, is_data=True)
-    image.pixels.foreach_set(rgba.ravel())
-    image.update()
-    node = nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation = image, interpolation
-    return node
 
 
 def opaque(image: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("scipy", reason="the cards are made with scipy")
 
 from benchmarks.gloss import beyond  # noqa: E402
-from benchmarks.scenes.textured import TrueMaps  # noqa: E402
+from irpso_addon.blender.scenes.true_surface import TrueMaps  # noqa: E402
 from irpso_addon.capture.images.exr import write_exr  # noqa: E402
 
 pytestmark = pytest.mark.bpy_only

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.scenes.lights import dome_lights, grid_lights, seen_and_unseen, uneven_intensities
 from benchmarks.scenes.resample import resampled
-from benchmarks.scenes.sensor import Sensor
+from irpso_addon.sample.sensor import Sensor
 
 scores = pytest.importorskip("benchmarks.scenes.scores", reason="scores need scipy")
 
