@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,32 +16,47 @@ from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.linearise import Decoder
 from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
+from ..core.steps import map_steps
 from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
-from .balls.lights import Calibration, Request, calibration_steps
+from .balls.detect.search import FoundBall, as_ball, of_one_kind, search_steps
+from .balls.lights import KINDS, Calibration, Request, calibration_steps
 from .photographs import calibrated_table
 
+AUTO = "auto"
 _FEWEST = 0.5  # fraction of the photographs that must show a light
+_SEARCH = 0.7  # fraction of the work
+_NO_BALL = (
+    "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball)"
+)
 
 
 @dataclass(frozen=True)
 class BallRequest:
     """Where a ball is. mask: an image, white on the ball. numbers: x, y, radius, or x1, y1, x2, y2, x3, y3, ….
 
-    Pixels count from the upper left corner, as in image programs.
+    Pixels count from the upper left corner, as in image programs. Without both, all balls are searched.
     """
 
     mask: Path | None = None
     numbers: tuple[float, ...] = ()
 
+    @property
+    def searched(self) -> bool:
+        """Whether the photographs are searched for balls."""
+        return self.mask is None and not self.numbers
+
 
 def ball_of_text(text: str) -> BallRequest:
-    """Parse "mask.png", "X,Y,R" or "X1,Y1,X2,Y2,X3,Y3,…". Raises InputError."""
+    """Parse "auto", "mask.png", "X,Y,R" or "X1,Y1,X2,Y2,X3,Y3,…". Raises InputError."""
+    if text == AUTO:
+        return BallRequest()
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         if not Path(text).is_file():
             raise InputError(
-                f"--ball {text}: there is no such file; give a mask, X,Y,RADIUS, or three or more points X1,Y1,X2,Y2,…"
+                f"--ball {text}: there is no such file; give auto, a mask, X,Y,RADIUS, or three or more points"
+                " X1,Y1,X2,Y2,…"
             ) from None
         return BallRequest(Path(text))
     if not np.isfinite(numbers).all() or not (len(numbers) == 3 or (len(numbers) >= 6 and len(numbers) % 2 == 0)):
@@ -75,7 +90,10 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Calibrated lights. shots: indices of the photographs in the spec. names: theirs. camera: index."""
+    """Calibrated lights. shots: indices of the photographs in the spec. names: theirs. camera: index.
+
+    found: the balls that a search found, also those that calibration does not use.
+    """
 
     spec: CaptureSpec
     camera: int
@@ -83,6 +101,7 @@ class Calibrated:
     names: tuple[str, ...]
     result: Calibration
     warnings: tuple[str, ...]
+    found: tuple[FoundBall, ...] = ()
 
     @property
     def card_distance(self) -> float:
@@ -97,10 +116,11 @@ def calibrate_steps(
     decoder: Decoder | None = None,
     radius: float | None = None,
     view: str | None = None,
-) -> Generator[int, None, Calibrated]:
-    """Yield the number of each photograph before it is read; return the lights that the balls show.
+) -> Generator[float, None, Calibrated]:
+    """Yield the finished fraction of the work; return the lights that the balls show.
 
-    radius: of the balls, in world units. view: name of the camera, needed where the spec has several.
+    Without requests, or with one that is ``searched``, the photographs are searched for balls. radius: of the balls,
+    in world units. view: name of the camera, needed where the spec has several.
     Raises InputError, also where more than half of the photographs show no light.
     """
     number = _camera_number(spec, view)
@@ -108,9 +128,20 @@ def calibrate_steps(
     shots = tuple(n for n, shot in enumerate(spec.observations) if shot.camera == number)
     camera = capture.cameras[number]
     _check_distance(request, spec.views[number], camera, radius)
-    store = ImageStore(decoder)
-    balls = [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
-    result = yield from calibration_steps([capture.observations[n].read for n in shots], balls, request)
+    readers = [capture.observations[n].read for n in shots]
+    found: tuple[FoundBall, ...] = ()
+    if all(ball.searched for ball in requests):
+        kinds = KINDS if request.kind == AUTO else (request.kind,)
+        found = tuple((yield from map_steps(search_steps(readers, camera, kinds), lambda part: _SEARCH * part)))
+        if not found:
+            raise InputError(_NO_BALL)
+        request = replace(request, kind=of_one_kind(found)[0].kind)
+        balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(of_one_kind(found), 1)]
+    else:
+        balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
+    begun = _SEARCH if found else 0.0
+    reading = calibration_steps(readers, balls, request)
+    result = yield from map_steps(reading, lambda n: begun + (1 - begun) * n / len(shots))
     if result.near and camera.perspective and radius is None:
         _refuse_radii(spec, number)
     names = tuple(spec.observations[n].name for n in shots)
@@ -121,11 +152,35 @@ def calibrate_steps(
             f"{names[lost]}: {'; '.join(result.lights[lost].warnings)} ({len(shots) - shown} of {len(shots)}"
             " photographs show no light; check --ball and --kind)"
         )
-    warnings = [w for ball in balls for w in ball.warnings]
+    warnings = [*_doubts(found), *(w for ball in balls for w in ball.warnings)]
     for name, light in zip(names, result.lights, strict=True):
         left = "; left out" if light.light is None else ""
         warnings += [f"{name}: {warning}{left}" for warning in light.warnings]
-    return Calibrated(spec, number, shots, names, result, tuple(warnings))
+    return Calibrated(spec, number, shots, names, result, tuple(warnings), found)
+
+
+def _given_balls(
+    requests: Sequence[BallRequest], request: Request, camera: Camera, store: ImageStore, radius: float | None
+) -> list[Ball]:
+    """Return the balls whose places are given. Raises InputError where only some are, or their kind is not."""
+    if any(ball.searched for ball in requests):
+        raise InputError("--ball auto: finds all balls; omit the other --ball, or give the place of every ball")
+    if request.kind == AUTO:
+        raise InputError("--kind auto: goes with --ball auto only; give --kind mirror or --kind matte")
+    return [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
+
+
+def _doubts(found: Sequence[FoundBall]) -> list[str]:
+    """Return warnings about balls that a search found."""
+    used, warnings = of_one_kind(found) if found else [], []
+    for ball in found:
+        where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
+        if ball not in used:
+            fault = "size" if ball.kind == used[0].kind else "kind"
+            warnings.append(f"{where} is left out: of another {fault} than the surest one; to use it, give --ball")
+        elif ball.shadow is None:
+            warnings.append(f"{where} throws no visible shadow, which would confirm it; look at balls.png")
+    return warnings
 
 
 def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: float | None) -> None:
@@ -201,8 +256,21 @@ def report_of(calibrated: Calibrated) -> dict[str, Any]:
         **({"card_distance": round(calibrated.card_distance, 6)} if result.near else {}),
         "bounce": [round(float(v), 4) for v in result.bounce],
         "balls": balls,
+        **({"found": [_found_row(ball, calibrated) for ball in calibrated.found]} if calibrated.found else {}),
         "lights": lights,
         "warnings": list(calibrated.warnings),
+    }
+
+
+def _found_row(ball: FoundBall, calibrated: Calibrated) -> dict[str, Any]:
+    """Return a found ball's row; pixels count from the upper left corner."""
+    x, y = ball.centre
+    height = calibrated.result.views[0].ball.camera.height
+    return {
+        "kind": ball.kind,
+        "circle": [round(float(v), 2) for v in (x, height - y, ball.radius)],
+        "outline_seen": round(ball.support, 3),
+        "shadow_correlation": None if ball.shadow is None else round(ball.shadow, 3),
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..blender.images import decode
 from ..calibration.balls.lights import Request
-from ..calibration.job import Calibrated, ball_of_text, calibrate_steps, report_of
+from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration
 from ..core.errors import InputError
@@ -25,7 +25,7 @@ _SHOWN_WARNINGS = 12
 def run(options: Namespace) -> dict:
     """Find the lights and write them. Raises InputError and then writes nothing."""
     keys = _camera(options)
-    requests = [ball_of_text(text) for text in options.ball]
+    requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
     spec = read_photographs(Path(options.capture), options.colour_space, masks)
@@ -34,7 +34,7 @@ def run(options: Namespace) -> dict:
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
-    found = run_steps(steps, lambda read: bar.show(read / len(spec.observations), "reading"))
+    found = run_steps(steps, lambda part: bar.show(part, "reading"))
     bar.show(1.0, "done")
     bar.close()
     write_calibration(found, out, keys)
@@ -81,6 +81,13 @@ def _summary(found: Calibrated, out: Path, radius: float | None) -> str:
         f"{len(errors)} lights of {len(found.names)} photographs, {result.how}",
         f"standard error: median {np.median(errors):.2f}°, largest {max(errors):.2f}°",
     ]
+    for ball in found.found:
+        x, y = ball.centre[0], camera.height - ball.centre[1]
+        sure = "not confirmed by a shadow" if ball.shadow is None else f"its shadow agrees to {ball.shadow:.0%}"
+        lines.append(
+            f"found: {ball.kind} ball at {x:.1f},{y:.1f} of radius {ball.radius:.1f}; {ball.support:.0%} of its outline"
+            f" shows, {sure}"
+        )
     for ball in (view.ball for view in result.views):
         lines.append(f"{ball.name}: radius {ball.radius_px:.1f} pixels, error of the outline {ball.error_px[0]:.2f}")
     if not camera.perspective:

@@ -26,6 +26,9 @@ _WHITE = 0.9  # of the brightest clipped value: less is clipped in one channel o
 _HOT = 0.2  # of a clipped value: least mean around it; around a hot pixel the mean is a ninth
 _SAME = np.radians(5.0)  # between highlights: one lamp in two parts
 _CONTRAST = 3.0  # between the highlight and the rest of the ball
+_FAINT = "the highlight is hardly brighter than other reflections in the ball"
+# Of the median highlight; a darker one is no lamp: where it has no contrast or most others are clipped, and anywhere.
+_DARK, _DARKEST = 0.4, 0.1
 _GRAZING = 0.26  # n·v: lights from more than 150° off the viewer
 _SHAPE_ERROR, _LEAST_ERROR = 0.03, 0.05  # least error of a blob's centre: of its radius, and in pixels
 _ONE_PIXEL = 12**-0.5  # deviation of a uniform distribution over one pixel
@@ -69,11 +72,34 @@ def find_highlights(view: BallView) -> list[Sight | str]:
     if len(grey) >= _FEWEST_FOR_AMBIENT:
         at = int(AMBIENT_PERCENTILE / 100 * (len(grey) - 1))
         ambient = np.partition(grey, at, axis=0)[at]
-    found = []
+    found, spots = [], []
     for image, usable in zip(grey, view.usable, strict=True):
         clipped = ~usable & (image > 0) & inside
         signal = np.where(shrunk, image - ambient, 0)
-        found.append(_sight(view, signal, _saturated(image, signal, clipped), shrunk))
+        sight, spot = _sight(view, signal, _saturated(image, signal, clipped), shrunk)
+        found.append(sight)
+        spots.append(spot)
+    return _without_hidden(found, spots, view.ball.name)
+
+
+def _without_hidden(found: list[Sight | str], spots: list[_Blob | None], name: str) -> list[Sight | str]:
+    """Return sights without those of a lamp that the ball does not see: there the brightest spot is another thing.
+
+    spots: of the sights. A lamp is far brighter than what it lights, so that weak and strong lamps clip alike.
+    """
+    shown = [spot for spot in spots if spot is not None]
+    if len(shown) < _FEWEST_FOR_AMBIENT:
+        return found
+    typical = float(np.median([spot.peak for spot in shown]))
+    mostly_clipped = np.mean([spot.saturated > 0 for spot in shown]) > 0.5
+    for number, (sight, spot) in enumerate(zip(found, spots, strict=True)):
+        if isinstance(sight, Sight) and spot is not None:
+            doubtful = mostly_clipped or f"{name}: {_FAINT}" in sight.warnings
+            if spot.peak < typical * (_DARK if doubtful else _DARKEST) and not spot.saturated > 0:
+                found[number] = (
+                    f"{name}: no highlight: the brightest reflection is far darker than in other photographs; the lamp"
+                    " is hidden"
+                )
     return found
 
 
@@ -93,16 +119,19 @@ def reflected(ball: Ball, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return point, 2 * facing[..., None] * normal - view, facing
 
 
-def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray) -> Sight | str:
+def _sight(
+    view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.ndarray
+) -> tuple[Sight | str, _Blob | None]:
+    """Return the sight, or in words why there is none, and the spot that it is of."""
     ball, name = view.ball, view.ball.name
     blobs = _blobs(signal, clipped, inside)
     if not blobs:
-        return f"{name}: no highlight"
+        return f"{name}: no highlight", None
     disc = inside.sum()
     lamps = _lamps(blobs)
     blob = max(lamps, key=lambda b: b.score)
     if blob.area > _HUGE_AREA * disc:
-        return f"{name}: no highlight: the bright spot covers {blob.area / disc:.0%} of the ball; expose less"
+        return f"{name}: no highlight: the bright spot covers {blob.area / disc:.0%} of the ball; expose less", None
     pixel = view.pixels[0, 0] + blob.centre * view.block
     point, direction, facing = reflected(ball, pixel)
     warnings = []
@@ -123,12 +152,12 @@ def _sight(view: BallView, signal: np.ndarray, clipped: np.ndarray, inside: np.n
         return (
             f"{name}: the highlight of the lamp is ambiguous: two highlights, {np.degrees(apart):.0f}° apart, are"
             " about as bright; cover other lamps and bright objects beside the ball, or expose less"
-        )
+        ), None
     rest = signal[inside & ~blob.region]
     if rest.size and np.percentile(rest, 99) * _CONTRAST > blob.peak:
-        warnings.append(f"{name}: the highlight is hardly brighter than other reflections in the ball")
+        warnings.append(f"{name}: {_FAINT}")
     error = float(np.hypot(_direction_error(ball, pixel, blob.error * view.block), apart))
-    return Sight(pixel, point, direction, error, tuple(warnings))
+    return Sight(pixel, point, direction, error, tuple(warnings)), blob
 
 
 def _lamps(blobs: list[_Blob]) -> list[_Blob]:

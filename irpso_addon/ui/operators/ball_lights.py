@@ -113,7 +113,7 @@ class LightsFromBall(bpy.types.Operator):
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         steps = calibrate_steps(spec, [ball], Request(self.kind), decode)
-        calibration = run_steps(steps, lambda read: manager.progress_update(read / len(spec.observations)))
+        calibration = run_steps(steps, manager.progress_update)
         table = free_table(source if source.is_dir() else source.parent)
         write_calibration(calibration, table, keys)
         return table, calibration.warnings

@@ -230,6 +230,7 @@ def test_points_of_the_outline_count_from_the_upper_left(folder, tmp_path):
         (["--view", "left"], "no such camera"),
         (["--radius", "-1"], "above 0"),
         (["--kind", "glass"], "choose from"),
+        (["--kind", "auto"], "give --kind mirror or --kind matte"),
     ],
 )
 def test_bad_input_is_reported_in_one_line_and_nothing_is_written(folder, tmp_path, changed, words):
@@ -239,6 +240,26 @@ def test_bad_input_is_reported_in_one_line_and_nothing_is_written(folder, tmp_pa
     code, _, said = run_cli("calibrate", folder / "images", *flat, "-o", tmp_path / "out", "--quiet")
     assert code == 2 and words in said and said.count("\n") == 1
     assert listing(folder) == before and not (tmp_path / "out").exists()
+
+
+def test_without_a_place_and_a_kind_the_command_finds_the_balls(folder, tmp_path):
+    code, said, errors = run_cli("calibrate", folder / "images", "--fov", FOV, "-o", tmp_path / "out")
+    assert code == 0, errors
+    assert "found: m" in said, said
+    directions = np.loadtxt(tmp_path / "out" / "light_directions.txt")
+    assert degrees(directions, LIGHTS).max() < 3.0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["found"]) > 1, said
+
+
+def test_photographs_without_a_ball_are_one_line_that_names_the_remedy(folder, tmp_path):
+    (tmp_path / "bare").mkdir()
+    rng = np.random.default_rng(1)
+    for number in range(4):
+        noise = rng.uniform(0.2, 0.3, (HEIGHT, WIDTH)).astype(np.float32)
+        write_exr(tmp_path / "bare" / f"{number}.exr", {"": dict.fromkeys("RGB", noise)})
+    code, _, said = run_cli("calibrate", tmp_path / "bare", "-o", tmp_path / "out", "--quiet")
+    assert code == 2 and "paint a mask" in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_nothing_is_overwritten(folder, tmp_path):

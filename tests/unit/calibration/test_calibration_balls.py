@@ -209,6 +209,19 @@ def test_a_photograph_with_two_lamps_gives_no_light_and_a_reason(weaker):
     assert abs(apart - degrees(first, second)) < 1.5
 
 
+def test_a_photograph_whose_lamp_is_hidden_from_the_ball_gives_no_light():
+    rng, lights = np.random.default_rng(1), cap(7, 50)
+    (centre, radius), view = PLACES["perspective"], CAMERAS["perspective"]
+    images = [mirror_image(view, [(centre, radius)], light) for light in lights]
+    # The lamp is behind a screen; what it lights beside the ball is now the brightest.
+    images[3] = mirror_image(view, [(centre, radius)], unit([0.9, 0.2, 0.3]), width=14.0) * 0.003 + 0.997 * 0.05
+    found = calibrated([photographed(image, rng, 0.8, 0.002, 1.0) for image in images],
+                       [ball_of(view, np.array(centre), radius)]).lights  # fmt: skip
+    assert found[3].light is None and "the lamp is hidden" in found[3].warnings[0]
+    others = [n for n in range(7) if n != 3]
+    assert degrees([found[n].light.vector for n in others], lights[others]).max() < 1.0
+
+
 @pytest.mark.parametrize("kind", ["mirror", "matte"])
 def test_two_balls_locate_near_lights_and_recognise_distant_ones(kind):
     rng, make = np.random.default_rng(1), {"mirror": mirror_image, "matte": matte_image}[kind]

@@ -1,0 +1,245 @@
+"""Tables with mirror balls, matte balls, or none, among other things, photographed by Cycles under single lamps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy  # isort: skip — bmesh is there once bpy is
+import bmesh
+import numpy as np
+from mathutils import Quaternion, Vector
+
+from irpso_addon.capture.camera import Camera
+from irpso_addon.capture.images.exr import read_exr
+
+from . import render
+
+WIDTH, HEIGHT, SAMPLES = 480, 360, 4
+WITH = (("mirror",), ("matte",), (), ("mirror", "mirror"), ("matte", "matte"), (), ("mirror", "matte"), ())
+_DISTANCE = 10.0  # from the camera to the table
+_SMALLEST, _LARGEST = 0.03, 0.30  # diameter of a ball, of the picture's width
+_TRIES = 200
+
+
+@dataclass(frozen=True)
+class BallTable:
+    """What was photographed. images: (K, H, W, 3) float32 radiance, row 0 at the bottom. lights: (K, 3) unit.
+
+    balls: (kind, centre (3,), radius) each, in camera axes, which are the world's. text: the scene in words.
+    """
+
+    images: np.ndarray
+    lights: np.ndarray
+    camera: Camera
+    balls: tuple[tuple[str, np.ndarray, float], ...]
+    text: str
+
+
+def photographed(seed: int, cache: Path, width: int = WIDTH, samples: int = SAMPLES) -> BallTable:
+    """Return the scene of a seed; pictures that ``cache`` holds are not rendered again."""
+    height = width * HEIGHT // WIDTH
+    rng = np.random.default_rng(seed)
+    fov, tilt = rng.uniform(22, 50), np.radians(rng.choice([0.0, rng.uniform(5, 55)]))
+    up = np.array([0.0, np.sin(tilt), np.cos(tilt)])
+    camera = Camera.from_fov(width, height, fov)
+    lights = _lights(rng, up, int(rng.integers(6, 9)))
+    strengths = rng.uniform(0.7, 1.4, len(lights))
+    scene = render.empty_scene(render.View(width, height, samples=samples, bounces=3, filter_glossy=0.0))
+    scene.render.film_transparent, scene.render.use_persistent_data = False, True
+    scene.camera.data.type, scene.camera.data.angle = "PERSP", math.radians(fov)
+    scene.camera.location = (0, 0, 0)
+    _world(scene, rng)
+    words = _table(rng, up)
+    balls = _things(rng, up, fov, WITH[seed // 2 % len(WITH)])
+    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
+    lamp.data.angle, lamp.rotation_mode = math.radians(rng.uniform(1.0, 4.0)), "QUATERNION"
+    scene.collection.objects.link(lamp)
+    folder = cache / f"balls-{width}-{samples}" / str(seed)
+    images = []
+    for number, (light, strength) in enumerate(zip(lights, strengths, strict=True)):
+        lamp.rotation_quaternion = Vector(light).to_track_quat("Z", "Y")
+        lamp.data.energy = math.pi * strength
+        images.append(_shot(scene, folder / f"{number}.exr"))
+    text = f"{' and '.join(kind for kind, _, _ in balls) or 'no ball'}, {words}, tilt {np.degrees(tilt):.0f}°"
+    return BallTable(np.array(images), lights, camera, tuple(balls), text)
+
+
+def _shot(scene, path: Path) -> np.ndarray:
+    if not path.is_file():
+        scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "16"
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True)
+    channels = read_exr(path)[""]
+    return np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float32)
+
+
+def _lights(rng: np.random.Generator, up: np.ndarray, count: int) -> np.ndarray:
+    """Return (count, 3) directions to lamps all around the table's normal, 15° to 65° from it."""
+    across = np.array([1.0, 0.0, 0.0])
+    turn = 2 * np.pi * (np.arange(count) + rng.uniform(0, 0.7, count)) / count
+    fall = np.radians(rng.uniform(15, 65, count))[:, None]
+    flat = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(up, across)
+    return np.cos(fall) * up + np.sin(fall) * flat
+
+
+def _world(scene, rng: np.random.Generator) -> None:
+    """Give the scene a faint room: a mottled sky."""
+    scene.world = bpy.data.worlds.new("world")
+    scene.world.use_nodes = True
+    scene.world.cycles.sampling_method = "NONE"  # faint: its map costs more than it saves
+    tree = scene.world.node_tree
+    noise = tree.nodes.new("ShaderNodeTexNoise")
+    noise.inputs["Scale"].default_value = rng.uniform(1, 5)
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    ramp.color_ramp.elements[0].position, ramp.color_ramp.elements[1].position = 0.4, 0.65
+    tree.links.new(noise.outputs[0], ramp.inputs[0])
+    tree.links.new(ramp.outputs[0], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = rng.choice([0.005, 0.03, 0.1])
+
+
+def _material(
+    color: Sequence[float], roughness: float = 0.8, metallic: float = 0.0, specular: float = 0.5,
+    texture: float = 0.0, scale: float = 1.0,
+) -> bpy.types.Material:  # fmt: skip
+    """Return a Principled material; texture: how far its colour varies."""
+    made = bpy.data.materials.new("material")
+    made.use_nodes = True
+    tree = made.node_tree
+    shader = tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (*color, 1)
+    shader.inputs["Roughness"].default_value, shader.inputs["Metallic"].default_value = roughness, metallic
+    shader.inputs["Specular IOR Level"].default_value = specular
+    if texture:
+        noise, ramp = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeValToRGB")
+        noise.inputs["Scale"].default_value = scale
+        place = tree.nodes.new("ShaderNodeTexCoord")
+        tree.links.new(place.outputs["Object"], noise.inputs["Vector"])
+        for element, factor, at in zip(ramp.color_ramp.elements, (1 - texture, 1), (0.35, 0.65), strict=True):
+            element.color, element.position = (*(factor * c for c in color), 1), at
+        tree.links.new(noise.outputs[0], ramp.inputs[0])
+        tree.links.new(ramp.outputs[0], shader.inputs["Base Color"])
+    return made
+
+
+def _table(rng: np.random.Generator, up: np.ndarray) -> str:
+    bpy.ops.mesh.primitive_plane_add(size=80, location=(0, 0, -_DISTANCE))
+    _turned(bpy.context.object, up)
+    albedo = rng.choice([rng.uniform(0.05, 0.2), rng.uniform(0.2, 0.5), rng.uniform(0.5, 0.8)])
+    texture = rng.choice([0.0, 0.0, 0.3, 0.6])
+    gloss = rng.uniform(0.25, 0.5) if rng.random() < 0.2 else 1.0
+    color = albedo * rng.uniform(0.7, 1.0, 3)
+    bpy.context.object.data.materials.append(
+        _material(color, gloss, specular=0.5 if gloss < 1 else 0.0, texture=texture, scale=rng.uniform(0.5, 4))
+    )
+    return f"table {albedo:.2f}{', textured' if texture else ''}{', glossy' if gloss < 1 else ''}"
+
+
+def _turned(thing: bpy.types.Object, up: np.ndarray, turn: float = 0.0) -> None:
+    """Stand a thing up along ``up``, turned about it."""
+    thing.rotation_mode = "QUATERNION"
+    thing.rotation_quaternion = Vector(up).to_track_quat("Z", "Y") @ Quaternion((0, 0, 1), turn)
+
+
+def _things(
+    rng: np.random.Generator, up: np.ndarray, fov: float, kinds: Sequence[str]
+) -> list[tuple[str, np.ndarray, float]]:
+    """Put balls and other things on the table, none on another; return the balls."""
+    width = 2 * _DISTANCE * math.tan(math.radians(fov) / 2)
+    taken: list[tuple[np.ndarray, float]] = []
+    balls = []
+    size = width / 2 * math.exp(rng.uniform(math.log(_SMALLEST), math.log(_LARGEST)))
+    for kind in kinds:
+        radius = size if len(set(kinds)) == 1 else min(size, 0.1 * width) * rng.uniform(0.7, 1.4)
+        foot = _free_place(rng, up, width, radius, taken)
+        if foot is not None:
+            centre = foot + radius * up
+            _ball(rng, kind, centre, radius)
+            balls.append((kind, centre, radius))
+    for _ in range(int(rng.integers(2, 9))):
+        half = width / 2 * rng.uniform(0.03, 0.2)
+        foot = _free_place(rng, up, width, half, taken)
+        if foot is not None:
+            _clutter(rng, up, foot, half)
+    return balls
+
+
+def _free_place(
+    rng: np.random.Generator, up: np.ndarray, width: float, radius: float, taken: list[tuple[np.ndarray, float]]
+) -> np.ndarray | None:
+    """Return a place on the table, inside the picture and clear of what stands there, and take it; None if full."""
+    away = np.cross(up, (1.0, 0.0, 0.0))
+    for _ in range(_TRIES):
+        x, y = rng.uniform(-0.5, 0.5, 2) * (width, width * HEIGHT / WIDTH)
+        foot = np.array([0, 0, -_DISTANCE]) + x * np.array([1.0, 0, 0]) + y * away
+        centre = foot + radius * up
+        scale = _DISTANCE / -centre[2]
+        room = np.array([0.49 * width, 0.49 * width * HEIGHT / WIDTH]) - 1.1 * radius * scale
+        clear = all(np.linalg.norm(foot - other) > 1.25 * (radius + far) for other, far in taken)
+        if clear and (np.abs(scale * centre[:2]) < room).all():
+            taken.append((foot, radius))
+            return foot
+    return None
+
+
+def _ball(rng: np.random.Generator, kind: str, centre: np.ndarray, radius: float) -> None:
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=192, ring_count=96, radius=radius, location=centre)
+    bpy.ops.object.shade_smooth()
+    if kind == "mirror":
+        material = _material(rng.uniform(0.55, 0.95) * rng.uniform(0.9, 1, 3), rng.choice([0.05, 0.12, 0.2]), 1.0)
+    else:
+        material = _material(rng.uniform(0.3, 0.85) * rng.uniform(0.85, 1, 3), 1.0, specular=0.0)
+    bpy.context.object.data.materials.append(material)
+
+
+def _clutter(rng: np.random.Generator, up: np.ndarray, foot: np.ndarray, half: float) -> None:
+    """Put a thing onto the table that is no ball: round, glossy or printed ones, too."""
+    what = rng.choice(["box", "can", "disc", "cone", "ring", "egg", "head", "bowl"])
+    tall = half * rng.uniform(0.3, 1.6)
+    if what == "box":
+        bpy.ops.mesh.primitive_cube_add(size=2)
+        bpy.context.object.scale = (0.7 * half, 0.7 * half * rng.uniform(0.4, 1), tall / 2)
+    elif what == "can":
+        bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=half, depth=tall)
+    elif what == "disc":
+        tall = 0.01 * half
+        bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=half, depth=tall)
+    elif what == "cone":
+        bpy.ops.mesh.primitive_cone_add(vertices=96, radius1=half, radius2=0, depth=tall)
+    elif what == "ring":
+        tall = 0.5 * half
+        bpy.ops.mesh.primitive_torus_add(
+            major_segments=96, minor_segments=32, major_radius=0.75 * half, minor_radius=0.25 * half
+        )
+    elif what == "egg":
+        tall = half
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=half)
+        bpy.context.object.scale = (1, rng.uniform(0.5, 0.75), 0.5)
+    elif what == "head":
+        tall = 1.2 * half
+        bpy.ops.mesh.primitive_monkey_add(size=1.4 * half)
+    else:
+        tall = half
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=half)
+        _upper_half_removed(bpy.context.object)
+    thing = bpy.context.object
+    thing.location = foot + up * (tall / 2 if what != "bowl" else half)
+    _turned(thing, up, rng.uniform(0, 2 * math.pi))
+    if what in ("ring", "egg", "head", "bowl"):
+        bpy.ops.object.shade_smooth()
+    thing.data.materials.append(
+        _material(
+            rng.uniform(0.05, 0.9, 3), rng.choice([0.1, 0.3, 0.8, 1.0]), rng.choice([0.0, 0.0, 0.0, 1.0]),
+            rng.choice([0.0, 0.5]), texture=rng.choice([0.0, 0.5]), scale=2 / half,
+        )
+    )  # fmt: skip
+
+
+def _upper_half_removed(ball: bpy.types.Object) -> None:
+    mesh = bmesh.new()
+    mesh.from_mesh(ball.data)
+    bmesh.ops.delete(mesh, geom=[v for v in mesh.verts if v.co.z > 1e-6], context="VERTS")
+    mesh.to_mesh(ball.data)
+    mesh.free()

@@ -1,0 +1,104 @@
+"""What speaks for a ball at a circle: highlights of a mirror ball, shading of a matte one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..ball import Ball
+from ..crops import BallView
+from ..mirror import Sight, find_highlights
+
+_MARGIN = 3  # pixels
+_LIT = 0.25  # of the brightest value: a value outside the attached shadow
+_ITERATIONS = 10
+_RIM = 0.35  # n·v: beyond, the outline's error dominates
+_PIXELS = 500
+_LEAST_SHADED = 0.12  # standard deviation over the mean of a ball's values
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """lights: (K, 3) unit directions in camera axes, NaN where a photograph shows none. share: of photographs with one.
+
+    moved: spread of the highlight, or of the light, 0…1. fit: how well the kind explains the values, 0…1.
+    """
+
+    kind: str
+    lights: np.ndarray
+    share: float
+    moved: float
+    fit: float
+
+
+def of_mirror(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
+    """Return the evidence that every photograph shows one highlight at a place of its own. stack: (K, H, W)."""
+    view = cropped(stack, clipped, ball)
+    found = find_highlights(view)
+    lights = np.full((len(stack), 3), np.nan)
+    for number, sight in enumerate(found):
+        if isinstance(sight, Sight):
+            lights[number] = sight.direction
+    known = np.isfinite(lights).all(axis=-1)
+    return Evidence("mirror", lights, float(known.mean()), _spread(lights[known]), 1.0)
+
+
+def of_matte(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
+    """Return the evidence that Lambert's law explains the shading of every photograph. stack: (K, H, W)."""
+    view = cropped(stack, clipped, ball)
+    _, normals, toward, inside = ball.surface(view.pixels)
+    keep = inside & ((normals * toward).sum(axis=-1) > _RIM)
+    every = max(1, int(keep.sum()) // _PIXELS)
+    normals = normals[keep][::every]
+    lights, fits = np.full((len(stack), 3), np.nan), []
+    for number in range(len(stack)):
+        values, usable = view.values[number, ..., 0][keep][::every], view.usable[number][keep][::every]
+        if usable.sum() < 12:
+            fits.append(0.0)
+            continue
+        light, fit = _lambert(normals[usable], values[usable].astype(np.float64))
+        fits.append(fit)
+        if light is not None:
+            lights[number] = light
+    known = np.isfinite(lights).all(axis=-1)
+    # Two of three photographs count: the others may have a cast shadow on the ball.
+    fit = float(np.quantile(fits, 1 / 3))
+    return Evidence("matte", lights, float(known.mean()), _spread(lights[known]), fit)
+
+
+def cropped(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> BallView:
+    """Return a ball's part of grey images (K, H, W)."""
+    outline = ball.outline
+    low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - _MARGIN, 0)
+    high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + _MARGIN, stack.shape[:0:-1])
+    part = np.s_[:, low[1] : high[1], low[0] : high[0]]
+    grid = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
+    values = np.repeat(stack[part][..., None], 3, axis=-1)
+    return BallView(ball, np.stack(grid, axis=-1), values, ~clipped[part], 1)
+
+
+def _lambert(normals: np.ndarray, values: np.ndarray) -> tuple[np.ndarray | None, float]:
+    """Return the light (3,) and the explained part of the variance: max(n·b, 0) + a, by alternating least squares."""
+    total = values - values.mean()
+    if values.std() < _LEAST_SHADED * values.mean():
+        return None, 0.0
+    lit = values > values.min() + _LIT * (values.max() - values.min())
+    solution = np.zeros(4)
+    for _ in range(_ITERATIONS):
+        design = np.concatenate([normals * lit[:, None], np.ones((len(normals), 1))], axis=1)
+        solution = np.linalg.lstsq(design, values, rcond=None)[0]
+        again = normals @ solution[:3] > 0
+        if (again == lit).all():
+            break
+        lit = again
+    strength = float(np.linalg.norm(solution[:3]))
+    if not strength > 0:
+        return None, 0.0
+    rest = values - np.maximum(normals @ solution[:3], 0) - solution[3]
+    return solution[:3] / strength, float(1 - (rest**2).sum() / max((total**2).sum(), 1e-12))
+
+
+def _spread(lights: np.ndarray) -> float:
+    """Return how far unit directions (N, 3) differ: 0 if all are one, 1 if they are opposite."""
+    return float(1 - np.linalg.norm(lights.mean(axis=0))) ** 0.5 if len(lights) else 0.0

@@ -1,0 +1,45 @@
+"""Filters of images (H, W): Gaussian blur, block means, samples between pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Return an image convolved with a Gaussian of deviation ``sigma``, in pixels; its border pixels continue."""
+    reach = int(np.ceil(3 * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).astype(image.dtype)
+    for axis in (0, 1):
+        width = [(0, 0), (0, 0)]
+        width[axis] = (reach, reach)
+        padded = np.pad(image, width, mode="edge")
+        size = image.shape[axis]
+        image = sum(
+            weight * (padded[i : i + size] if axis == 0 else padded[:, i : i + size]) for i, weight in enumerate(kernel)
+        )
+    return image
+
+
+def block_means(image: np.ndarray, block: int) -> np.ndarray:
+    """Return the means (h, w, …) of block × block pixels; pixels of a last incomplete block are left out."""
+    if block == 1:
+        return image
+    height, width = (side // block for side in image.shape[:2])
+    cut = image[: height * block, : width * block]
+    return cut.reshape(height, block, width, block, *image.shape[2:]).mean(axis=(1, 3), dtype=image.dtype)
+
+
+def sampled(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return bilinear samples (…) of an image at pixel coordinates (…, 2), whose first pixel has centre (0.5, 0.5).
+
+    Places outside take the nearest pixel.
+    """
+    height, width = image.shape
+    x = np.clip(places[..., 0] - 0.5, 0, width - 1.001)
+    y = np.clip(places[..., 1] - 0.5, 0, height - 1.001)
+    column, row = x.astype(int), y.astype(int)
+    x, y = x - column, y - row
+    flat, at = image.ravel(), row * width + column
+    low = flat[at] * (1 - x) + flat[at + 1] * x
+    return low * (1 - y) + (flat[at + width] * (1 - x) + flat[at + width + 1] * x) * y

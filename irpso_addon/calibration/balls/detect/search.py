@@ -1,0 +1,216 @@
+"""Search for balls in photographs: circles among the edges, tested by highlights, shading and cast shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ....capture.camera import Camera
+from ....core.errors import InputError
+from ..ball import Ball, fit_ball, outline_of_circle
+from . import evidence, shadow
+from .circles import candidates
+from .edges import Edges
+from .filters import block_means
+from .outline import Outline, fitted
+
+FEWEST = 3  # photographs
+_MOST = 24  # photographs that the search reads
+_WIDTH = 640  # pixels of the reduced images
+_SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
+_CANDIDATES = 150
+_LEAST_SUPPORT = 0.3
+_TESTED = 60
+_LEAST_SHARE = 0.6  # of the photographs: each shows a light
+_LEAST_MOVED = 0.12
+_LEAST_FIT = 0.93
+_LEAST_SHADOW = 0.75
+_PROMISING = 0.3  # agreement with the shadow that a better outline may raise
+_SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
+_WHITE = 99.5  # percentile of all values
+_STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
+_SIZES = 1.15  # ratio of the radii of balls of one size
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBall:
+    """A ball in the photographs. points: (N, 2) pixel coordinates on its outline, row 0 at the bottom.
+
+    support: fraction of its outline where an edge shows. shadow: correlation of the darkness around the ball with the
+    shadow that it would throw, or None where nothing around it is lit.
+    """
+
+    kind: str
+    points: np.ndarray
+    radius: float
+    support: float
+    shadow: float | None
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(2,) pixel coordinates."""
+        return (self.points.max(axis=0) + self.points.min(axis=0)) / 2
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """Reduced photographs: values over white (K, h, w), clipped (K, h, w) bool, their edges and camera."""
+
+    values: np.ndarray
+    clipped: np.ndarray
+    steady: Edges
+    strong: Edges
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class _Hit:
+    outline: Outline
+    kind: str
+    shadow: float | None
+
+    @property
+    def score(self) -> float:
+        return self.outline.support + 2 * (0.5 if self.shadow is None else self.shadow)
+
+
+def search_steps(
+    readers: Sequence[Callable[[], np.ndarray]], camera: Camera, kinds: Sequence[str]
+) -> Generator[float, None, list[FoundBall]]:
+    """Yield the finished fraction of the work; return the balls, the surest first, of the kinds ``mirror``, ``matte``.
+
+    readers: return (H, W, 4) like ``Observation.read``. A ball is a circle of edges that stay while the lamp moves,
+    whose highlights or shading give a light in most photographs, and whose shadow lies where these lights throw it.
+    Raises InputError for fewer than three photographs.
+    """
+    if len(readers) < FEWEST:
+        raise InputError(
+            f"--ball auto: needs {FEWEST} photographs under different lights, there are {len(readers)}; give a mask or"
+            " X,Y,R"
+        )
+    chosen = [readers[i] for i in np.unique(np.linspace(0, len(readers) - 1, min(len(readers), _MOST)).astype(int))]
+    block = max(1, round(camera.width / _WIDTH))
+    pictures = yield from _reduced_steps(chosen, camera, block)
+    width = pictures.camera.width
+    circles = candidates(pictures.steady, _SMALLEST * width, _LARGEST * width, _CANDIDATES)
+    outlines = []
+    for number, circle in enumerate(circles):
+        yield 0.4 + 0.2 * number / len(circles)
+        x, y, radius = circle.tolist()
+        outlines.append(fitted(pictures.steady, x, y, radius))
+    hits: list[_Hit] = []
+    tested = _distinct(outlines)
+    for number, outline in enumerate(tested):
+        yield 0.6 + 0.2 * number / len(tested)
+        hits += _tested(pictures, outline, kinds, _PROMISING)
+    better: list[_Hit] = []
+    separate = _separate(hits)
+    for number, hit in enumerate(separate):
+        yield 0.8 + 0.2 * number / len(separate)
+        better += _improved(pictures, hit)
+    return [_found(hit, block) for hit in _separate(better)]
+
+
+def _reduced_steps(
+    readers: Sequence[Callable[[], np.ndarray]], camera: Camera, block: int
+) -> Generator[float, None, _Pictures]:
+    values, clipped = [], []
+    for number, read in enumerate(readers):
+        yield 0.4 * number / len(readers)
+        image = read()
+        values.append(block_means(np.ascontiguousarray(image[..., :3].mean(axis=-1, dtype=np.float32)), block))
+        clipped.append(block_means((image[..., 3] == 0).astype(np.float32), block) > 0)
+    stack = np.stack(values)
+    stack /= max(float(np.percentile(stack[:, ::4, ::4], _WHITE)), 1e-9)
+    steady, strong = Edges(stack.shape[1:], -1.0, 1.0), Edges(stack.shape[1:], 1.0, 0.6)
+    for picture in stack:
+        steady.add(picture, 1.0)
+        strong.add(picture, 1.0)
+    return _Pictures(stack, np.stack(clipped), steady, strong, _reduced(camera, block))
+
+
+def _reduced(camera: Camera, block: int) -> Camera:
+    """Return the camera of images averaged over block × block pixels."""
+    (sx, sy), (cx, cy) = camera.scale, camera.centre
+    return replace(
+        camera, width=camera.width // block, height=camera.height // block, scale=(sx / block, sy / block),
+        centre=(cx / block, cy / block), matrix=np.eye(4),
+    )  # fmt: skip
+
+
+def _distinct(outlines: Sequence[Outline]) -> list[Outline]:
+    """Return the best supported outlines, each circle once."""
+    kept: list[Outline] = []
+    for outline in sorted(outlines, key=lambda o: -o.support):
+        if outline.support < _LEAST_SUPPORT or len(kept) == _TESTED:
+            break
+        if not any(_same(outline, other) for other in kept):
+            kept.append(outline)
+    return kept
+
+
+def _same(one: Outline, other: Outline) -> bool:
+    near = max(0.02 * other.radius, 0.3)
+    return bool(np.hypot(one.x - other.x, one.y - other.y) < near and abs(one.radius - other.radius) < near)
+
+
+def _tested(pictures: _Pictures, outline: Outline, kinds: Sequence[str], least: float) -> list[_Hit]:
+    """Return a hit for each kind of ball that an outline may be of."""
+    try:
+        ball = fit_ball(outline_of_circle(outline.x, outline.y, outline.radius), pictures.camera)
+    except InputError:
+        return []
+    hits = []
+    for kind in kinds:
+        of_kind = evidence.of_mirror if kind == "mirror" else evidence.of_matte
+        seen = of_kind(pictures.values, pictures.clipped, ball)
+        if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
+            continue
+        shadow_agrees = shadow.agreement(pictures.values, ball, seen.lights)
+        if shadow_agrees is None:
+            sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
+            if sure and outline.support >= _SURE_SUPPORT:
+                hits.append(_Hit(outline, kind, None))
+        elif shadow_agrees >= least:
+            hits.append(_Hit(outline, kind, shadow_agrees))
+    return hits
+
+
+def _improved(pictures: _Pictures, hit: _Hit) -> list[_Hit]:
+    """Return the hits at other circles that edges near a hit outline, where their shadow agrees."""
+    old = hit.outline
+    starts = [(old.x, old.y, factor * old.radius) for factor in _STARTS]
+    outlines = _distinct([old, *(fitted(pictures.strong, *start) for start in starts)])
+    return [better for outline in outlines for better in _tested(pictures, outline, [hit.kind], _LEAST_SHADOW)]
+
+
+def _separate(hits: Sequence[_Hit]) -> list[_Hit]:
+    """Return the best of hits that overlap."""
+    kept: list[_Hit] = []
+    for hit in sorted(hits, key=lambda h: -h.score):
+        one = hit.outline
+        if all(
+            np.hypot(one.x - other.outline.x, one.y - other.outline.y) > max(one.radius, other.outline.radius)
+            for other in kept
+        ):
+            kept.append(hit)
+    return kept
+
+
+def _found(hit: _Hit, block: int) -> FoundBall:
+    outline = hit.outline
+    return FoundBall(hit.kind, outline.points * block, outline.radius * block, outline.support, hit.shadow)
+
+
+def of_one_kind(found: Sequence[FoundBall]) -> list[FoundBall]:
+    """Return the balls that calibration uses: mirror balls before matte ones, and of these the size of the surest."""
+    kind = "mirror" if any(ball.kind == "mirror" for ball in found) else "matte"
+    same = [ball for ball in found if ball.kind == kind]
+    return [ball for ball in same if 1 / _SIZES < ball.radius / same[0].radius < _SIZES]
+
+
+def as_ball(found: FoundBall, camera: Camera, name: str, radius: float | None) -> Ball:
+    """Return a found ball, placed. radius: in world units, or None."""
+    return fit_ball(found.points, camera, name, radius)

@@ -1,0 +1,102 @@
+"""Agreement of a ball's lights with the shadow that it throws: the test that no other thing passes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..ball import Ball, pixel_rays
+
+_NEAREST, _FARTHEST = 1.08, 4.0  # of the ball's radius: where its shadow is looked for
+_PIXELS = 1500
+_TILTS = np.radians((0, 10, 20, 30, 40, 50, 60, 70))  # of the table's normal from the viewer
+_HEIGHTS = (1.0, 1.6)  # of the ball's centre above the table, in radii: on it, or on a stand
+_FULL = 0.8  # quantile over photographs: a pixel in light
+_LEAST_LIT = 0.01  # of white: darker pixels show no shadow
+_LIT_PART = 0.2  # of the pixels: so many show whether there is a shadow
+_ELSEWHERE = 0.25  # weight where the ball throws no shadow: other things may
+_SEEN = 0.05  # variation of darkness: below, nothing is in shadow
+
+
+def agreement(stack: np.ndarray, ball: Ball, lights: np.ndarray) -> float | None:
+    """Return the correlation, −1…1, between the darkness beside a ball and the shadow that it would throw.
+
+    stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. The table's tilt and
+    distance are those that agree best. 0: nothing becomes dark. None: there is no surface that the lamp lights.
+    """
+    known = np.isfinite(lights).all(axis=-1)
+    pixels = _around(ball, (stack.shape[1], stack.shape[2]))
+    if known.sum() < 3 or len(pixels) < 30:
+        return None
+    rows, columns = pixels.T
+    values = stack[known][:, rows, columns]
+    lit = np.quantile(values, _FULL, axis=0)
+    around = len(pixels)
+    values, lit, pixels = values[:, lit > _LEAST_LIT], lit[lit > _LEAST_LIT], pixels[lit > _LEAST_LIT]
+    if len(pixels) < max(30, _LIT_PART * around):
+        return None
+    ratio = values / lit
+    ratio = ratio / np.maximum(np.quantile(ratio, _FULL, axis=1, keepdims=True), 1e-6)
+    darkness = _centred(np.clip(1.25 - 1.5 * ratio, 0, 1))
+    if darkness.std() < _SEEN:
+        return 0.0
+    middle = ball.outline[:-1].mean(axis=0)
+    # Farther away lie the shadows of other things.
+    weight = ball.radius_px**2 / ((pixels[:, ::-1] + 0.5 - middle) ** 2).sum(axis=-1)
+    origin, ray = pixel_rays(ball.camera, pixels[:, ::-1] + 0.5)
+    best = -1.0
+    for up in _normals():
+        slope = lights[known] @ up
+        if slope.min() <= 0.02:
+            continue
+        for height in _HEIGHTS:
+            shadow = _predicted(origin, ray, ball, lights[known], up, height)
+            reached = np.where(shadow.any(axis=0), 1.0, _ELSEWHERE)
+            best = max(best, _correlation(_centred(shadow), darkness, weight * reached))
+    return best
+
+
+def _around(ball: Ball, shape: tuple[int, int]) -> np.ndarray:
+    """Return (N, 2) rows and columns around a ball's outline."""
+    outline = ball.outline[:-1]
+    middle = outline.mean(axis=0)
+    low = np.maximum(middle - _FARTHEST * ball.radius_px, 0).astype(int)
+    high = np.minimum(middle + _FARTHEST * ball.radius_px + 1, shape[::-1]).astype(int)
+    rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    away = np.hypot(columns + 0.5 - middle[0], rows + 0.5 - middle[1]) / ball.radius_px
+    places = np.stack([rows, columns], axis=-1)[(away > _NEAREST) & (away < _FARTHEST)]
+    return places[:: max(1, len(places) // _PIXELS)]
+
+
+def _normals() -> list[np.ndarray]:
+    """Return unit normals of tables that a camera may see, in camera axes."""
+    found = []
+    for tilt in _TILTS:
+        count = max(1, round(16 * np.sin(tilt)))
+        for turn in 2 * np.pi * np.arange(count) / count + np.pi / 2:
+            found.append(np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]))
+    return found
+
+
+def _predicted(
+    origin: np.ndarray, ray: np.ndarray, ball: Ball, lights: np.ndarray, up: np.ndarray, height: float
+) -> np.ndarray:
+    """Return (K, N) 1 where a table with normal ``up`` below the ball lies in the ball's shadow."""
+    foot = ball.centre - height * ball.radius * up
+    falling = ray @ up
+    length = ((foot - origin) @ up) / np.where(falling < -1e-3, falling, np.nan)
+    point = origin + length[:, None] * ray - ball.centre
+    along = point @ lights.T
+    off = (point**2).sum(axis=-1)[:, None] - along**2
+    with np.errstate(invalid="ignore"):
+        return ((off < ball.radius**2) & (along < 0)).T.astype(np.float64)
+
+
+def _centred(values: np.ndarray) -> np.ndarray:
+    """Return (K, N) values less their mean over the photographs: what never changes is no shadow."""
+    return values - values.mean(axis=0)
+
+
+def _correlation(one: np.ndarray, other: np.ndarray, weight: np.ndarray) -> float:
+    """Return the correlation of centred values (K, N) with weights (N,)."""
+    size = np.sqrt((one**2 @ weight).sum() * (other**2 @ weight).sum())
+    return float(((one * other) @ weight).sum() / size) if size > 0 else 0.0
