@@ -19,13 +19,13 @@ TILE = (-56.0, 0.0)  # its centre
 BALL, BALL_RADIUS = (113.0, 78.0), 20.0
 CHART, CHART_THICKNESS = (113.0, -38.0), 2.0  # its centre
 PITCH, PATCH, CHART_MARGIN = 19.0, 17.0, 4.0  # from patch to patch, of a patch, beyond the outer patches
-LAMP_DISTANCE = 950.0  # from the ball, about
+LAMP_DISTANCE = 950.0  # from the ball: the length of a string, which a hand keeps about tight
 LAMP_RADIUS = 6.0
 FOCAL_35MM = 52  # of the lens, as EXIF has it: the tele lens of a phone
 _DIAGONAL_35MM = math.hypot(36, 24)  # what that focal length is the equivalent for (CIPA DCG-001)
 _FIELD = (338.0, 252.0)  # of the table that the picture shows at least
 _OFF_AXIS = (14.0, 58.0)  # degrees, of the lamps seen from the middle
-_UNSTEADY = (6.0, 0.06)  # of a hand: degrees, and share of the distance
+_UNSTEADY = (6.0, 0.02)  # of a hand: degrees, and share of the distance
 _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
@@ -63,7 +63,7 @@ def ball_middle() -> np.ndarray:
 
 
 def _lamps(count: int, random: np.random.Generator) -> np.ndarray:
-    """Return (count, 3) places on a spiral from high to low around the middle between tile and ball, held by hand."""
+    """Return (count, 3) places on a spiral from high to low around the ball, held by hand on a string."""
     share = (np.arange(count) + 0.5) / count
     off = np.radians(_OFF_AXIS[0] + (_OFF_AXIS[1] - _OFF_AXIS[0]) * np.sqrt(share))
     off = off + np.radians(_UNSTEADY[0]) * random.uniform(-1, 1, count)
@@ -71,7 +71,7 @@ def _lamps(count: int, random: np.random.Generator) -> np.ndarray:
     around = around + np.radians(_UNSTEADY[0]) * random.uniform(-1, 1, count)
     far = LAMP_DISTANCE * (1 + _UNSTEADY[1] * random.uniform(-1, 1, count))
     toward = np.stack([np.sin(off) * np.cos(around), np.sin(off) * np.sin(around), np.cos(off)], axis=-1)
-    return (ball_middle() + [*TILE, THICKNESS]) / 2 + far[:, None] * toward
+    return ball_middle() + far[:, None] * toward
 
 
 def chart_patches() -> np.ndarray:

@@ -71,8 +71,8 @@ def _page(found: layout.Layout, count: int) -> str:
 
 Cycles rendered it, so everything about it is known. photographs/ holds what a phone gives: {count} pictures of
 a glazed and gilded tile, a mirror ball ({2 * layout.BALL_RADIUS:g} mm) and a colour chart, in a dark room. A hand
-moved the one lamp around them, about {layout.LAMP_DISTANCE:g} mm from the ball. The camera stood still and looked
-straight down.
+moved the one lamp around them, on a string of {layout.LAMP_DISTANCE:g} mm from the ball. The camera stood still and
+looked straight down.
 
 Find the lights from the ball, then recover the maps. Type in this folder:
 

@@ -60,10 +60,8 @@ def test_the_lamp_stays_over_the_table_and_near_its_distance_and_moves_with_the_
     found = layout.arranged((720, 540), 16, 3)
     away = found.lamps - layout.ball_middle()
     far = np.linalg.norm(away, axis=-1)
-    middle = (layout.ball_middle() + [*layout.TILE, layout.THICKNESS]) / 2
-    held = np.linalg.norm(found.lamps - middle, axis=-1)
-    assert far.min() / layout.LAMP_DISTANCE > 0.85 and far.max() / layout.LAMP_DISTANCE < 1.15
-    assert 0.04 < np.ptp(held) / layout.LAMP_DISTANCE < 0.13
+    assert 0.02 < np.ptp(far) / layout.LAMP_DISTANCE < 0.045
+    assert far.mean() == pytest.approx(layout.LAMP_DISTANCE, rel=0.01)
     assert (away[:, 2] / far).min() > np.cos(np.radians(72))
     np.testing.assert_array_equal(found.lamps, layout.arranged((160, 120), 16, 3).lamps)
     assert np.abs(found.lamps - layout.arranged((720, 540), 16, 4).lamps).max() > 10
