@@ -75,8 +75,8 @@ def sample_steps(request: Request, folder: Path, samples: int = _SAMPLES) -> Gen
         rendered = partial / ".rendered.exr"
         _build(scene, found)
         yield Step("truth", 1 / steps)
-        cycles.set_up(scene, _view(request, _TRUTH_SAMPLES, bounces=0))
-        with caught_output():
+        with caught_output():  # Blender tells of each file, and Cycles of the GPUs that it lacks
+            cycles.set_up(scene, _view(request, _TRUTH_SAMPLES, bounces=0))
             cycles.render_maps(scene, rendered, more=(table_top.SUBJECT,))
         names = photograph_names(request.photographs)
         write_truth(partial, found, cycles.read_seen_maps(rendered, more=(table_top.SUBJECT,)), names)

@@ -98,6 +98,13 @@ def tile_corners() -> np.ndarray:
     return np.column_stack([signs * HALF + TILE, np.full(4, THICKNESS)])
 
 
+def tile_crop(camera: Camera) -> tuple[int, int, int, int]:
+    """Return x, y, width, height of the whole pixels that the tile fills, from the picture's upper left corner."""
+    seen = seen_from_upper_left(camera, tile_corners())
+    low, high = np.ceil(seen.min(axis=0)).astype(int), np.floor(seen.max(axis=0)).astype(int)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
 def seen_from_upper_left(camera: Camera, places: np.ndarray) -> np.ndarray:
     """Return (…, 2) pixels of places (…, 3), counted to the right and down from the picture's upper left corner."""
     pixels, _ = camera.project(np.asarray(places, np.float64))

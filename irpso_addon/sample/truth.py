@@ -64,6 +64,7 @@ def _places(found: layout.Layout) -> Iterator[str]:
 
 def _page(found: layout.Layout, count: int) -> str:
     ball = ",".join(f"{value:.1f}" for value in layout.ball_circle(found.camera))
+    crop = ",".join(map(str, layout.tile_crop(found.camera)))
     lengths = f"--radius {layout.BALL_RADIUS:g} --distance {layout.LAMP_DISTANCE:g}"
     find = f"irpso calibrate photographs --ball {ball} --kind mirror --fov {found.fov_degrees:.2f} {lengths} -o capture"
     return f"""A capture to practise on
@@ -74,12 +75,12 @@ a glazed and gilded tile, a mirror ball ({2 * layout.BALL_RADIUS:g} mm) and a co
 moved the one lamp around them, on a string of {layout.LAMP_DISTANCE:g} mm from the ball. The camera stood still and
 looked straight down.
 
-Find the lights from the ball, then recover the maps. Type in this folder:
+Find the lights from the ball, then recover the maps of the tile. Type in this folder:
 
     {find}
-    irpso recover capture --distance {round(found.card_distance):d} -o result
+    irpso recover capture --distance {round(found.card_distance):d} --crop {crop} -o result
 
-The tile alone, under its true lights, compared with its true maps:
+The tile under its true lights, compared with its true maps:
 
     irpso recover {TRUTH}/{TABLE} --ground-truth {TRUTH}/{MAPS} -o result_true
 

@@ -50,6 +50,14 @@ def test_the_tiles_first_corner_is_the_upper_left_one():
     assert seen[0].tolist() == seen.min(axis=0).tolist() and seen[2].tolist() == seen.max(axis=0).tolist()
 
 
+def test_the_crop_lies_inside_the_tile_and_misses_less_than_two_pixels_of_it():
+    camera = layout.arranged((640, 480), 4, 0).camera
+    x, y, width, height = layout.tile_crop(camera)
+    low, _, high, _ = layout.seen_from_upper_left(camera, layout.tile_corners())
+    assert (low <= (x, y)).all() and (high >= (x + width, y + height)).all()
+    assert np.abs(high - low - (width, height)).max() < 2
+
+
 def test_the_focal_length_of_exif_is_that_of_the_camera():
     found = layout.arranged((720, 540), 4, 0)
     diagonal = 2 * np.arctan(np.hypot(36, 24) / 2 / layout.FOCAL_35MM)
