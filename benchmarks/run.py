@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 from benchmarks import (
+    balls,
     coarse_to_fine,
     convergence,
     fig7,
@@ -37,7 +38,7 @@ from benchmarks import (
 
 _MODULES = (
     joint, lights, convergence, coarse_to_fine, peers_table, fig7, scenes_table, multiview, large_mesh, swarm_quality,
-    swarm_scaling, recovery_scaling, killed, window, interreflection,
+    swarm_scaling, recovery_scaling, killed, window, interreflection, balls,
 )  # fmt: skip
 PROGRAMS = {module.PROGRAM.name: module for module in _MODULES}
 OTHERS = {

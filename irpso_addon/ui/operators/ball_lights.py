@@ -20,10 +20,12 @@ from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 
 _KINDS = (
+    ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
     ("mirror", "Mirror", "A shiny ball: its highlight gives the light's direction"),
     ("matte", "Matte", "A ball like plaster: its shading gives direction and strength. Needs linear images"),
 )
 _FOUND_BY = (
+    ("AUTO", "Automatic", "All balls in the photographs are searched"),
     ("MASK", "Mask", "An image of the photographs' size, white on the ball"),
     ("CIRCLE", "Circle", "Center and radius in pixels"),
 )
@@ -46,9 +48,9 @@ class LightsFromBall(bpy.types.Operator):
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
-    kind: EnumProperty(name="Ball", description="Surface of the ball", items=_KINDS, default="mirror")
+    kind: EnumProperty(name="Ball", description="Surface of the ball", items=_KINDS, default="auto")
     found_by: EnumProperty(
-        name="Place", description="How you mark the ball in the photographs", items=_FOUND_BY, default="MASK"
+        name="Place", description="How the ball is found in the photographs", items=_FOUND_BY, default="AUTO"
     )
     mask: StringProperty(
         name="Mask", description="Image of the photographs' size, white on the ball, black elsewhere",
@@ -77,7 +79,8 @@ class LightsFromBall(bpy.types.Operator):
         column.prop(self, "photographs")
         column.prop(self, "kind")
         column.prop(self, "found_by")
-        column.prop(self, "mask" if self.found_by == "MASK" else "circle")
+        if self.found_by != "AUTO":
+            column.prop(self, "mask" if self.found_by == "MASK" else "circle")
         column.prop(self, "fov")
 
     def execute(self, context):
@@ -119,6 +122,10 @@ class LightsFromBall(bpy.types.Operator):
         return table, calibration.warnings
 
     def _ball(self) -> BallRequest:
+        if self.found_by == "AUTO":
+            return BallRequest()
+        if self.kind == "auto":
+            raise InputError("Ball: is Automatic; for a mask or a circle choose Mirror or Matte")
         if self.found_by == "CIRCLE":
             if not self.circle[2] > 0:
                 raise InputError("Radius: is 0; set the ball's radius in pixels")

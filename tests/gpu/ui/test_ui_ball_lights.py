@@ -10,6 +10,8 @@ from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from irpso_addon.ui.operators.ball_lights import free_table
+from tests.builders.ball_scenes import Scene, Sphere, place
+from tests.builders.ball_scenes import photographs as photographs_of
 from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
@@ -31,8 +33,33 @@ def photographs(tmp_path):
     return folder
 
 
-def press(folder, **given):
-    return bpy.ops.irpso.lights_from_ball(photographs=str(folder), kind="mirror", fov=math.radians(30), **given)
+def press(folder, kind="mirror", **given):
+    return bpy.ops.irpso.lights_from_ball(photographs=str(folder), kind=kind, fov=math.radians(30), **given)
+
+
+def test_with_nothing_but_the_folder_the_ball_is_searched(tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = Scene(camera=Camera.from_fov(160, 120, 30.0))
+    scene = Scene(spheres=(Sphere("matte", place(scene, 0.3, -0.2, 0.6), 0.6),), camera=scene.camera)
+    for number, image in enumerate(photographs_of(scene, LIGHTS)):
+        write_exr(tmp_path / f"{number}.exr", {"": {c: image[..., i] for i, c in enumerate("RGB")}})
+    assert bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path), fov=math.radians(30)) == {"FINISHED"}
+    capture = read_capture(bpy.context.scene.irpso.capture_path)
+    assert degrees([o.light.vector for o in capture.observations], LIGHTS).max() < 3.0
+
+
+def test_photographs_in_which_no_ball_is_found_are_one_line(tmp_path):
+    for number in range(3):
+        grey = np.random.default_rng(number).uniform(0.2, 0.3, (60, 80)).astype(np.float32)
+        write_exr(tmp_path / f"{number}.exr", {"": dict.fromkeys("RGB", grey)})
+    with pytest.raises(RuntimeError, match="no ball was found"):
+        bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path))
+    assert not (tmp_path / "capture.toml").exists()
+
+
+def test_a_mask_needs_a_kind(photographs):
+    with pytest.raises(RuntimeError, match="choose Mirror or Matte"):
+        press(photographs, "auto", found_by="MASK", mask=str(photographs.parent / "ball.exr"))
 
 
 def test_a_mask_makes_the_folder_a_capture_that_is_imported(photographs):

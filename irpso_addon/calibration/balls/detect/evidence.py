@@ -23,6 +23,7 @@ class Evidence:
     """lights: (K, 3) unit directions in camera axes, NaN where a photograph shows none. share: of photographs with one.
 
     moved: spread of the highlight, or of the light, 0…1. fit: how well the kind explains the values, 0…1.
+    pixels: (K, 2) of the highlights, NaN for a matte ball.
     """
 
     kind: str
@@ -30,18 +31,19 @@ class Evidence:
     share: float
     moved: float
     fit: float
+    pixels: np.ndarray
 
 
 def of_mirror(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
     """Return the evidence that every photograph shows one highlight at a place of its own. stack: (K, H, W)."""
     view = cropped(stack, clipped, ball)
     found = find_highlights(view)
-    lights = np.full((len(stack), 3), np.nan)
+    lights, pixels = np.full((len(stack), 3), np.nan), np.full((len(stack), 2), np.nan)
     for number, sight in enumerate(found):
         if isinstance(sight, Sight):
-            lights[number] = sight.direction
+            lights[number], pixels[number] = sight.direction, sight.pixel
     known = np.isfinite(lights).all(axis=-1)
-    return Evidence("mirror", lights, float(known.mean()), _spread(lights[known]), 1.0)
+    return Evidence("mirror", lights, float(known.mean()), _spread(lights[known]), 1.0, pixels)
 
 
 def of_matte(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
@@ -64,7 +66,7 @@ def of_matte(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> Evidence:
     known = np.isfinite(lights).all(axis=-1)
     # Two of three photographs count: the others may have a cast shadow on the ball.
     fit = float(np.quantile(fits, 1 / 3))
-    return Evidence("matte", lights, float(known.mean()), _spread(lights[known]), fit)
+    return Evidence("matte", lights, float(known.mean()), _spread(lights[known]), fit, np.full((len(stack), 2), np.nan))
 
 
 def cropped(stack: np.ndarray, clipped: np.ndarray, ball: Ball) -> BallView:

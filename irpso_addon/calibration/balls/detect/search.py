@@ -10,16 +10,19 @@ import numpy as np
 from ....capture.camera import Camera
 from ....core.errors import InputError
 from ..ball import Ball, fit_ball, outline_of_circle
-from . import evidence, shadow
+from ..mirror import reflected
+from . import evidence
 from .circles import candidates
 from .edges import Edges
 from .filters import block_means
 from .outline import Outline, fitted
+from .shadow import Table, agreement
 
 FEWEST = 3  # photographs
 _MOST = 24  # photographs that the search reads
 _WIDTH = 640  # pixels of the reduced images
 _SMALLEST, _LARGEST = 0.012, 0.17  # radius over the images' width
+_LEAST_RADIUS = 5.0  # pixels
 _CANDIDATES = 150
 _LEAST_SUPPORT = 0.3
 _TESTED = 60
@@ -31,6 +34,8 @@ _PROMISING = 0.3  # agreement with the shadow that a better outline may raise
 _SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
 _WHITE = 99.5  # percentile of all values
 _STARTS = (0.85, 0.93, 1.0, 1.08, 1.2, 1.41)  # of the radius: a mirrored horizon is a circle inside the outline
+_SHADOW_STEPS = (0.03, 0.015, 0.01)  # of the radius
+_CENTRE_ERROR, _RADIUS_ERROR = 0.004, 0.008  # of the radius: what shadows give, measured on tables rendered by Cycles
 _SIZES = 1.15  # ratio of the radii of balls of one size
 
 
@@ -69,7 +74,10 @@ class _Pictures:
 class _Hit:
     outline: Outline
     kind: str
+    ball: Ball
+    seen: evidence.Evidence
     shadow: float | None
+    table: Table | None = None
 
     @property
     def score(self) -> float:
@@ -94,7 +102,8 @@ def search_steps(
     block = max(1, round(camera.width / _WIDTH))
     pictures = yield from _reduced_steps(chosen, camera, block)
     width = pictures.camera.width
-    circles = candidates(pictures.steady, _SMALLEST * width, _LARGEST * width, _CANDIDATES)
+    smallest = max(_SMALLEST * width, _LEAST_RADIUS)
+    circles = candidates(pictures.steady, smallest, _LARGEST * width, _CANDIDATES)
     outlines = []
     for number, circle in enumerate(circles):
         yield 0.4 + 0.2 * number / len(circles)
@@ -110,7 +119,7 @@ def search_steps(
     for number, hit in enumerate(separate):
         yield 0.8 + 0.2 * number / len(separate)
         better += _improved(pictures, hit)
-    return [_found(hit, block) for hit in _separate(better)]
+    return [_found(_measured_by_shadow(pictures, hit), block) for hit in _separate(better)]
 
 
 def _reduced_steps(
@@ -168,13 +177,13 @@ def _tested(pictures: _Pictures, outline: Outline, kinds: Sequence[str], least: 
         seen = of_kind(pictures.values, pictures.clipped, ball)
         if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
             continue
-        shadow_agrees = shadow.agreement(pictures.values, ball, seen.lights)
+        shadow_agrees = agreement(pictures.values, ball, seen.lights)
         if shadow_agrees is None:
             sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
             if sure and outline.support >= _SURE_SUPPORT:
-                hits.append(_Hit(outline, kind, None))
-        elif shadow_agrees >= least:
-            hits.append(_Hit(outline, kind, shadow_agrees))
+                hits.append(_Hit(outline, kind, ball, seen, None))
+        elif shadow_agrees[0] >= least:
+            hits.append(_Hit(outline, kind, ball, seen, *shadow_agrees))
     return hits
 
 
@@ -199,6 +208,37 @@ def _separate(hits: Sequence[_Hit]) -> list[_Hit]:
     return kept
 
 
+def _measured_by_shadow(pictures: _Pictures, hit: _Hit) -> _Hit:
+    """Return a mirror ball's hit with the circle at which its shadow agrees best.
+
+    A mirror shows at its rim what lies behind it, so that the visible edge lies up to 3 % inside the outline. The
+    shadow is as wide as the ball. One coordinate after the other moves to the top of a parabola.
+    """
+    if hit.kind != "mirror" or hit.table is None:
+        return hit
+    circle = np.array([hit.outline.x, hit.outline.y, hit.outline.radius])
+    table = hit.table
+    for step in _SHADOW_STEPS:
+        for axis in (2, 0, 1, 2):
+            moves = step * hit.outline.radius * np.arange(-1, 2)
+            heights = []
+            for move in moves:
+                x, y, radius = circle + move * np.eye(3)[axis]
+                ball = fit_ball(outline_of_circle(x, y, radius), pictures.camera, measured=False)
+                lights = reflected(ball, hit.seen.pixels)[1]
+                agrees = agreement(pictures.values, ball, lights, table, hit.ball)
+                heights.append((-1.0, table) if agrees is None else agrees)
+            low, middle, high = (height for height, _ in heights)
+            bend = 2 * middle - low - high
+            circle[axis] += np.clip(0.5 * (high - low) / bend, -1, 1) * moves[2] if bend > 0 else 0.0
+            table = max(heights, key=lambda h: h[0])[1]
+    x, y, radius = circle.tolist()
+    agreed = max(height for height, _ in heights)
+    return replace(
+        hit, outline=Outline(x, y, radius, hit.outline.support, outline_of_circle(x, y, radius)), shadow=agreed
+    )
+
+
 def _found(hit: _Hit, block: int) -> FoundBall:
     outline = hit.outline
     return FoundBall(hit.kind, outline.points * block, outline.radius * block, outline.support, hit.shadow)
@@ -213,4 +253,7 @@ def of_one_kind(found: Sequence[FoundBall]) -> list[FoundBall]:
 
 def as_ball(found: FoundBall, camera: Camera, name: str, radius: float | None) -> Ball:
     """Return a found ball, placed. radius: in world units, or None."""
-    return fit_ball(found.points, camera, name, radius)
+    ball = fit_ball(found.points, camera, name, radius)
+    if found.kind == "mirror" and found.shadow is not None:
+        return replace(ball, error_px=(_CENTRE_ERROR * ball.radius_px, _RADIUS_ERROR * ball.radius_px))
+    return ball

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from ..ball import Ball, pixel_rays
+from ..ball import Ball, pixel_rays, tangents
 
 _NEAREST, _FARTHEST = 1.08, 4.0  # of the ball's radius: where its shadow is looked for
-_PIXELS = 1500
+_PIXELS, _MORE_PIXELS = 1500, 4000  # compared: among all tables, and near one
 _TILTS = np.radians((0, 10, 20, 30, 40, 50, 60, 70))  # of the table's normal from the viewer
 _HEIGHTS = (1.0, 1.6)  # of the ball's centre above the table, in radii: on it, or on a stand
+_TILTED = np.radians(2.5)  # between neighbouring tables
+_GRAZING = 0.02  # cosine between the table's normal and a light: the light is above the table
 _FULL = 0.8  # quantile over photographs: a pixel in light
 _LEAST_LIT = 0.01  # of white: darker pixels show no shadow
 _LIT_PART = 0.2  # of the pixels: so many show whether there is a shadow
@@ -17,46 +22,57 @@ _ELSEWHERE = 0.25  # weight where the ball throws no shadow: other things may
 _SEEN = 0.05  # variation of darkness: below, nothing is in shadow
 
 
-def agreement(stack: np.ndarray, ball: Ball, lights: np.ndarray) -> float | None:
-    """Return the correlation, −1…1, between the darkness beside a ball and the shadow that it would throw.
+@dataclass(frozen=True)
+class Table:
+    """The surface below a ball. up: (3,) its normal in camera axes. height: of the ball's centre above it, in radii."""
 
-    stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. The table's tilt and
-    distance are those that agree best. 0: nothing becomes dark. None: there is no surface that the lamp lights.
+    up: np.ndarray
+    height: float
+
+
+def agreement(
+    stack: np.ndarray, ball: Ball, lights: np.ndarray, near: Table | None = None, around: Ball | None = None
+) -> tuple[float, Table] | None:
+    """Return the correlation, −1…1, between the darkness beside a ball and the shadow that it would throw on a table.
+
+    stack: (K, H, W) grey values over white. lights: (K, 3) unit, from the ball, NaN where unknown. The table is the one
+    that agrees best: of all, or of those ``near`` one. around: the ball beside which pixels are compared (default: the
+    ball). A correlation of 0: nothing becomes dark. None: there is no surface that the lamp lights.
     """
     known = np.isfinite(lights).all(axis=-1)
-    pixels = _around(ball, (stack.shape[1], stack.shape[2]))
+    around = around or ball
+    pixels = _around(around, (stack.shape[1], stack.shape[2]), _PIXELS if near is None else _MORE_PIXELS)
     if known.sum() < 3 or len(pixels) < 30:
         return None
     rows, columns = pixels.T
     values = stack[known][:, rows, columns]
     lit = np.quantile(values, _FULL, axis=0)
-    around = len(pixels)
+    count = len(pixels)
     values, lit, pixels = values[:, lit > _LEAST_LIT], lit[lit > _LEAST_LIT], pixels[lit > _LEAST_LIT]
-    if len(pixels) < max(30, _LIT_PART * around):
+    if len(pixels) < max(30, _LIT_PART * count):
         return None
     ratio = values / lit
     ratio = ratio / np.maximum(np.quantile(ratio, _FULL, axis=1, keepdims=True), 1e-6)
     darkness = _centred(np.clip(1.25 - 1.5 * ratio, 0, 1))
     if darkness.std() < _SEEN:
-        return 0.0
-    middle = ball.outline[:-1].mean(axis=0)
+        return 0.0, Table(np.array([0.0, 0.0, 1.0]), 1.0)
+    middle = around.outline[:-1].mean(axis=0)
     # Farther away lie the shadows of other things.
-    weight = ball.radius_px**2 / ((pixels[:, ::-1] + 0.5 - middle) ** 2).sum(axis=-1)
+    weight = around.radius_px**2 / ((pixels[:, ::-1] + 0.5 - middle) ** 2).sum(axis=-1)
     origin, ray = pixel_rays(ball.camera, pixels[:, ::-1] + 0.5)
-    best = -1.0
-    for up in _normals():
-        slope = lights[known] @ up
-        if slope.min() <= 0.02:
-            continue
-        for height in _HEIGHTS:
-            shadow = _predicted(origin, ray, ball, lights[known], up, height)
+    best = -1.0, Table(np.array([0.0, 0.0, 1.0]), 1.0)
+    for table in _tables() if near is None else _near(near):
+        if (lights[known] @ table.up).min() > _GRAZING:
+            shadow = _predicted(origin, ray, ball, lights[known], table)
             reached = np.where(shadow.any(axis=0), 1.0, _ELSEWHERE)
-            best = max(best, _correlation(_centred(shadow), darkness, weight * reached))
+            correlation = _correlation(_centred(shadow), darkness, weight * reached)
+            if correlation > best[0]:
+                best = correlation, table
     return best
 
 
-def _around(ball: Ball, shape: tuple[int, int]) -> np.ndarray:
-    """Return (N, 2) rows and columns around a ball's outline."""
+def _around(ball: Ball, shape: tuple[int, int], most: int) -> np.ndarray:
+    """Return (N, 2) rows and columns around a ball's outline, N about ``most`` or less."""
     outline = ball.outline[:-1]
     middle = outline.mean(axis=0)
     low = np.maximum(middle - _FARTHEST * ball.radius_px, 0).astype(int)
@@ -64,26 +80,33 @@ def _around(ball: Ball, shape: tuple[int, int]) -> np.ndarray:
     rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
     away = np.hypot(columns + 0.5 - middle[0], rows + 0.5 - middle[1]) / ball.radius_px
     places = np.stack([rows, columns], axis=-1)[(away > _NEAREST) & (away < _FARTHEST)]
-    return places[:: max(1, len(places) // _PIXELS)]
+    return places[:: max(1, len(places) // most)]
 
 
-def _normals() -> list[np.ndarray]:
-    """Return unit normals of tables that a camera may see, in camera axes."""
+def _tables() -> list[Table]:
+    """Return tables that a camera may see."""
     found = []
     for tilt in _TILTS:
         count = max(1, round(16 * np.sin(tilt)))
         for turn in 2 * np.pi * np.arange(count) / count + np.pi / 2:
-            found.append(np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]))
+            up = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+            found += [Table(up, height) for height in _HEIGHTS]
     return found
 
 
-def _predicted(
-    origin: np.ndarray, ray: np.ndarray, ball: Ball, lights: np.ndarray, up: np.ndarray, height: float
-) -> np.ndarray:
-    """Return (K, N) 1 where a table with normal ``up`` below the ball lies in the ball's shadow."""
-    foot = ball.centre - height * ball.radius * up
-    falling = ray @ up
-    length = ((foot - origin) @ up) / np.where(falling < -1e-3, falling, np.nan)
+def _near(table: Table) -> Sequence[Table]:
+    """Return a table and some that are tilted a little more."""
+    across, upward = tangents(table.up)
+    steps = [(x, y) for x in (-_TILTED, 0, _TILTED) for y in (-_TILTED, 0, _TILTED)]
+    ups = [table.up + x * across + y * upward for x, y in steps]
+    return [Table(up / np.linalg.norm(up), table.height) for up in ups]
+
+
+def _predicted(origin: np.ndarray, ray: np.ndarray, ball: Ball, lights: np.ndarray, table: Table) -> np.ndarray:
+    """Return (K, N) 1 where a table below the ball lies in the ball's shadow."""
+    foot = ball.centre - table.height * ball.radius * table.up
+    falling = ray @ table.up
+    length = ((foot - origin) @ table.up) / np.where(falling < -1e-3, falling, np.nan)
     point = origin + length[:, None] * ray - ball.centre
     along = point @ lights.T
     off = (point**2).sum(axis=-1)[:, None] - along**2

@@ -1,0 +1,177 @@
+"""Balls found in photographs of tables by themselves, and the lights that they give.
+
+Usage: python -m benchmarks.balls [--quick] [--again] [--output FOLDER]
+
+Cycles renders tables (benchmarks/scenes/ball_tables.py) with mirror balls, matte balls or none among bowls, coins,
+cans, rings and other things; the photographs are blurred, noisy and of 8 bits. The program's thresholds were set on
+scenes of even seeds; those of odd seeds are measured.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks import report
+from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
+from irpso_addon.calibration.balls.ball import SMALL, Ball
+from irpso_addon.calibration.balls.detect.filters import blurred
+from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, search_steps
+from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
+from irpso_addon.core.encode import srgb_from_linear
+from irpso_addon.core.steps import run_steps
+
+_SEEDS = range(1, 48, 2)
+_BLUR, _NOISE = 0.6, 0.004  # pixels, of white
+_WHITE, _EXPOSURE = 98, 1.2  # percentile of all values, and how far above it the sensor clips
+_SAME = 0.3  # of the radius: a found ball's centre is a ball's
+_ENLARGED = 8
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Search all scenes, one of them where it is quick."""
+    balls, empty, false = [], 0, []
+    for seed in list(_SEEDS)[: 1 if quick else None]:
+        table = photographed(seed, report.CACHE)
+        images = camera_images(table, seed)
+        began = time.perf_counter()
+        found = _searched(images, table)
+        seconds = time.perf_counter() - began
+        rows, others = _compared(table, images, found)
+        balls += [{"seed": seed, **row} for row in rows]
+        false += [{"seed": seed, "kind": ball.kind, "empty": not table.balls} for ball in others]
+        empty += not table.balls
+        report.say(f"seed {seed}: {table.text}: {rows}; {len(others)} false; {seconds:.0f} s")
+    return {"balls": balls, "scenes": len(_SEEDS), "empty": empty, "false": false, "large": _large(quick)}
+
+
+def camera_images(table: BallTable, seed: int) -> list[np.ndarray]:
+    """Return images (H, W, 4) as a reader gives 8-bit sRGB files: blurred, noisy, weight 0 where clipped."""
+    rng = np.random.default_rng(seed)
+    white = _EXPOSURE * np.percentile(table.images.mean(axis=-1), _WHITE)
+    images = []
+    for radiance in table.images:
+        soft = np.stack([blurred(channel, _BLUR) for channel in np.moveaxis(radiance, -1, 0)], axis=-1) / white
+        noisy = soft + _NOISE * rng.normal(size=soft.shape)
+        codes = np.round(srgb_from_linear(np.clip(noisy, 0, 1)) * 255) / 255
+        linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+        images.append(np.dstack([linear, (noisy < 1).all(axis=-1)]).astype(np.float32))
+    return images
+
+
+def _searched(images: Sequence[np.ndarray], table: BallTable) -> list[FoundBall]:
+    return run_steps(search_steps([lambda image=image: image for image in images], table.camera, KINDS))
+
+
+def _compared(
+    table: BallTable, images: Sequence[np.ndarray], found: Sequence[FoundBall]
+) -> tuple[list[dict[str, Any]], list[FoundBall]]:
+    """Return a row for each ball, and what was found where none is."""
+    rows, left = [], list(found)
+    for kind, centre, radius in table.balls:
+        middle, size = outline(Ball("truth", table.camera, centre, radius, 1.0, (0.0, 0.0)))
+        row: dict[str, Any] = {"kind": kind, "radius": size, "found": False}
+        match = next((b for b in left if np.hypot(*(b.centre - middle)) < _SAME * size and b.kind == kind), None)
+        if match is not None:
+            left = [ball for ball in left if ball is not match]
+            ball = as_ball(match, table.camera, "ball", None)
+            place, across = outline(ball)
+            readers = [lambda image=image: image for image in images]
+            lights = run_steps(calibration_steps(readers, [ball], Request(kind))).lights
+            off = [
+                float(np.degrees(np.arccos(np.clip(np.dot(light.light.vector, truth), -1, 1))))
+                for light, truth in zip(lights, table.lights, strict=True)
+                if light.light is not None
+            ]
+            row |= {
+                "found": True, "centre": float(np.hypot(*(place - middle)) / size), "across": across / size - 1,
+                "light": float(np.mean(off)), "largest": max(off), "lights": len(off), "photographs": len(lights),
+            }  # fmt: skip
+        rows.append(row)
+    return rows, left
+
+
+def outline(ball: Ball) -> tuple[np.ndarray, float]:
+    """Return the centre (2,) and the mean radius of a ball's outline, in pixels."""
+    points = ball.outline[:-1]
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    return middle, float(np.linalg.norm(points - middle, axis=1).mean())
+
+
+def _large(quick: bool) -> dict[str, Any]:
+    """Return the seconds that the search takes in large photographs: those of a scene, enlarged."""
+    table = photographed(_SEEDS[0], report.CACHE)
+    images = camera_images(table, 0)
+    times = 2 if quick else _ENLARGED
+    width, height = times * table.camera.width, times * table.camera.height
+    camera = type(table.camera)(
+        width, height, tuple(times * v for v in table.camera.scale), (width / 2, height / 2), table.camera.matrix
+    )
+    readers = [lambda image=image: image.repeat(times, axis=0).repeat(times, axis=1) for image in images]
+    began = time.perf_counter()
+    found = run_steps(search_steps(readers, camera, KINDS))
+    seconds = time.perf_counter() - began
+    return {"pixels": width * height, "photographs": len(images), "seconds": seconds, "found": len(found)}
+
+
+def write(data: dict[str, Any], folder) -> list[str]:
+    """Return the page's lines."""
+    empty, large = data["empty"], data["large"]
+    none = sum(row["empty"] for row in data["false"])
+    rows = []
+    for kind in KINDS:
+        for name, chosen in ((f"{SMALL:g} pixels and more", True), ("smaller", False)):
+            some = [b for b in data["balls"] if b["kind"] == kind and (b["radius"] >= SMALL) == chosen]
+            rows.append([kind, name, *_cells(some)])
+    return [
+        f"{data['scenes']} scenes of {WIDTH} × {HEIGHT} pixels, {SAMPLES} samples, six to eight suns each; seeds that"
+        " no threshold was set on. Balls of 3 to 30 % of the width; bowls, coins, cans, rings, cones, eggs and boxes"
+        " beside them; tables of albedo 0.05 to 0.8, plain, mottled or glossy, up to 55° from the viewer; blur of"
+        f" {_BLUR} pixels, noise of {_NOISE:.1%} of white, 8 bits, clipped highlights.",
+        "",
+        f"False balls: {none} in {empty} scenes without a ball, {len(data['false']) - none} in the others.",
+        "",
+        *report.table(
+            ["ball", "radius", "found", "centre within 1 %", "centre, median % of the radius", "radius, median %",
+             "light within 1°", "light °: median of means, largest", "photographs with a light"], rows),
+        f"{large['photographs']} photographs of {large['pixels'] / 1e6:.0f} megapixels (the first scene, enlarged):"
+        f" {large['seconds']:.0f} s, without the time to decode files.",
+    ]  # fmt: skip
+
+
+def _cells(balls: Sequence[dict[str, Any]]) -> list[str]:
+    found = [ball for ball in balls if ball["found"]]
+    cells = [f"{len(found)} of {len(balls)}"]
+    if not found:
+        return [*cells, *["–"] * 6]
+    centre, across, light, largest = (np.array([ball[key] for ball in found]) for key in
+                                      ("centre", "across", "light", "largest"))  # fmt: skip
+    lights, photographs = (sum(ball[key] for ball in found) for key in ("lights", "photographs"))
+    return [
+        *cells, f"{(centre < 0.01).sum()}", f"{100 * np.median(centre):.2f}", f"{100 * np.median(across):+.2f}",
+        f"{(light < 1).sum()}", f"{np.median(light):.2f}, {largest.max():.1f}", f"{lights} of {photographs}",
+    ]  # fmt: skip
+
+
+def headline(data: dict[str, Any]) -> str:
+    """Return what the index says."""
+    large = [ball for ball in data["balls"] if ball["radius"] >= SMALL]
+    found = [ball for ball in large if ball["found"]]
+    none = sum(row["empty"] for row in data["false"])
+    light = np.median([ball["light"] for ball in found]) if found else np.nan
+    return (
+        f"{len(found)} of {len(large)} balls of radius {SMALL:g} pixels and more found, light {light:.2f}°; {none}"
+        f" false in {data['empty']} scenes without a ball"
+    )
+
+
+PROGRAM = report.Program("balls", "Balls found by themselves", __file__, measure, write, headline)
+
+if __name__ == "__main__":
+    from irpso_addon.gpu import context
+
+    report.run(PROGRAM)
+    context.exit_process(0)
