@@ -137,6 +137,9 @@ def write(data: dict[str, Any], folder) -> list[str]:
         *report.table(
             ["ball", "radius", "found", "centre within 1 %", "centre, median % of the radius", "radius, median %",
              "light within 1°", "light °: median of means, largest", "photographs with a light"], rows),
+        "The command refuses balls that it measures smaller than that, unless their place is given. Near lamps, black"
+        " cloth and photographs of a camera are not measured here.",
+        "",
         f"{large['photographs']} photographs of {large['pixels'] / 1e6:.0f} megapixels (the first scene, enlarged):"
         f" {large['seconds']:.0f} s, without the time to decode files.",
     ]  # fmt: skip

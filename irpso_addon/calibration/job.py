@@ -135,8 +135,11 @@ def calibrate_steps(
         found = tuple((yield from map_steps(search_steps(readers, camera, kinds), lambda part: _SEARCH * part)))
         if not found:
             raise InputError(_NO_BALL)
-        request = replace(request, kind=of_one_kind(found)[0].kind)
-        balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(of_one_kind(found), 1)]
+        used = of_one_kind(found)
+        if not used:
+            raise _too_small(found[0], camera)
+        request = replace(request, kind=used[0].kind)
+        balls = [as_ball(ball, camera, f"ball {n}", radius) for n, ball in enumerate(used, 1)]
     else:
         balls = _given_balls(requests, request, camera, ImageStore(decoder), radius)
     begun = _SEARCH if found else 0.0
@@ -170,6 +173,14 @@ def _given_balls(
     return [find_ball(ball, camera, store, n, radius) for n, ball in enumerate(requests, 1)]
 
 
+def _too_small(ball: FoundBall, camera: Camera) -> InputError:
+    x, y = ball.centre
+    return InputError(
+        f"the {ball.kind} ball at {x:.0f},{camera.height - y:.0f} has a radius of {ball.radius:.0f} pixels, too small"
+        " for the search to measure it; paint a mask that is white on the ball, or give its place as X,Y,R (--ball)"
+    )
+
+
 def _doubts(found: Sequence[FoundBall]) -> list[str]:
     """Return warnings about balls that a search found."""
     used, warnings = of_one_kind(found) if found else [], []
@@ -177,7 +188,8 @@ def _doubts(found: Sequence[FoundBall]) -> list[str]:
         where = f"the {ball.kind} ball of radius {ball.radius:.0f} pixels that was found"
         if ball not in used:
             fault = "size" if ball.kind == used[0].kind else "kind"
-            warnings.append(f"{where} is left out: of another {fault} than the surest one; to use it, give --ball")
+            reason = f"of another {fault} than the surest one" if ball.exact else "too small for the search"
+            warnings.append(f"{where} is left out: {reason}; to use it, give --ball")
         elif ball.shadow is None:
             warnings.append(f"{where} throws no visible shadow, which would confirm it; look at balls.png")
     return warnings

@@ -110,3 +110,5 @@ def test_balls_of_the_surest_ones_kind_and_size_are_used():
 
     found = [ball("matte", 30), ball("mirror", 50), ball("mirror", 20), ball("mirror", 47)]
     assert [b.radius for b in of_one_kind(found)] == [50, 47]
+    small = FoundBall("mirror", np.zeros((3, 2)), 12, 1.0, 0.9, exact=False)
+    assert [b.kind for b in of_one_kind([small, found[0]])] == ["matte"] and of_one_kind([small]) == []

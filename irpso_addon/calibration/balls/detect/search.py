@@ -9,7 +9,7 @@ import numpy as np
 
 from ....capture.camera import Camera
 from ....core.errors import InputError
-from ..ball import Ball, fit_ball, outline_of_circle
+from ..ball import SMALL, Ball, fit_ball, outline_of_circle
 from ..mirror import reflected
 from . import evidence
 from .circles import candidates
@@ -44,7 +44,8 @@ class FoundBall:
     """A ball in the photographs. points: (N, 2) pixel coordinates on its outline, row 0 at the bottom.
 
     support: fraction of its outline where an edge shows. shadow: correlation of the darkness around the ball with the
-    shadow that it would throw, or None where nothing around it is lit.
+    shadow that it would throw, or None where nothing around it is lit. exact: the images in which it was found, 640
+    pixels wide or so, show it with a radius of 15 pixels or more; a smaller one's lights may be off by 20°.
     """
 
     kind: str
@@ -52,6 +53,7 @@ class FoundBall:
     radius: float
     support: float
     shadow: float | None
+    exact: bool = True
 
     @property
     def centre(self) -> np.ndarray:
@@ -241,13 +243,15 @@ def _measured_by_shadow(pictures: _Pictures, hit: _Hit) -> _Hit:
 
 def _found(hit: _Hit, block: int) -> FoundBall:
     outline = hit.outline
-    return FoundBall(hit.kind, outline.points * block, outline.radius * block, outline.support, hit.shadow)
+    return FoundBall(
+        hit.kind, outline.points * block, outline.radius * block, outline.support, hit.shadow, outline.radius >= SMALL
+    )
 
 
 def of_one_kind(found: Sequence[FoundBall]) -> list[FoundBall]:
-    """Return the balls that calibration uses: mirror balls before matte ones, and of these the size of the surest."""
-    kind = "mirror" if any(ball.kind == "mirror" for ball in found) else "matte"
-    same = [ball for ball in found if ball.kind == kind]
+    """Return the exact balls that calibration uses: mirror before matte ones, and of these the size of the surest."""
+    kind = "mirror" if any(ball.exact and ball.kind == "mirror" for ball in found) else "matte"
+    same = [ball for ball in found if ball.exact and ball.kind == kind]
     return [ball for ball in same if 1 / _SIZES < ball.radius / same[0].radius < _SIZES]
 
 
