@@ -233,10 +233,13 @@ def _add_calibrate(commands: argparse._SubParsersAction) -> None:
     add = commands.add_parser("calibrate", help="find the lights of photographs from balls in them", epilog=_EPILOG)
     add.add_argument("capture", metavar="CAPTURE_OR_IMAGES", help="folder of photographs, or a capture")
     add.add_argument("-o", "--output", required=True, metavar="OUT", help="new folder, or a new capture.toml")
-    add.add_argument("--ball", action="append", metavar="auto|MASK|X,Y,R",
-                     help="auto (the default): balls are searched; image that is white on the ball; or centre and"
+    add.add_argument("--ball", action="append", metavar="auto|none|MASK|X,Y,R",
+                     help="auto (the default): balls are searched; none: the subject's own shading shows the lights;"
+                     " image that is white on the ball; or centre and"
                      " radius; or points of the outline, X1,Y1,X2,Y2,X3,Y3,…; in pixels from the upper left corner; may"
                      " be repeated")  # fmt: skip
+    add.add_argument("--inside-out", action="store_true",
+                     help="with --ball none: the other of two answers, if the relief looks inside out")  # fmt: skip
     add.add_argument("--kind", default="auto", choices=("auto", "mirror", "matte"),
                      help="kind of all balls (default auto, for balls that are searched)")  # fmt: skip
     add.add_argument("--fov", type=float, metavar="DEGREES", help="the camera's full angle over the image's width")

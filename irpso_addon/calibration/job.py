@@ -26,7 +26,8 @@ AUTO = "auto"
 _FEWEST = 0.5  # fraction of the photographs that must show a light
 _SEARCH = 0.7  # fraction of the work
 _NO_BALL = (
-    "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball)"
+    "no ball was found in the photographs; paint a mask that is white on the ball, or give its place as X,Y,R (--ball);"
+    " --ball none finds lights by the subject's own shading"
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,11 +12,14 @@ import numpy as np
 
 from ..capture.formats.diligent import DIRECTIONS, FILENAMES, INTENSITIES
 from ..capture.formats.table import TABLE
+from ..capture.spec import CaptureSpec
+from ..capture.types import Light
 from ..core.errors import InputError
-from ..core.files import check_unused, new_folder
+from ..core.files import check_unused, new_folder, replacing_file
 from ..core.png import encode_png
 from .balls.contact_sheet import calibration_picture
 from .job import Calibrated, report_text, written_table
+from .photographs import calibrated_table
 
 _REPORT, _PICTURE = "report.json", "balls.png"
 
@@ -51,6 +55,27 @@ def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]
         encode_png(partial / _PICTURE, calibration_picture(calibrated), 8)
         for name, lines in _lists(calibrated).items():
             (partial / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def write_lights(
+    spec: CaptureSpec,
+    cameras: Mapping[int, Mapping[str, Any]],
+    lights: Mapping[int, Light],
+    report: dict[str, Any],
+    out: Path,
+) -> None:
+    """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
+
+    cameras, lights: as for ``calibrated_table``. Raises InputError where writing fails.
+    """
+    if out.suffix.lower() == ".toml":
+        with replacing_file(out) as table, replacing_file(_beside(out, _REPORT)) as beside:
+            table.write_text(calibrated_table(spec, cameras, lights, out.parent), encoding="utf-8")
+            beside.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        return
+    with new_folder(out) as partial:
+        (partial / TABLE).write_text(calibrated_table(spec, cameras, lights, out), encoding="utf-8")
+        (partial / _REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_beside(out: Path, texts: dict[Path, str], image: np.ndarray) -> None:

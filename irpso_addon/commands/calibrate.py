@@ -1,9 +1,10 @@
-"""``calibrate CAPTURE_OR_IMAGES``: finds the lights of photographs from balls in them."""
+"""``calibrate CAPTURE_OR_IMAGES``: finds the lights of photographs from balls, or from the subject's shading."""
 
 from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,29 @@ from ..blender.images import decode
 from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
 from ..calibration.photographs import camera_keys, read_photographs, with_camera
-from ..calibration.write import checked_output, write_calibration
+from ..calibration.write import checked_output, write_calibration, write_lights
+from ..capture.framing import framed
+from ..capture.spec import build_capture
 from ..core.errors import InputError
+from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
+from ..gpu import context, probe
+from ..pipeline.uncalibrated import uncalibrated_steps
+from ..reflectance.model import load_model
 from .options.values import numbers_of_text, positive, silent
 
+NONE = "none"  # in place of a ball
 _SHOWN_WARNINGS = 12
 
 
 def run(options: Namespace) -> dict:
     """Find the lights and write them. Raises InputError and then writes nothing."""
     keys = _camera(options)
+    if NONE in (options.ball or []):
+        return _by_shading(options, keys)
+    if options.inside_out:
+        raise InputError("--inside-out: goes with --ball none")
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
@@ -49,6 +61,41 @@ def run(options: Namespace) -> dict:
         "error_degrees": round(float(np.median(errors)), 4),
         **{key: report[key] for key in ("kind", "near", "how", "camera", "warnings")},
     }
+
+
+def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
+    """Find distant lights without a ball and write them. Raises InputError and then writes nothing."""
+    if options.ball != [NONE]:
+        raise InputError("--ball none: finds lights without a ball; omit the other --ball")
+    for name, usual in (("kind", AUTO), ("radius", None), ("distance", None), ("albedo", None), ("view", None)):
+        if getattr(options, name) != usual:
+            raise InputError(f"--{name}: is of balls; leave it out with --ball none")
+    if options.lights == "near":
+        raise InputError("--lights near: places of lamps need balls; --ball none finds directions of distant lights")
+    out = checked_output(Path(options.output))
+    spec = read_photographs(Path(options.capture), options.colour_space)
+    if keys:
+        spec = with_camera(spec, keys, "--camera" if options.camera else "--fov")
+    bar = ProgressBar("calibrate", silent(options))
+    probe.probe()
+    context.ensure()
+    capture = replace(framed(build_capture(spec, decode), spec.framing), card_distance=None)
+    steps = uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=options.inside_out)
+    found = run_steps(steps, lambda part: bar.show(part, "shading"))
+    bar.show(1.0, "done")
+    bar.close()
+    lights = {number: shot.light for number, shot in enumerate(found.capture.observations)}
+    write_lights(spec, {0: keys} if keys else {}, lights, found.report(), out)
+    if not silent(options):
+        turned, error = found.refined.turned.mean(), found.first.errors.mean()
+        lines = [
+            f"{len(lights)} distant lights by shading; parts of the subject agree to {error:.1f}°, its material then"
+            f" turned them by {turned:.1f}°",
+            *(f"warning: {warning}" for warning in found.warnings),
+            f"written to {out}",
+        ]
+        sys.stdout.write("\n".join(lines) + "\n")
+    return {"output": str(out), "photographs": len(lights), "lights": len(lights), **found.report()}
 
 
 def _camera(options: Namespace) -> dict[str, Any]:

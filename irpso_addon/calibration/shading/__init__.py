@@ -1,0 +1,1 @@
+"""Lights without a ball: distant lights from the shading of a subject with relief."""

@@ -1,0 +1,143 @@
+"""Which of the lights that explain the photographs equally well light a surface: the matrix between them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..balls.detect.filters import blurred
+
+_SMOOTH = 1.0  # pixels of the blur before normals are differentiated
+_INSIDE = 0.7  # least part of the blur's weight that good pixels hold
+_STEEP = 90.0  # percentile of the change from pixel to pixel above which it is a jump
+_ROUNDS = 40  # of reweighting
+_WIDTH = 1.5  # medians of the residuals at which a row's weight is a half
+_UNEVEN = 0.15  # of a logarithm: differences of the lights' intensities beyond it hardly count
+_STARTS = tuple(
+    (across, up, depth)
+    for depth in (-1.2, -0.6, 0.0, 0.6, 1.2)
+    for across, up in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))
+)
+_STEPS, _STEP = 60, 1e-5  # of Gauss–Newton's method
+_FLATTEST = 2.5  # most of |depth|, a logarithm
+_RIM = 4  # pixels from the outline at which normals tell outward from inward
+
+
+def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return (3, 3) the matrix by which scaled normals (P, 3) become a surface's, up to a bas-relief; and how clearly.
+
+    b ∂y b₁ … : with columns m of the matrix, ∂y(b·m₁ / b·m₃) = ∂x(b·m₂ / b·m₃) is linear in m₃ × m₁ and m₃ × m₂
+    (Yuille & Snow 1997): (m₃ × m₁)·(b × ∂y b) = (m₃ × m₂)·(b × ∂x b). Albedo drops out. Their null vector is found by
+    reweighting, so that edges of the surface hardly count. mask: (H, W) bool of the P pixels. good: (P,) of those that
+    the lights explain. Clearly is 0…1: the part of the second smallest singular value that the smallest lacks.
+    """
+    rows = _rows(normals, good, mask)
+    if len(rows) < 100:
+        return np.eye(3), 0.0
+    weight = np.ones(len(rows))
+    for _ in range(_ROUNDS):
+        # The eigenvector of the smallest eigenvalue.
+        values, vectors = np.linalg.eigh((rows * weight[:, None]).T @ (rows * weight[:, None]))
+        null = vectors[:, 0]
+        residual = np.abs(rows @ null)
+        weight = 1 / np.sqrt(1 + (residual / max(_WIDTH * float(np.median(residual)), 1e-12)) ** 2)
+    first, second = null[:3], null[3:]
+    third = np.cross(first, second)
+    third /= np.linalg.norm(third)
+    matrix = np.stack([np.cross(first, third), np.cross(second, third), third], axis=-1)
+    return matrix, float(1 - np.sqrt(max(values[0], 0) / max(values[1], 1e-300)))
+
+
+def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return (N, 6) b × ∂y b and −b × ∂x b of smoothed unit normals away from jumps."""
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    image, known = np.zeros((*mask.shape, 3)), np.zeros(mask.shape)
+    known[mask] = good
+    image[mask] = unit * good[:, None]
+    share = blurred(known, _SMOOTH)
+    smooth = np.stack([blurred(image[..., i], _SMOOTH) for i in range(3)], axis=-1)
+    smooth /= np.maximum(share, 1e-3)[..., None]
+    up, across = np.gradient(smooth, axis=(0, 1))
+    inside = mask & (share > _INSIDE)
+    change = np.sqrt((up**2 + across**2).sum(axis=-1))
+    if inside.any():
+        inside &= change < np.percentile(change[inside], _STEEP)
+    b = smooth[inside]
+    return np.concatenate([np.cross(b, up[inside]), -np.cross(b, across[inside])], axis=-1)
+
+
+def even_relief(lights: np.ndarray) -> np.ndarray:
+    """Return (3, 3) the bas-relief transformation of normals for which lights (K, 3) are most nearly equally strong.
+
+    Integrability leaves n → (n₁ + a n₃, n₂ + b n₃, c n₃) free (Belhumeur, Kriegman & Yuille 1999). Lamps differ in
+    strength, but not by their direction: of these transformations the one with the fewest different intensities is
+    found robustly (Geman & McClure 1987), from many starts.
+    """
+    best, least = np.zeros(3), np.inf
+    for start in _STARTS:
+        found, cost = _evened(np.array(start), lights)
+        if cost < least:
+            best, least = found, cost
+    return bas_relief(best)
+
+
+def bas_relief(parameters: np.ndarray) -> np.ndarray:
+    """Return (3, 3) H of (a, b, log c): normals become normals @ H, lights lights @ inv(H)ᵀ."""
+    a, b, depth = parameters
+    return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [a, b, np.exp(depth)]])
+
+
+def _evened(parameters: np.ndarray, lights: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return parameters and cost at the end of a damped Gauss–Newton search."""
+    damping, residual = 1e-2, _unevenness(parameters, lights)
+    cost = _cost(residual)
+    for _ in range(_STEPS):
+        weight = 1 / (1 + residual**2)
+        moved = [_unevenness(parameters + _STEP * axis, lights) for axis in np.eye(3)]
+        jacobian = (np.stack(moved, axis=-1) - residual[:, None]) / _STEP
+        square = (jacobian * weight[:, None]).T @ jacobian
+        step = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-9), jacobian.T @ (weight * residual))
+        trial = parameters - step
+        trial[2] = np.clip(trial[2], -_FLATTEST, _FLATTEST)
+        further = _unevenness(trial, lights)
+        if _cost(further) < cost:
+            parameters, residual, damping = trial, further, damping / 3
+            improvement, cost = cost - _cost(further), _cost(further)
+            if improvement < 1e-7:
+                break
+        else:
+            damping *= 4
+            if damping > 1e6:
+                break
+    return parameters, cost
+
+
+def _unevenness(parameters: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    moved = lights @ np.linalg.inv(bas_relief(parameters)).T
+    strength = np.log(np.maximum(np.linalg.norm(moved, axis=-1), 1e-12))
+    return (strength - np.median(strength)) / _UNEVEN
+
+
+def _cost(residual: np.ndarray) -> float:
+    return float(np.log1p(residual**2).mean())
+
+
+def bulges(normals: np.ndarray, mask: np.ndarray) -> float:
+    """Return −1…1: how far unit normals (P, 3) at the outline of a mask (H, W) point outward; 0 without an outline.
+
+    A solid's do. Without an outline relief and its inverse explain photographs equally well.
+    """
+    rows, columns = np.nonzero(mask)
+    inner = mask.copy()
+    for _ in range(_RIM):
+        padded = np.pad(inner, 1)
+        inner = inner & padded[2:, 1:-1] & padded[:-2, 1:-1] & padded[1:-1, 2:] & padded[1:-1, :-2]
+    rim = (mask & ~inner)[mask]
+    # The picture's frame is no outline.
+    height, width = mask.shape
+    rim &= (rows >= _RIM) & (rows < height - _RIM) & (columns >= _RIM) & (columns < width - _RIM)
+    if rim.sum() < 20:
+        return 0.0
+    outward = np.stack([columns - columns.mean(), rows - rows.mean()], axis=-1)[rim]
+    outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1e-9)
+    tilt = normals[rim, :2]
+    return float((tilt * outward).sum() / max(np.linalg.norm(tilt, axis=-1).sum(), 1e-9))

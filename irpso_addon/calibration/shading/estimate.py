@@ -1,0 +1,126 @@
+"""Directions and intensities of distant lights from the shading of one subject, without anything known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.steps import map_steps
+from .ambiguity import bulges, even_relief, integrable
+from .factors import factored, scaled_normals, usable_samples
+
+FEWEST = 10  # photographs
+_GOOD = 0.5  # part of the pixels that the lights explain best, which tell the surface
+_LIT = 0.3  # least part of a pixel's samples that are neither in shadow nor in a highlight
+_PARTS = 4  # of the subject: each is left out once, for the error
+_BLOCKS = 8  # of pixels along the subject's larger side, which go to a part together
+_FEWEST_PIXELS = 500
+_ROUNDS = 40  # of a factorisation, for the progress
+_OUTLINE = 0.2  # least of |bulges| that tells a solid from its inverse
+
+
+@dataclass(frozen=True)
+class ShadingLights:
+    """Lights from shading, in the camera's axes (x right, y up, z toward the viewer).
+
+    directions: (K, 3) unit, toward the light. intensities: (K,) relative, with mean logarithm 0. errors: (K,) standard
+    deviation in degrees between parts of the subject (delete-a-group jackknife; Efron 1982); it does not know what is
+    wrong with all of them alike. solid: whether an outline tells the relief from its inverse, which has all lights
+    turned half around the view.
+    """
+
+    directions: np.ndarray
+    intensities: np.ndarray
+    errors: np.ndarray
+    solid: bool
+
+
+def shading_steps(
+    values: np.ndarray, weight: np.ndarray, mask: np.ndarray, seed: int = 0
+) -> Generator[float, None, ShadingLights]:
+    """Yield the fraction done; return the lights of K photographs. Uncalibrated photometric stereo, in three steps.
+
+    The radiance of matt texels is the product of lights and scaled normals, up to a 3×3 matrix (``factors``); that the
+    normals are a surface's leaves a bas-relief of it, that lamps are about equally strong the rest (``ambiguity``).
+    values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. Raises InputError where
+    photographs, pixels or relief are too few.
+    """
+    if len(values) < FEWEST:
+        raise InputError(
+            f"{len(values)} photographs are too few to find lights by shading; take {FEWEST} or more, or put a ball into"
+            " them"
+        )
+    scaled, usable = usable_samples(values, weight)
+    lit = np.flatnonzero(usable.mean(axis=0) > _LIT)
+    if len(lit) < _FEWEST_PIXELS:
+        raise InputError(
+            f"only {len(lit)} pixels are lit well enough to find lights by shading, {_FEWEST_PIXELS} are needed; put a"
+            " ball into the photographs"
+        )
+    part_of = _parts(mask, seed)
+    found = []
+    for part in range(_PARTS + 1):  # the last leaves nothing out
+        chosen = lit[part_of[lit] != part]
+        steps = _lights(scaled, usable, chosen, mask, np.random.default_rng(seed))
+        found.append((yield from _counted(steps, part)))
+    whole, outward = found[-1]
+    strength = np.linalg.norm(whole, axis=-1)
+    directions = whole / strength[:, None]
+    others = np.stack([_unit(lights) for lights, _ in found[:-1]])
+    cosine = np.clip((others * directions).sum(axis=-1), -1, 1)
+    errors = np.degrees(np.sqrt((_PARTS - 1) / _PARTS * (np.arccos(cosine) ** 2).sum(axis=0)))
+    intensities = strength / np.exp(np.log(strength).mean())
+    return ShadingLights(directions, intensities, errors, abs(outward) >= _OUTLINE)
+
+
+def _counted(
+    steps: Generator[None, None, tuple[np.ndarray, float]], part: int
+) -> Generator[float, None, tuple[np.ndarray, float]]:
+    """Yield the fraction done of all parts."""
+    made = count(1)
+    return (yield from map_steps(steps, lambda _: (part + min(next(made) / _ROUNDS, 1.0)) / (_PARTS + 1)))
+
+
+def _parts(mask: np.ndarray, seed: int) -> np.ndarray:
+    """Return (P,) the part, 0 to 3, of each pixel of a mask: by blocks, drawn at random."""
+    rows, columns = np.nonzero(mask)
+    side = max(np.ptp(rows), np.ptp(columns)) / _BLOCKS + 1
+    block = (rows - rows.min()) // side * _BLOCKS + (columns - columns.min()) // side
+    drawn: np.ndarray = np.random.default_rng(seed).integers(_PARTS, size=_BLOCKS**2 + _BLOCKS)
+    return drawn[block.astype(int)]
+
+
+def _lights(
+    scaled: np.ndarray, usable: np.ndarray, chosen: np.ndarray, mask: np.ndarray, rng: np.random.Generator
+) -> Generator[None, None, tuple[np.ndarray, float]]:
+    """Return lights (K, 3) times their intensities, from chosen pixels, and how far normals bulge at the outline."""
+    lights = yield from factored(scaled, usable, chosen, rng)
+    normals, misfit = scaled_normals(scaled[:, chosen], usable[:, chosen], lights)
+    yield
+    good = np.zeros(scaled.shape[1], bool)
+    good[chosen[misfit <= np.quantile(misfit, _GOOD)]] = True
+    every = np.zeros((scaled.shape[1], 3))
+    every[chosen] = normals
+    matrix, clear = integrable(every, good, mask)
+    if not clear > 0:
+        raise InputError("the subject has too little relief to find lights by its shading; put a ball beside it")
+    every, lights = every @ matrix, lights @ np.linalg.inv(matrix).T
+    side = 1.0 if np.median(every[good, 2]) > 0 else -1.0
+    depth = np.median(np.abs(every[good, 2])) / max(np.median(np.linalg.norm(every[good, :2], axis=-1)), 1e-12)
+    scale = side * np.array([1.0, 1.0, 1 / depth])
+    every, lights = every * scale, lights / scale
+    yield
+    relief = even_relief(lights)
+    every, lights = every @ relief, lights @ np.linalg.inv(relief).T
+    outward = bulges(_unit(every), mask)
+    if outward < 0:
+        lights = lights * (-1, -1, 1)
+    return lights, outward
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
