@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration.shading.estimate import ShadingLights, shading_steps
+from ..calibration.shading.estimate import ShadingLights, shading_steps, surface_rotation
 from ..capture.bounds import without_bounds
 from ..capture.framing import Framing, framed
 from ..capture.types import Capture, Light, triple
@@ -64,7 +64,8 @@ def uncalibrated_steps(
     """Yield the fraction done; return the distant lights of a capture of one camera, whose own lights do not count.
 
     The first estimate takes the subject for matt and lamps for equally strong. Then recoveries of some texels with
-    ``model`` and corrections of the lights alternate (``light_steps``), which knows highlights. All intensities have a
+    ``model`` and corrections of the lights alternate (``light_steps``), which knows highlights; after each, lights are
+    turned by what makes the normals a surface's. All intensities have a
     common free factor. inside_out: take the other of two answers, the relief turned inside out, which only an outline
     tells apart. Raises InputError where the photographs do not determine the lights.
     """
@@ -87,6 +88,11 @@ def uncalibrated_steps(
     for number in range(_ROUNDS):
         refining = light_steps(domain, model, seed=seed, refine_degrees=_ERROR)
         refined = yield from map_steps(refining, partial(_fraction, number))
+        directions = refined.lights[:, :3].astype(np.float64)
+        strength = refined.intensities.mean(axis=-1, keepdims=True)
+        turn = surface_rotation(values, weight, small.masks[0], directions * strength, _plane(small))
+        turned = np.concatenate([directions @ turn, np.zeros((len(directions), 1))], axis=-1)
+        refined = replace(refined, lights=turned.astype(np.float32))
         domain = refined.applied(domain)
     found = _with_lights(capture, refined.lights[:, :3].astype(np.float64), refined.intensities)
     warnings = refined.warnings()
@@ -96,6 +102,13 @@ def uncalibrated_steps(
             " subject's outline tells)"
         )
     return Uncalibrated(found, first, refined, tuple(warnings))
+
+
+def _plane(capture: Capture) -> np.ndarray | None:
+    """Return (P, 2) the plane coordinates at distance 1 of the masked pixels of a perspective camera."""
+    camera = replace(capture.cameras[0], matrix=np.eye(4))
+    plane: np.ndarray = camera.points(1.0)[capture.masks[0]][:, :2]
+    return plane if camera.perspective else None
 
 
 def _fraction(number: int, part: float) -> float:

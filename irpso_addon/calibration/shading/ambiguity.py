@@ -19,6 +19,8 @@ _STARTS = tuple(
 )
 _STEPS, _STEP = 60, 1e-5  # of Gauss–Newton's method
 _FLATTEST = 2.5  # most of |depth|, a logarithm
+_LARGEST_TURN = np.radians(5.0)  # standard deviation of a rotation, before the surface tells
+_ALIKE = 20.0  # neighbouring rows that err alike
 _RIM = 4  # pixels from the outline at which normals tell outward from inward
 
 
@@ -30,7 +32,7 @@ def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple
     reweighting, so that edges of the surface hardly count. mask: (H, W) bool of the P pixels. good: (P,) of those that
     the lights explain. Clearly is 0…1: the part of the second smallest singular value that the smallest lacks.
     """
-    rows = _rows(normals, good, mask)
+    rows = _rows(normals, good, mask)[:, :6]
     if len(rows) < 100:
         return np.eye(3), 0.0
     weight = np.ones(len(rows))
@@ -47,8 +49,50 @@ def integrable(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> tuple
     return matrix, float(1 - np.sqrt(max(values[0], 0) / max(values[1], 1e-300)))
 
 
-def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return (N, 6) b × ∂y b and −b × ∂x b of smoothed unit normals away from jumps."""
+def rotation(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
+    """Return (3, 3) the small rotation R by which normals (P, 3) become a surface's: normals @ R.
+
+    The constraint of ``integrable`` for orthonormal columns. plane: (P, 2) x and y of the pixels' rays at distance 1,
+    for a perspective camera: the slopes of the logarithm of depth are n₁ and n₂ over n₃ − x n₁ − y n₂ (Quéau, Durou &
+    Aujol 2018), which adds (m₁ × m₂)·(y b × ∂y b + x b × ∂x b). Where the surface tells little it is near the identity.
+    """
+    rows = _rows(normals, good, mask, plane)
+    turn = np.zeros(3)
+    if len(rows) < 100:
+        return np.eye(3)
+    for _ in range(_ROUNDS):
+        residual = rows @ _constrained(_turned(turn))
+        moved = [rows @ _constrained(_turned(turn + _STEP * axis)) for axis in np.eye(3)]
+        jacobian = (np.stack(moved, axis=-1) - residual[:, None]) / _STEP
+        width = max(float(np.median(np.abs(residual))), 1e-12)
+        weight = 1 / (1 + (residual / (_WIDTH * width)) ** 2)
+        certainty = 1 / (_ALIKE * (1.4826 * width) ** 2)  # of a row, in one over its variance
+        square = certainty * (jacobian * weight[:, None]).T @ jacobian + np.eye(3) / _LARGEST_TURN**2
+        slope = certainty * jacobian.T @ (weight * residual) + turn / _LARGEST_TURN**2
+        step = np.linalg.solve(square, slope)
+        turn = turn - step
+        if np.abs(step).max() < 1e-7:
+            break
+    return _turned(turn)
+
+
+def _constrained(matrix: np.ndarray) -> np.ndarray:
+    """Return (9,) m₃ × m₁, m₃ × m₂ and m₁ × m₂ of a rotation's columns."""
+    return np.concatenate([matrix[:, 1], -matrix[:, 0], matrix[:, 2]])
+
+
+def _turned(turn: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) about an axis (3,) by its length in radians (Rodrigues 1840)."""
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = turn / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:
+    """Return (N, 9) b × ∂y b, −b × ∂x b, and y b × ∂y b + x b × ∂x b of smoothed unit normals away from jumps."""
     unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     image, known = np.zeros((*mask.shape, 3)), np.zeros(mask.shape)
     known[mask] = good
@@ -61,8 +105,9 @@ def _rows(normals: np.ndarray, good: np.ndarray, mask: np.ndarray) -> np.ndarray
     change = np.sqrt((up**2 + across**2).sum(axis=-1))
     if inside.any():
         inside &= change < np.percentile(change[inside], _STEEP)
-    b = smooth[inside]
-    return np.concatenate([np.cross(b, up[inside]), -np.cross(b, across[inside])], axis=-1)
+    vertical, horizontal = np.cross(smooth[inside], up[inside]), np.cross(smooth[inside], across[inside])
+    ray = np.zeros((len(vertical), 2)) if plane is None else plane[inside[mask]]
+    return np.concatenate([vertical, -horizontal, ray[:, 1:] * vertical + ray[:, :1] * horizontal], axis=-1)
 
 
 def even_relief(lights: np.ndarray) -> np.ndarray:

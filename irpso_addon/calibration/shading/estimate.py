@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.steps import map_steps
-from .ambiguity import bulges, even_relief, integrable
+from .ambiguity import bulges, even_relief, integrable, rotation
 from .factors import factored, scaled_normals, usable_samples
 
 FEWEST = 10  # photographs
@@ -51,8 +51,7 @@ def shading_steps(
     """
     if len(values) < FEWEST:
         raise InputError(
-            f"{len(values)} photographs are too few to find lights by shading; take {FEWEST} or more, or put a ball into"
-            " them"
+            f"{len(values)} photographs are too few to find lights by shading; take {FEWEST}, or put a ball into them"
         )
     scaled, usable = usable_samples(values, weight)
     lit = np.flatnonzero(usable.mean(axis=0) > _LIT)
@@ -120,6 +119,21 @@ def _lights(
     if outward < 0:
         lights = lights * (-1, -1, 1)
     return lights, outward
+
+
+def surface_rotation(
+    values: np.ndarray, weight: np.ndarray, mask: np.ndarray, lights: np.ndarray, plane: np.ndarray | None = None
+) -> np.ndarray:
+    """Return (3, 3) the rotation R by which lights (K, 3) become those of a surface: lights @ R.
+
+    A rotation of lights and normals together leaves matt shading unchanged; that normals are a surface's tells it.
+    values, weight, mask: as for ``shading_steps``. plane: (P, 2) of a perspective camera's pixels, at distance 1.
+    """
+    scaled, usable = usable_samples(values, weight)
+    normals, misfit = scaled_normals(scaled, usable, lights)
+    lit = usable.mean(axis=0) > _LIT
+    good = lit & (misfit <= np.quantile(misfit[lit], _GOOD)) if lit.any() else lit
+    return rotation(normals, good, mask, plane)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
