@@ -95,7 +95,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
             f"written to {out}",
         ]
         sys.stdout.write("\n".join(lines) + "\n")
-    return {"output": str(out), "photographs": len(lights), "lights": len(lights), **found.report()}
+    return {"output": str(out), **found.report(), "photographs": len(lights), "lights": len(lights)}
 
 
 def _camera(options: Namespace) -> dict[str, Any]:

@@ -69,11 +69,15 @@ def shading_steps(
     whole, outward = found[-1]
     strength = np.linalg.norm(whole, axis=-1)
     directions = whole / strength[:, None]
+    solid = abs(outward) >= _OUTLINE
     others = np.stack([_unit(lights) for lights, _ in found[:-1]])
+    if not solid:  # a part may have found the inverse
+        same = (others[..., :2] * directions[:, :2]).sum(axis=(1, 2)) > 0
+        others[~same] *= (-1, -1, 1)
     cosine = np.clip((others * directions).sum(axis=-1), -1, 1)
     errors = np.degrees(np.sqrt((_PARTS - 1) / _PARTS * (np.arccos(cosine) ** 2).sum(axis=0)))
     intensities = strength / np.exp(np.log(strength).mean())
-    return ShadingLights(directions, intensities, errors, abs(outward) >= _OUTLINE)
+    return ShadingLights(directions, intensities, errors, solid)
 
 
 def _counted(
