@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,23 +58,20 @@ def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]
 
 
 def write_lights(
-    spec: CaptureSpec,
-    cameras: Mapping[int, Mapping[str, Any]],
-    lights: Mapping[int, Light],
-    report: dict[str, Any],
-    out: Path,
+    spec: CaptureSpec, keys: Mapping[str, Any], lights: Sequence[Light], report: dict[str, Any], out: Path
 ) -> None:
     """Write a table and a report of lights that no ball shows: into a new folder, or as OUT.toml. All or nothing.
 
-    cameras, lights: as for ``calibrated_table``. Raises InputError where writing fails.
+    keys: of the camera. lights: one for each photograph. Raises InputError where writing fails.
     """
+    cameras, by_number = {0: keys} if keys else {}, dict(enumerate(lights))
     if out.suffix.lower() == ".toml":
         with replacing_file(out) as table, replacing_file(_beside(out, _REPORT)) as beside:
-            table.write_text(calibrated_table(spec, cameras, lights, out.parent), encoding="utf-8")
+            table.write_text(calibrated_table(spec, cameras, by_number, out.parent), encoding="utf-8")
             beside.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         return
     with new_folder(out) as partial:
-        (partial / TABLE).write_text(calibrated_table(spec, cameras, lights, out), encoding="utf-8")
+        (partial / TABLE).write_text(calibrated_table(spec, cameras, by_number, out), encoding="utf-8")
         (partial / _REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 

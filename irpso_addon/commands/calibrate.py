@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,18 +78,18 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     bar = ProgressBar("calibrate", silent(options))
     probe.probe()
     context.ensure()
-    capture = replace(framed(build_capture(spec, decode), spec.framing), card_distance=None)
+    capture = framed(build_capture(spec, decode), spec.framing)
     steps = uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=options.inside_out)
     found = run_steps(steps, lambda part: bar.show(part, "shading"))
     bar.show(1.0, "done")
     bar.close()
-    lights = {number: shot.light for number, shot in enumerate(found.capture.observations)}
-    write_lights(spec, {0: keys} if keys else {}, lights, found.report(), out)
+    lights = [shot.light for shot in found.capture.observations]
+    write_lights(spec, keys, lights, found.report(), out)
     if not silent(options):
-        turned, error = found.refined.turned.mean(), found.first.errors.mean()
+        turned = f"; its material then turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
         lines = [
-            f"{len(lights)} distant lights by shading; parts of the subject agree to {error:.1f}°, its material then"
-            f" turned them by {turned:.1f}°",
+            f"{len(lights)} distant lights by shading; parts of the subject agree to {found.first.errors.mean():.1f}°"
+            + turned,
             *(f"warning: {warning}" for warning in found.warnings),
             f"written to {out}",
         ]

@@ -1,23 +1,36 @@
-"""Lights from a ball: calibrates the lights of a folder of photographs and imports it as a capture."""
+"""Finds the lights of a folder of photographs, from balls or from shading, and imports it as a capture."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
 from ...blender.images import decode
 from ...calibration.balls.lights import Request
 from ...calibration.job import BallRequest, calibrate_steps
 from ...calibration.photographs import read_photographs, with_camera
-from ...calibration.write import write_calibration
+from ...calibration.write import write_calibration, write_lights
 from ...capture.formats.table import TABLE
+from ...capture.framing import framed
+from ...capture.spec import build_capture
 from ...core.errors import InputError
-from ...core.steps import run_steps
+from ...core.optional import present
+from ...core.paths import DEFAULT_MODEL
+from ...gpu import context as gpu_context
+from ...gpu import probe
+from ...pipeline.uncalibrated import uncalibrated_steps
+from ...reflectance.model import load_model
+from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
+from ..common.polls import usable
+from ..session import session
 
 _KINDS = (
     ("auto", "Automatic", "Mirror balls if any are found, else matte ones. For a mask or a circle choose the kind"),
@@ -28,7 +41,9 @@ _FOUND_BY = (
     ("AUTO", "Automatic", "All balls in the photographs are searched"),
     ("MASK", "Mask", "An image of the photographs' size, white on the ball"),
     ("CIRCLE", "Circle", "Center and radius in pixels"),
+    ("NONE", "No Ball", "Distant lights are found from the subject's own shading and material; it needs relief"),
 )
+_SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from one redraw to the next work at least
 
 
 def free_table(folder: Path) -> Path:
@@ -38,10 +53,10 @@ def free_table(folder: Path) -> Path:
 
 
 class LightsFromBall(bpy.types.Operator):
-    """Find the light's direction in every photograph from a ball in the picture, and import the photographs"""
+    """Find the light of every photograph from a ball in the picture, or from the subject's shading, and import them"""
 
     bl_idname = "irpso.lights_from_ball"
-    bl_label = "Lights from a Ball"
+    bl_label = "Find Lights"
     bl_options = {"REGISTER"}
 
     photographs: StringProperty(
@@ -62,10 +77,23 @@ class LightsFromBall(bpy.types.Operator):
         size=3,
         min=0,
     )
+    inside_out: BoolProperty(
+        name="Inside Out", description="Take the other of two answers, if the relief looks inside out. Only a mask with"
+        " the subject's outline tells them apart",
+    )  # fmt: skip
     fov: FloatProperty(
         name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera",
         subtype="ANGLE", min=0, max=math.radians(170),
     )  # fmt: skip
+
+    _steps: Generator[float, None, tuple[Path, tuple[str, ...]]] | None = None
+    _timer: Any = None
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether no recovery runs: both would share the GPU."""
+        running = session.current()
+        return usable(cls, running is None or not running.active, "A recovery runs: pause or stop it first")
 
     def invoke(self, context, event):
         """Open the dialog."""
@@ -77,49 +105,104 @@ class LightsFromBall(bpy.types.Operator):
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(self, "photographs")
-        column.prop(self, "kind")
         column.prop(self, "found_by")
-        if self.found_by != "AUTO":
-            column.prop(self, "mask" if self.found_by == "MASK" else "circle")
+        if self.found_by != "NONE":
+            column.prop(self, "kind")
+        shown = {"MASK": "mask", "CIRCLE": "circle", "NONE": "inside_out"}.get(self.found_by)
+        if shown:
+            column.prop(self, shown)
         column.prop(self, "fov")
 
     def execute(self, context):
-        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written."""
-        manager = context.window_manager
-        manager.progress_begin(0, 1)
+        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written.
+
+        In a window this goes on in time slices, with the progress at the mouse; Esc cancels.
+        """
+        self._steps = self._found()
+        context.window_manager.progress_begin(0, 1)
+        if not bpy.app.background and context.window is not None:
+            self._timer = context.window_manager.event_timer_add(_TIMER_SECONDS, window=context.window)
+            context.workspace.status_text_set("Finding lights. Esc cancels")
+            context.window_manager.modal_handler_add(self)
+            return {"RUNNING_MODAL"}
+        return self._slice(context, math.inf) or {"CANCELLED"}
+
+    def modal(self, context, event):
+        """Work for one slice at each timer event."""
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._leave(context, {"CANCELLED"})
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        with failures.reported("Finding lights"):
+            return self._slice(context, _SLICE_SECONDS) or {"RUNNING_MODAL"}
+        return self._leave(context, {"CANCELLED"})
+
+    def cancel(self, context):
+        """End when the window or the file is closed."""
+        self._leave(context, {"CANCELLED"})
+
+    def _slice(self, context, seconds: float) -> set[str] | None:
+        """Work for some time; return how the operator ends, None if it goes on."""
+        begun = time.perf_counter()
         try:
-            path, warnings = self._calibrated(context, manager)
+            while time.perf_counter() - begun < seconds:
+                context.window_manager.progress_update(next(present(self._steps)))
+        except StopIteration as end:
+            self._leave(context, set())
+            return self._imported(*end.value)
         except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            manager.progress_end()
+            self._leave(context, set())
+            return failures.refused(self, error)
+        return None
+
+    def _leave(self, context, result: set[str]) -> set[str]:
+        if self._steps is not None:
+            self._steps.close()
+            self._steps = None
+            context.window_manager.progress_end()
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+            if context.workspace is not None:
+                context.workspace.status_text_set(None)
+        return result
+
+    def _imported(self, path: Path, warnings: tuple[str, ...]) -> set[str]:
         bpy.ops.irpso.import_capture(filepath=str(path))
         if warnings:
             more = f" (and {len(warnings) - 1} more, in the report beside it)" if len(warnings) > 1 else ""
-            self.report({"WARNING"}, warnings[0] + more)
+            self.report({"WARNING"}, failures.words(InputError(warnings[0])) + more)
+        elif self.found_by == "NONE":
+            self.report({"INFO"}, f"Lights written to {path.name}")
         else:
             self.report({"INFO"}, f"Lights written to {path.name}; look at {path.stem}_balls.png")
         return {"FINISHED"}
 
-    def _calibrated(self, context, manager) -> tuple[Path, tuple[str, ...]]:
-        """Return the table's path and the warnings. Raises InputError."""
+    def _found(self) -> Generator[float, None, tuple[Path, tuple[str, ...]]]:
+        """Yield the fraction done; return the table's path and the warnings. Raises InputError."""
         if not self.photographs:
             raise InputError("Photographs: no folder is chosen; choose the folder of the photographs")
         source = absolute(self.photographs, "Photographs")
         if not source.exists():
             raise InputError(f"{source}: does not exist; choose the folder of the photographs")
-        ball = self._ball()
-        colour_space = context.scene.irpso.colour_space
-        spec = read_photographs(source, colour_space, [ball.mask] if ball.mask else [])
+        ball = None if self.found_by == "NONE" else self._ball()
+        colour_space = bpy.context.scene.irpso.colour_space
+        spec = read_photographs(source, colour_space, [ball.mask] if ball and ball.mask else [])
         keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else {}
         if keys:
             spec = with_camera(spec, keys, "Field of View")
-        steps = calibrate_steps(spec, [ball], Request(self.kind), decode)
-        calibration = run_steps(steps, manager.progress_update)
         table = free_table(source if source.is_dir() else source.parent)
-        write_calibration(calibration, table, keys)
-        return table, calibration.warnings
+        if ball is not None:
+            calibration = yield from calibrate_steps(spec, [ball], Request(self.kind), decode)
+            write_calibration(calibration, table, keys)
+            return table, calibration.warnings
+        probe.probe()
+        gpu_context.ensure()
+        capture = framed(build_capture(spec, decode), spec.framing)
+        found = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=self.inside_out)
+        lights = [shot.light for shot in found.capture.observations]
+        write_lights(spec, keys, lights, found.report(), table)
+        return table, found.warnings
 
     def _ball(self) -> BallRequest:
         if self.found_by == "AUTO":

@@ -32,7 +32,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row = layout.row()
             row.scale_y = 1.0 if settings.capture_path else 1.5
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
-            layout.operator("irpso.lights_from_ball", text="Lights from a Ball…", icon="LIGHT_SUN")
+            layout.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
             if not settings.capture_path:
                 return
             layout.prop(settings, "capture_path", text="")
