@@ -13,7 +13,10 @@ from ..capture.errors import CaptureError
 from ..capture.formats import diligent, table
 from ..capture.formats.lists import read_lines
 from ..capture.formats.toml_file import CAMERA_KEYS, camera_maker, has_lens, known_keys, load_toml
-from ..capture.images.image import ImageRef, find_image
+from ..capture.images.exif import field_of_view
+from ..capture.images.exr_header import is_exr
+from ..capture.images.image import ImageRef, ImageStore, find_image
+from ..capture.images.linearise import Decoder
 from ..capture.spec import CaptureSpec, ObservationSpec, ViewSpec
 from ..capture.types import Light
 from ..core.toml_text import toml_value
@@ -71,6 +74,21 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
         matrix = view.make(*(view.size or (1, 1))).matrix
         views.append(replace(view, make=camera_maker(dict(keys), where, matrix), lens=has_lens(keys)))
     return replace(spec, views=tuple(views))
+
+
+def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str, Any]:
+    """Return the camera keys that the EXIF of all photographs agrees on; {} where the capture tells the lens itself.
+
+    Also {} where files do not tell it, differ, were cropped, or the capture has several cameras.
+    """
+    if len(spec.views) != 1 or spec.views[0].lens or is_exr(spec.observations[0].image.path):
+        return {}
+    store, angles = ImageStore(decoder), set()
+    for shot in (spec.observations[0], spec.observations[-1]):
+        angle = field_of_view(shot.image.path.read_bytes(), *store.size(shot.image))
+        angles.add(None if angle is None else round(angle, 4))
+    (angle, *others) = angles
+    return {} if others or angle is None else {"fov_degrees": angle}
 
 
 def calibrated_table(

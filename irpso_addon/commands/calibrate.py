@@ -12,10 +12,10 @@ import numpy as np
 from ..blender.images import decode
 from ..calibration.balls.lights import Request
 from ..calibration.job import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
-from ..calibration.photographs import camera_keys, read_photographs, with_camera
+from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
 from ..calibration.write import checked_output, write_calibration, write_lights
 from ..capture.framing import framed
-from ..capture.spec import build_capture
+from ..capture.spec import CaptureSpec, build_capture
 from ..core.errors import InputError
 from ..core.paths import DEFAULT_MODEL
 from ..core.progress_bar import ProgressBar
@@ -39,9 +39,7 @@ def run(options: Namespace) -> dict:
     requests = [ball_of_text(text) for text in options.ball or [AUTO]]
     masks = [r.mask for r in requests if r.mask is not None]
     out = checked_output(Path(options.output))
-    spec = read_photographs(Path(options.capture), options.colour_space, masks)
-    if keys:
-        spec = with_camera(spec, keys, "--camera" if options.camera else "--fov")
+    spec, keys = _photographs(options, keys, masks)
     request = Request(options.kind, options.lights, positive("--distance", options.distance), _albedo(options.albedo))
     bar = ProgressBar("calibrate", silent(options))
     steps = calibrate_steps(spec, requests, request, decode, positive("--radius", options.radius), options.view)
@@ -72,9 +70,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     if options.lights == "near":
         raise InputError("--lights near: places of lamps need balls; --ball none finds directions of distant lights")
     out = checked_output(Path(options.output))
-    spec = read_photographs(Path(options.capture), options.colour_space)
-    if keys:
-        spec = with_camera(spec, keys, "--camera" if options.camera else "--fov")
+    spec, keys = _photographs(options, keys, [])
     bar = ProgressBar("calibrate", silent(options))
     probe.probe()
     context.ensure()
@@ -95,6 +91,17 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
         ]
         sys.stdout.write("\n".join(lines) + "\n")
     return {"output": str(out), **found.report(), "photographs": len(lights), "lights": len(lights)}
+
+
+def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:
+    """Return the photographs, and the keys of their camera: those given, or those of their EXIF."""
+    spec = read_photographs(Path(options.capture), options.colour_space, masks)
+    where = "--camera" if options.camera else "--fov"
+    if not keys and (keys := lens_of_files(spec, decode)):
+        where = "EXIF"
+        if not silent(options):
+            sys.stdout.write(f"camera: {keys['fov_degrees']:.1f}° over the width, as EXIF says; --fov overrides it\n")
+    return (with_camera(spec, keys, where) if keys else spec), keys
 
 
 def _camera(options: Namespace) -> dict[str, Any]:

@@ -1,8 +1,9 @@
-"""EXIF 2.3 tags of photographs, read by Pillow: exposure and orientation; and rotation of pixels."""
+"""EXIF 2.3 tags of photographs, read by Pillow: exposure, lens and orientation; and rotation of pixels."""
 
 from __future__ import annotations
 
 import io
+import math
 import struct
 import warnings
 from collections.abc import Iterator
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 JPEG_START = b"\xff\xd8"
 _DAMAGE = (SyntaxError, OSError, EOFError, ValueError, LookupError, TypeError, struct.error)  # Pillow's exceptions
+_FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN = 41989, 40962, 40963
+_DIAGONAL_35MM = math.hypot(36.0, 24.0)  # millimetres
+_SAME_SHAPE = 0.01  # by how much the proportions of a picture that is not cropped may differ from its tags'
 _EXIF_DIRECTORY, _ORIENTATION, _EXPOSURE_TIME, _F_NUMBER, _ISO = 34665, 274, 33434, 33437, 34855
 
 
@@ -77,6 +81,24 @@ def exposure_of(data: bytes) -> Exposure | None:
     tags = tiff_tags(_exif_block(data))
     seconds, f_number, iso = (_positive(tags.get(tag)) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO))
     return Exposure(seconds, f_number, iso) if seconds else None
+
+
+def field_of_view(data: bytes, width: int, height: int) -> float | None:
+    """Return the angle in degrees over the width of an upright picture of this size; None if its file does not tell.
+
+    By FocalLengthIn35mmFilm, which compares diagonals (CIPA DCG-001). None also where the picture's proportions are not
+    those of the photograph in the tags: it was cropped.
+    """
+    tags = tiff_tags(_exif_block(data))
+    focal, across, down = (_positive(tags.get(tag)) for tag in (_FOCAL_LENGTH_35MM, _PIXELS_ACROSS, _PIXELS_DOWN))
+    if focal is None:
+        return None
+    if across and down:
+        shapes = max(across, down) / min(across, down), max(width, height) / min(width, height)
+        if abs(shapes[0] / shapes[1] - 1) > _SAME_SHAPE:
+            return None
+    pixels = focal * math.hypot(width, height) / _DIAGONAL_35MM
+    return math.degrees(2 * math.atan(width / 2 / pixels))
 
 
 def _exif_block(data: bytes) -> bytes:

@@ -14,7 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 from ...blender.images import decode
 from ...calibration.balls.lights import Request
 from ...calibration.job import BallRequest, calibrate_steps
-from ...calibration.photographs import read_photographs, with_camera
+from ...calibration.photographs import lens_of_files, read_photographs, with_camera
 from ...calibration.write import write_calibration, write_lights
 from ...capture.formats.table import TABLE
 from ...capture.framing import framed
@@ -82,7 +82,8 @@ class LightsFromBall(bpy.types.Operator):
         " the subject's outline tells them apart",
     )  # fmt: skip
     fov: FloatProperty(
-        name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera",
+        name="Field of View", description="The camera's, over the image's width. 0: that of the capture's camera, or of"
+        " the photographs' EXIF",
         subtype="ANGLE", min=0, max=math.radians(170),
     )  # fmt: skip
 
@@ -188,7 +189,7 @@ class LightsFromBall(bpy.types.Operator):
         ball = None if self.found_by == "NONE" else self._ball()
         colour_space = bpy.context.scene.irpso.colour_space
         spec = read_photographs(source, colour_space, [ball.mask] if ball and ball.mask else [])
-        keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else {}
+        keys = {"fov_degrees": math.degrees(self.fov)} if self.fov > 0 else lens_of_files(spec, decode)
         if keys:
             spec = with_camera(spec, keys, "Field of View")
         table = free_table(source if source.is_dir() else source.parent)
