@@ -18,7 +18,7 @@ _GOOD = 0.5  # part of the pixels that the lights explain best, which tell the s
 _LIT = 0.3  # least part of a pixel's samples that are neither in shadow nor in a highlight
 _PARTS = 4  # of the subject: each is left out once, for the error
 _BLOCKS = 8  # of pixels along the subject's larger side, which go to a part together
-_FEWEST_PIXELS = 500
+_FEWEST_PIXELS, _FEWEST_LIT = 500, 50  # lit pixels, and those that one photograph lights
 _ROUNDS = 40  # of a factorisation, for the progress
 _OUTLINE = 0.2  # least of |bulges| that tells a solid from its inverse
 
@@ -59,6 +59,12 @@ def shading_steps(
         raise InputError(
             f"only {len(lit)} pixels are lit well enough to find lights by shading, {_FEWEST_PIXELS} are needed; put a"
             " ball into the photographs"
+        )
+    lit_by = usable[:, lit].sum(axis=1)
+    if lit_by.min() < _FEWEST_LIT:
+        raise InputError(
+            f"photograph {int(lit_by.argmin()) + 1} of {len(values)} lights only {int(lit_by.min())} pixels of the"
+            f" subject without a highlight, {_FEWEST_LIT} are needed to find its light; leave it out"
         )
     part_of = _parts(mask, seed)
     found = []

@@ -149,7 +149,15 @@ def test_too_few_photographs_and_pixels_are_refused():
         run_steps(shading_steps(values, every(values), few))
 
 
+def test_a_photograph_without_light_is_named():
+    (directions, strengths), mask = lamps(20), np.ones((SIDE, SIDE), bool)
+    values = photographs(relief(), directions, strengths, mask)
+    values[6] = 0
+    with pytest.raises(InputError, match="photograph 7 of 20 lights only 0 pixels"):
+        run_steps(shading_steps(values, every(values), mask))
+
+
 def test_a_flat_subject_tells_nothing():
     (directions, strengths), mask = lamps(20), np.ones((SIDE, SIDE), bool)
     values = photographs(np.broadcast_to((0.0, 0.0, 1.0), (SIDE, SIDE, 3)), directions, strengths, mask)
-    assert run_steps(shading_steps(values, every(values), mask)).errors.mean() > 25
+    assert run_steps(shading_steps(values, every(values), mask)).errors.mean() > 40
