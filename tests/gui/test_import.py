@@ -1,9 +1,13 @@
 """A capture comes into a real window: by the button's file browser, dropped, checked without a pause, as a scene."""
 
+import numpy as np
 import pytest
 
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.read import read_capture
 from tests.builders import command_line as cli_maker
 from tests.builders.near_card import DISTANCE, write_near_card
+from tests.builders.relief import ball, lamps
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 
@@ -188,6 +192,37 @@ def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
     expected = [value for mark in ((5, 3), (20, 4), (19, 13), (4, 12)) for value in mark]
     assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) < 0.2
     ready.screenshot("panel of a marked card", ready.region(region="UI"))
+
+
+def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_path):
+    ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
+    ready.open_sidebar("IRPSO")
+    normals, mask = ball()
+    directions, strengths = lamps(16)
+    write_exr(tmp_path / "mask.exr", {"": {"Y": mask.astype(np.float32)}})
+    for number, (light, strength) in enumerate(zip(directions, strengths, strict=True)):
+        grey = np.where(mask, 0.5 * strength * np.maximum(normals @ light, 0), 0).astype(np.float32)
+        write_exr(tmp_path / f"{number:02}.exr", {"": dict.fromkeys("RGB", grey)})
+    given = f"photographs={str(tmp_path)!r}, found_by='NONE'"
+    ready.run(f"bpy.ops.irpso.lights_from_ball('INVOKE_DEFAULT', {given})")
+    ready.settle()
+    ready.screenshot("finding lights: dialog")
+    ready.key("Return")
+    ready.settle()
+    ready.screenshot("finding lights")
+    assert ready.run("settings().capture_path") == ""  # it goes on, and the window answers
+    ready.wait(f"settings().capture_path == {str(tmp_path / 'capture.toml')!r}", timeout=300)
+    ready.screenshot("lights are found")
+    found = np.array([one.light.vector for one in read_capture(tmp_path / "capture.toml").observations])
+    assert np.degrees(np.arccos(np.clip((found * directions).sum(axis=-1), -1, 1))).mean() < 3
+    ready.run("bpy.context.scene.irpso.capture_path = ''")
+    ready.run(f"bpy.ops.irpso.lights_from_ball('INVOKE_DEFAULT', {given})")
+    ready.settle()
+    ready.key("Return")
+    ready.settle()
+    ready.key("Escape")
+    ready.settle()
+    assert not (tmp_path / "capture_1.toml").exists()
 
 
 def test_return_in_the_browser_of_assign_images_gives_no_light_the_open_file(ready, tmp_path):

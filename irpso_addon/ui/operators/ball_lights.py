@@ -63,9 +63,9 @@ class LightsFromBall(bpy.types.Operator):
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
         subtype="FILE_PATH", **RELATIVE_PATH,
     )  # fmt: skip
-    kind: EnumProperty(name="Ball", description="Surface of the ball", items=_KINDS, default="auto")
+    kind: EnumProperty(name="Surface", description="Surface of the ball", items=_KINDS, default="auto")
     found_by: EnumProperty(
-        name="Place", description="How the ball is found in the photographs", items=_FOUND_BY, default="AUTO"
+        name="Ball", description="How the ball is found in the photographs", items=_FOUND_BY, default="AUTO"
     )
     mask: StringProperty(
         name="Mask", description="Image of the photographs' size, white on the ball, black elsewhere",
@@ -117,13 +117,12 @@ class LightsFromBall(bpy.types.Operator):
     def execute(self, context):
         """Find the lights, write a new table beside the photographs and import it. On an error nothing is written.
 
-        In a window this goes on in time slices, with the progress at the mouse; Esc cancels.
+        In a window this goes on in time slices, with the progress in the status bar; Esc cancels.
         """
         self._steps = self._found()
         context.window_manager.progress_begin(0, 1)
         if not bpy.app.background and context.window is not None:
             self._timer = context.window_manager.event_timer_add(_TIMER_SECONDS, window=context.window)
-            context.workspace.status_text_set("Finding lights. Esc cancels")
             context.window_manager.modal_handler_add(self)
             return {"RUNNING_MODAL"}
         return self._slice(context, math.inf) or {"CANCELLED"}
@@ -147,13 +146,16 @@ class LightsFromBall(bpy.types.Operator):
         begun = time.perf_counter()
         try:
             while time.perf_counter() - begun < seconds:
-                context.window_manager.progress_update(next(present(self._steps)))
+                part = next(present(self._steps))
+                context.window_manager.progress_update(part)
         except StopIteration as end:
             self._leave(context, set())
             return self._imported(*end.value)
         except InputError as error:
             self._leave(context, set())
             return failures.refused(self, error)
+        if self._timer is not None:
+            context.workspace.status_text_set(f"Finding lights: {part:.0%}. Esc cancels")
         return None
 
     def _leave(self, context, result: set[str]) -> set[str]:
@@ -209,7 +211,7 @@ class LightsFromBall(bpy.types.Operator):
         if self.found_by == "AUTO":
             return BallRequest()
         if self.kind == "auto":
-            raise InputError("Ball: is Automatic; for a mask or a circle choose Mirror or Matte")
+            raise InputError("Surface: is Automatic; for a mask or a circle choose Mirror or Matte")
         if self.found_by == "CIRCLE":
             if not self.circle[2] > 0:
                 raise InputError("Radius: is 0; set the ball's radius in pixels")
