@@ -69,6 +69,16 @@ def test_nothing_is_found_among_things_that_look_like_balls():
     assert searched(photographs(Scene(spheres=(BOWL,), discs=(DISC,), texture=0.3), LIGHTS)) == []
 
 
+def test_a_ball_beside_a_subject_of_stronger_edges_is_found():
+    rng = np.random.default_rng(0)
+    places = [(x, y) for x in np.arange(-2.2, 0.4, 0.25) for y in np.arange(-1.6, 1.7, 0.25)]
+    subject = tuple((x, y, *rng.uniform((0.04, 0.2), (0.12, 0.9))) for x, y in places)
+    sphere = Sphere("mirror", place(EMPTY, 1.4, 0.4, 0.35), 0.35, 0.5)
+    (ball,) = searched(photographs(Scene(spheres=(sphere,), discs=subject, albedo=0.06), LIGHTS[:4]))
+    middle, radius = circle_of(sphere)
+    assert np.hypot(*(ball.centre - middle)) < 0.03 * radius and abs(ball.radius / radius - 1) < 0.03
+
+
 def test_two_photographs_are_too_few(table):
     with pytest.raises(InputError, match="needs 3 photographs"):
         searched(table[:2])

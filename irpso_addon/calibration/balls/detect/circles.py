@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from .edges import Edges
+from .filters import blurred
 
 _STEP = 1.09  # ratio of neighbouring radii
 _EDGES = 0.2  # of the pixels: the strongest edges vote
+_AROUND = 0.05  # of the images' width: deviation of the surroundings that an edge stands out from
 _BIN = 0.09  # of the radius: side of an accumulator's cell
 _A_RADIUS = 24  # candidates of one radius
 _APART = 0.35  # of the radius: centres closer than that, at like radii, are one candidate
@@ -20,7 +22,9 @@ def candidates(edges: Edges, smallest: float, largest: float, most: int) -> np.n
     Sklansky 1975), for radii between ``smallest`` and ``largest``.
     """
     strength = edges.strength
-    floor = np.quantile(strength, 1 - _EDGES)
+    # Over its surroundings: the edges of a patterned subject are five times as strong as those of a dark ball.
+    strength = strength / (blurred(strength, _AROUND * strength.shape[1]) + np.median(strength))
+    floor = max(float(np.quantile(strength, 1 - _EDGES)), 1e-9)
     rows, columns = np.nonzero(strength > floor)
     nx, ny = (part[rows, columns] for part in edges.normal)
     weight = np.minimum(strength[rows, columns] / floor - 1, 2.0)

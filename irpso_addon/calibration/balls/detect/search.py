@@ -30,6 +30,7 @@ _LEAST_SHARE = 0.6  # of the photographs: each shows a light
 _LEAST_MOVED = 0.12
 _LEAST_FIT = 0.93
 _LEAST_SHADOW = 0.75
+_DOUBT = 0.15  # more agreement with the shadow, where photographs show no light
 _PROMISING = 0.3  # agreement with the shadow that a better outline may raise
 _SURE_SUPPORT, _SURE_SHARE, _SURE_MOVED, _SURE_FIT = 0.9, 0.8, 0.3, 0.98  # without a shadow
 _WHITE = 99.5  # percentile of all values
@@ -179,12 +180,13 @@ def _tested(pictures: _Pictures, outline: Outline, kinds: Sequence[str], least: 
         seen = of_kind(pictures.values, pictures.clipped, ball)
         if seen.share < _LEAST_SHARE or seen.moved < _LEAST_MOVED or seen.fit < _LEAST_FIT:
             continue
+        wanted = least if seen.share >= _SURE_SHARE else least + _DOUBT
         shadow_agrees = agreement(pictures.values, ball, seen.lights)
         if shadow_agrees is None:
             sure = seen.share >= _SURE_SHARE and seen.moved >= _SURE_MOVED and seen.fit >= _SURE_FIT
             if sure and outline.support >= _SURE_SUPPORT:
                 hits.append(_Hit(outline, kind, ball, seen, None))
-        elif shadow_agrees[0] >= least:
+        elif shadow_agrees[0] >= wanted:
             hits.append(_Hit(outline, kind, ball, seen, *shadow_agrees))
     return hits
 
