@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from irpso_addon.capture.images.exr import write_exr
+
 SIDE = 72
 
 
@@ -39,3 +41,14 @@ def ball():
     return np.where(
         mask[..., None], np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1), (0, 0, 1)
     ), mask
+
+
+def write_ball(folder, count=16):
+    """Write photographs of a matt ball under lamps, and its mask, but no lights; return their directions."""
+    normals, mask = ball()
+    directions, strengths = lamps(count)
+    write_exr(folder / "mask.exr", {"": {"Y": mask.astype(np.float32)}})
+    for number, (light, strength) in enumerate(zip(directions, strengths, strict=True)):
+        grey = np.where(mask, 0.5 * strength * np.maximum(normals @ light, 0), 0).astype(np.float32)
+        write_exr(folder / f"{number:02}.exr", {"": dict.fromkeys("RGB", grey)})
+    return directions

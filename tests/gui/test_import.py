@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_capture
 from tests.builders import command_line as cli_maker
 from tests.builders.near_card import DISTANCE, write_near_card
-from tests.builders.relief import ball, lamps
+from tests.builders.relief import write_ball
 
 UI = "bl_ext.user_default.irpso.irpso_addon.ui"
 
@@ -197,12 +196,7 @@ def test_a_card_is_marked_by_clicks_on_its_corners(ready, tmp_path):
 def test_lights_are_found_without_a_ball_while_the_window_goes_on(ready, tmp_path):
     ready.run("bpy.ops.wm.read_homefile(use_empty=True)", area="")
     ready.open_sidebar("IRPSO")
-    normals, mask = ball()
-    directions, strengths = lamps(16)
-    write_exr(tmp_path / "mask.exr", {"": {"Y": mask.astype(np.float32)}})
-    for number, (light, strength) in enumerate(zip(directions, strengths, strict=True)):
-        grey = np.where(mask, 0.5 * strength * np.maximum(normals @ light, 0), 0).astype(np.float32)
-        write_exr(tmp_path / f"{number:02}.exr", {"": dict.fromkeys("RGB", grey)})
+    directions = write_ball(tmp_path)
     given = f"photographs={str(tmp_path)!r}, found_by='NONE'"
     ready.run(f"bpy.ops.irpso.lights_from_ball('INVOKE_DEFAULT', {given})")
     ready.settle()

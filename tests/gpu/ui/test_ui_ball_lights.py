@@ -13,7 +13,7 @@ from irpso_addon.ui.operators.ball_lights import free_table
 from tests.builders.ball_scenes import Scene, Sphere, place
 from tests.builders.ball_scenes import photographs as photographs_of
 from tests.builders.balls import cap, degrees, mirror_image, photographed, trace
-from tests.builders.relief import ball, lamps
+from tests.builders.relief import write_ball
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 
@@ -51,12 +51,7 @@ def test_with_nothing_but_the_folder_the_ball_is_searched(tmp_path):
 
 def test_without_a_ball_the_subjects_shading_shows_the_lights(tmp_path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    normals, mask = ball()
-    directions, strengths = lamps(16)
-    write_exr(tmp_path / "mask.exr", {"": {"Y": mask.astype(np.float32)}})
-    for number, (light, strength) in enumerate(zip(directions, strengths, strict=True)):
-        grey = np.where(mask, 0.5 * strength * np.maximum(normals @ light, 0), 0).astype(np.float32)
-        write_exr(tmp_path / f"{number:02}.exr", {"": dict.fromkeys("RGB", grey)})
+    directions = write_ball(tmp_path)
     assert bpy.ops.irpso.lights_from_ball(photographs=str(tmp_path), found_by="NONE") == {"FINISHED"}
     settings = bpy.context.scene.irpso
     assert settings.capture_path == str(tmp_path / "capture.toml")
