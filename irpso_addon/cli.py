@@ -265,12 +265,17 @@ def _add_develop(commands: argparse._SubParsersAction) -> None:
     add.add_argument("--response", metavar="FILE", help="response curve that irpso response wrote, or a .csv")
     add.add_argument("--grey-card", action="append", metavar="X,Y,W,H=R",
                      help="grey patch of reflectance R, for a curve; give two or more")  # fmt: skip
-    add.add_argument("--chart", metavar="FILE", help="photograph with the patches (default: the first)")
+    add.add_argument(
+        "--chart", metavar="FILE", help="photograph with the patches or the colour chart (default: the first)"
+    )
     add.add_argument("--dark", nargs="+", metavar="FILE", help="dark frames, files or folders")
     add.add_argument("--scale-dark", action="store_true", help="scale dark frames to exposures for which there is none")
     add.add_argument("--flat", nargs="+", metavar="FILE", help="flat fields, files or folders")
     add.add_argument("--white", metavar="X,Y,W,H",
                      help="white balance from a grey patch, with =R also the scale; or three gains R,G,B")  # fmt: skip
+    add.add_argument("--colour-chart", metavar="X1,Y1,…,X4,Y4",
+                     help="colours and scale from a 24-patch chart: the corners of its patches, clockwise from that of"
+                     " dark skin")  # fmt: skip
     add.add_argument("--brackets", choices=("exif", "names"), help="merge the exposures of each light")
     add.add_argument(
         "--exposure", choices=("exif", "names"), help="scale each frame by its exposure, and merge nothing"

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..blender.images import decode
 from ..calibration.radiometry.brackets import exif_amount, name_amount
+from ..calibration.radiometry.colour_fit import chart_report, chart_warnings, recognised
 from ..calibration.radiometry.curve_file import read_response
 from ..calibration.radiometry.develop import Corrections, Shot, developed, registration_steps
 from ..calibration.radiometry.frames import mean_dark, mean_flat, patch_mean, read_frame, white_gains, without_dark
@@ -27,7 +28,7 @@ from ..core.errors import InputError
 from ..core.files import check_unused, new_folder
 from ..core.progress_bar import ProgressBar
 from ..core.steps import run_steps
-from .options.photographs import chart_response, exposure_list, files_option, number_list, patch_option
+from .options.photographs import chart_response, corners_option, exposure_list, files_option, number_list, patch_option
 from .options.values import silent
 
 _FILENAMES = "filenames.txt"
@@ -37,6 +38,8 @@ def run(options: Namespace) -> dict:
     """Develop all photographs into a new folder. Raises InputError and then writes nothing."""
     out = Path(options.output)
     check_unused(out)
+    if options.white and options.colour_chart:
+        raise InputError("--white and --colour-chart both give the white balance; give one of them")
     exposing = _exposing(options)
     darks, flats = files_option("--dark", options.dark), files_option("--flat", options.flat)
     chart = Path(options.chart) if options.chart else None
@@ -52,7 +55,11 @@ def run(options: Namespace) -> dict:
     work.bar.close()
     for warning in report["warnings"]:
         sys.stderr.write(f"irpso: {warning}\n")
-    summary = {key: report[key] for key in ("images", "warnings", "white_gains", "shifts") if key in report}
+    summary = {
+        key: report[key] for key in ("images", "warnings", "white_gains", "colour_chart", "shifts") if key in report
+    }
+    if "colour_chart" in summary and not silent(options):
+        sys.stdout.write(_colours(summary["colour_chart"]["delta_e_2000"]))
     return {"output": options.output, **summary, "images": len(source.shots)}
 
 
@@ -82,7 +89,7 @@ class _Work:
         )
 
     def prepare(self, darks: list[Path], flats: list[Path]) -> None:
-        """Find the response curve, the dark frame, the flat field and the white balance, in this order."""
+        """Find the response curve, the dark frame, the flat field and the colours, in this order."""
         shots, space = self.source.shots, self.options.colour_space
         cameras = 1 + max(shot.camera for shot in shots)
         response = self._response()
@@ -112,6 +119,7 @@ class _Work:
             self.corrections, response=response, darks=(dark,) * cameras, flats=(flat,) * cameras
         )
         self.corrections = replace(self.corrections, gains=self._gains())
+        self.corrections = replace(self.corrections, matrix=self._matrix())
 
     def _response(self):
         if self.options.response and self.options.grey_card:
@@ -149,20 +157,32 @@ class _Work:
                 raise InputError(f"--white {text}: gains are above 0, as in --white 1.9,1,1.4")
         else:
             patch = patch_option("--white", text)
-            shot = self._chart_shot(patch.reflectance is not None)
+            shot = self._chart_shot(patch.reflectance is not None, "omit =…")
             rgba = developed(self.store, shot, self.corrections).rgba
             where = f"--white {text}: {shot.images[0]}"
             gains = white_gains(patch_mean(rgba[..., :3], rgba[..., 3], patch, where), patch.reflectance, where)
         self.measured["white_gains"] = [round(float(g), 6) for g in gains]
         return tuple(float(g) for g in gains)
 
-    def _chart_shot(self, scaled: bool) -> Shot:
+    def _matrix(self) -> np.ndarray | None:
+        """Return the matrix of --colour-chart, which includes white balance and scale; None without one."""
+        if not self.options.colour_chart:
+            return None
+        corners = corners_option("--colour-chart", self.options.colour_chart)
+        shot = self._chart_shot(True, "give one that has it, as the other photographs do")
+        where = f"--colour-chart: {shot.images[0]}"
+        order, chart, fit = recognised(developed(self.store, shot, self.corrections).rgba, corners, where)
+        self.measured["colour_chart"] = {"file": str(shot.images[0]), **chart_report(order, chart, fit)}
+        self.warnings += chart_warnings(where, corners, order, chart, fit)
+        return fit.matrix
+
+    def _chart_shot(self, scaled: bool, remedy: str) -> Shot:
         first = self.source.shots[0]
         if self.chart is None:
             return first
         amount = self._amount(self.chart)
         if scaled and self.exposing is not None and amount is None:
-            raise InputError(f"{self.chart}: has no exposure, so the card gives no scale; omit =…")
+            raise InputError(f"{self.chart}: has no exposure, so the card gives no scale; {remedy}")
         amounts = None if amount is None else (amount,)
         image = ImageRef(self.chart, colour_space=self.options.colour_space)
         return Shot("chart", (image,), amounts, first.camera, first.size)
@@ -233,6 +253,12 @@ class _Work:
         settings = {k: v for k, v in vars(self.options).items() if k not in ("command", "json", "quiet") and v}
         return {"settings": settings, **self.measured, "reference_exposure": self.corrections.reference,
                 "images": self.figures, "warnings": self.warnings}  # fmt: skip
+
+
+def _colours(found: dict) -> str:
+    before, after = found["before"], found["after"]
+    means, largest = (f"{before[key]:.1f} → {after[key]:.1f}" for key in ("mean", "largest"))
+    return f"colour chart: ΔE2000 mean {means}, largest {largest}\n"
 
 
 def _finite(value: float) -> float | None:

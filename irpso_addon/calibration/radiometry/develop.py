@@ -1,6 +1,7 @@
 """Camera photographs to linear images, one per light.
 
-Order: response curve, dark frame, flat field, exposure or merged brackets, white balance, registration.
+Order: response curve, dark frame, flat field, exposure or merged brackets, white balance or colour
+matrix, registration.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Shot:
 class Corrections:
     """Corrections of photographs. reference: exposure that results are scaled to. gains: (3,) white balance.
 
-    darks, flats: one per camera, or None.
+    darks, flats: one per camera, or None. matrix: (3, 3), the camera's linear RGB to linear Rec. 709, or None.
     """
 
     response: Response | None = None
@@ -48,6 +49,7 @@ class Corrections:
     flats: tuple[Flat | None, ...] = (None,)
     reference: float = 1.0
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    matrix: np.ndarray | None = None
     saturated: float = SATURATED
     align_brackets: bool = False
 
@@ -84,11 +86,13 @@ def developed(store: ImageStore, shot: Shot, corrections: Corrections) -> Develo
             frames, figures["bracket_shifts"] = _aligned(frames, amounts)
         rgba = merge(frames, amounts, corrections.saturated)
     rgba[..., :3] *= np.asarray(corrections.gains, np.float32)
+    if corrections.matrix is not None:
+        rgba[..., :3] = rgba[..., :3] @ corrections.matrix.T.astype(np.float32)
     not_finite = ~np.isfinite(rgba).all(axis=-1)
     rgba[not_finite] = 0
     seen = rgba[..., 3] > 0
     figures["without_weight"] = round(float(1 - seen.mean()), 6)
-    # Noise about black; more would mean that the dark frame is too bright.
+    # Noise about black, or with a matrix colours outside Rec. 709; else the dark frame is too bright.
     figures["negative"] = round(float((seen & (rgba[..., :3] < 0).any(axis=-1)).mean()), 6)
     if not seen.any():
         raise InputError(f"{shot.images[0]}: all pixels are clipped in all exposures; expose less")

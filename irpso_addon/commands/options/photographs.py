@@ -67,6 +67,14 @@ def patch_option(option: str, text: str) -> Patch:
     return Patch(*(int(number) for number in numbers), reflectance)
 
 
+def corners_option(option: str, text: str) -> np.ndarray:
+    """Return the corners (4, 2) of "X1,Y1,…,X4,Y4". Raises InputError naming the option."""
+    numbers = np.array(number_list(option, text))
+    if len(numbers) != 8 or not np.isfinite(numbers).all():
+        raise InputError(f"{option} {text}: write X1,Y1,X2,Y2,X3,Y3,X4,Y4, four corners in pixels")
+    return numbers.reshape(4, 2)
+
+
 def chart_response(store: ImageStore, image: ImageRef, texts: Sequence[str]) -> Response:
     """Return the response curve of the grey patches "X,Y,W,H=REFLECTANCE" in one photograph. Raises InputError."""
     patches = [patch_option("--grey-card", text) for text in texts]

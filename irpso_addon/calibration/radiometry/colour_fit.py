@@ -1,0 +1,245 @@
+"""A colour matrix from a photographed 24-patch chart: sampling, recognition of its orientation, fit. Plain numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import InputError
+from .colour_chart import COLUMNS, PATCHES, ROWS, patch_colours
+from .colour_difference import delta_e_2000, lab_of_linear
+
+NAMES = tuple(PATCHES)
+COUNT = ROWS * COLUMNS
+GREY = slice(COUNT - COLUMNS, COUNT)  # white to black
+_GAP = 0.1  # of the pitch, between patches; a printed chart's may differ by 0.1, which moves no sample off its patch
+_INNER = 0.5  # of a patch's side
+_LEAST_PIXELS = 9  # in a patch
+_CLIPPED = 0.02  # of a patch's pixels
+_LEAST_PATCHES, _LEAST_GREYS = 12, 3
+# Mean ΔE2000 after the fit. Of 60 random cameras and lamps every wrong order of the patches leaves 24 or more; a gamma
+# that was not undone leaves 6.8 if it is 2.2, and 3.4 if it is 1.4.
+_IS_A_CHART, _POOR = 12.0, 3.0
+_ROUNDS = 12
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Sampled patches in the order of ``PATCHES``. values: (24, 3) linear medians. usable: (24,) bool.
+
+    left_out: names of patches that are not usable, by reason. places: (24, 2), x to the right and y down the chart,
+    −1…1 over its longer side.
+    """
+
+    values: np.ndarray
+    usable: np.ndarray
+    left_out: dict[str, list[str]]
+    places: np.ndarray
+
+    @property
+    def left_out_text(self) -> str:
+        """The patches left out, as text; empty where none is."""
+        return "; ".join(f"{reason}: {', '.join(names)}" for reason, names in self.left_out.items() if names)
+
+
+@dataclass(frozen=True)
+class ColourFit:
+    """matrix: (3, 3), camera's linear RGB to linear Rec. 709 reflectance as lit in the chart's middle.
+
+    shading: (2,) slopes of the log illumination over ``Chart.places``. before, after: (24,) ΔE2000, NaN where a patch
+    is not usable; before: brightness and shading corrected, colours not.
+    """
+
+    matrix: np.ndarray
+    shading: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
+    """Return the patches of a chart in a linear image (H, W, 4), row 0 at the bottom.
+
+    corners: (4, 2) pixels from the upper left corner, from the outer corner of the dark skin patch toward that of the
+    bluish green one. Raises InputError where they leave the image or cross.
+    """
+    corners = np.asarray(corners, np.float64)
+    height, width = rgba.shape[:2]
+    if not ((corners >= 0) & (corners <= (width, height))).all():
+        raise InputError(f"{where}: a corner lies outside the photograph's {width}×{height} pixels")
+    turns = _turns(corners)
+    if not ((turns > 0).all() or (turns < 0).all()):
+        raise InputError(f"{where}: the corners do not go around the chart; give them in order, clockwise")
+    low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
+    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    chart = _through(np.linalg.inv(_from_square(corners)), np.stack([x, y], axis=-1) + 0.5)
+    # Patch n of a side reaches from n to n + 1 − gap, in pitches.
+    cell = chart * (COLUMNS - _GAP, ROWS - _GAP)
+    index = np.floor(cell).astype(int)
+    off = np.abs(cell - index - (1 - _GAP) / 2)
+    inner = (off < _INNER * (1 - _GAP) / 2).all(axis=-1) & (index >= 0).all(axis=-1)
+    inner &= (index < (COLUMNS, ROWS)).all(axis=-1)
+    number = np.where(inner, index[..., 1] * COLUMNS + index[..., 0], -1)
+    pixels = rgba[height - 1 - y, x]
+    values = np.zeros((COUNT, 3))
+    left_out: dict[str, list[str]] = {"clipped": [], "black": [], "too small": []}
+    usable = np.ones(COUNT, bool)
+    for n, name in enumerate(NAMES):
+        own = pixels[number == n]
+        seen = own[:, 3] > 0
+        values[n] = np.median(own[seen, :3], axis=0) if seen.any() else 0
+        small, clipped = len(own) < _LEAST_PIXELS, (~seen).sum() > _CLIPPED * len(own)
+        if small or clipped or not (values[n] > 0).all():
+            usable[n] = False
+            left_out["too small" if small else "clipped" if clipped else "black"].append(name)
+    row, column = np.divmod(np.arange(COUNT), COLUMNS)
+    places = 2 * np.stack([column - (COLUMNS - 1) / 2, row - (ROWS - 1) / 2], axis=-1) / COLUMNS
+    return Chart(values, usable, left_out, places)
+
+
+def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.ndarray, Chart, ColourFit]:
+    """Return the corners (4, 2) in the chart's own order, its patches and their fit.
+
+    All eight orders of the corners are tried. Raises InputError where none gives a chart, where the photograph shows
+    the chart mirrored, or where too few patches are usable.
+    """
+    corners = np.asarray(corners, np.float64)
+    best: tuple[np.ndarray, Chart, ColourFit] | None = None
+    least, given = np.inf, None
+    for order in (corners, corners[::-1]):
+        for first in range(4):
+            turned = np.roll(order, -first, axis=0)
+            chart = sample_chart(rgba, turned, where)
+            given = given or chart
+            if chart.usable.sum() < _LEAST_PATCHES or chart.usable[GREY].sum() < _LEAST_GREYS:
+                continue
+            fit = fitted(chart)
+            error = float(np.nanmean(fit.after))
+            if error < least:
+                best, least = (turned, chart, fit), error
+    if best is None:
+        assert given is not None
+        raise InputError(
+            f"{where}: only {given.usable.sum()} of {COUNT} patches can be measured ({given.left_out_text}), needed are"
+            f" {_LEAST_PATCHES}, {_LEAST_GREYS} of them grey"
+        )
+    if not least <= _IS_A_CHART or not _falls(best[1], best[2]):
+        raise InputError(
+            f"{where}: the corners enclose no 24-patch chart (ΔE2000 {least:.0f} after the best matrix); check their"
+            " places, and that the photograph is linear (--response)"
+        )
+    if not (_turns(best[0]) > 0).all():
+        raise InputError(f"{where}: the photograph shows the chart mirrored; undo the mirroring of all photographs")
+    return best
+
+
+def fitted(chart: Chart) -> ColourFit:
+    """Return the white-preserving matrix and the planar log shading that bring the patches nearest to their colours.
+
+    Minimises Σ |J (M m exp(−p·x) − t)|² over M and p: m and t are a patch's measured and published colour, x its place.
+    J is the Jacobian of CIELAB at t, in the axes and tolerances of CIE94, so the sum is one of squared perceived
+    differences. M w = 1 for the mean white w of the grey row (Finlayson & Drew 1997), so greys stay neutral.
+    """
+    known, use = patch_colours().reshape(COUNT, 3), chart.usable
+    measured, target, x = chart.values[use], known[use], chart.places[use]
+    grey = np.flatnonzero(use[GREY]) + GREY.start
+    tolerance = _tolerances(target)
+    matrix, slopes = np.eye(3), np.zeros(2)
+    for _ in range(_ROUNDS):
+        evened = measured * np.exp(-x @ slopes)[:, None]
+        white = _white(chart.values[grey] * np.exp(-chart.places[grey] @ slopes)[:, None], known[grey])
+        fixed = np.outer(np.ones(3), white) / (white @ white)
+        free = np.linalg.svd(white[None])[2][1:]  # (2, 3), orthogonal to white
+        # Unknown: P (3, 2) of M = fixed + P free, row by row, and the change of the slopes.
+        columns = np.einsum("ij,nk->nijk", np.eye(3), evened @ free.T).reshape(-1, 3, 6)
+        columns = np.concatenate([columns, -target[:, :, None] * x[:, None, :]], axis=-1)
+        left = (tolerance @ columns).reshape(-1, 8)
+        right = (tolerance @ (target - evened @ fixed.T)[..., None]).ravel()
+        solution = np.linalg.lstsq(left, right, rcond=None)[0]
+        matrix = fixed + solution[:6].reshape(3, 2) @ free
+        slopes = np.clip(slopes + solution[6:], -3, 3)
+    evened = chart.values * np.exp(-chart.places @ slopes)[:, None]
+    # The green of the white: brightness as a photographer would set it, colours as the file has them.
+    before = _differences(evened / white[1], known, use)
+    return ColourFit(matrix, slopes, before, _differences(evened @ matrix.T, known, use))
+
+
+def chart_report(corners: np.ndarray, chart: Chart, fit: ColourFit) -> dict:
+    """Return what a report says of a chart: corners as read, matrix, shading, ΔE2000, patches left out."""
+
+    def figures(differences: np.ndarray) -> dict:
+        return {"mean": round(float(np.nanmean(differences)), 3), "largest": round(float(np.nanmax(differences)), 3)}
+
+    reach = np.ptp(chart.places, axis=0)
+    return {"corners": corners.ravel().round(3).tolist(), "matrix": fit.matrix.round(6).tolist(),
+            "brightness_right_over_left": round(float(np.exp(reach[0] * fit.shading[0])), 4),
+            "brightness_bottom_over_top": round(float(np.exp(reach[1] * fit.shading[1])), 4),
+            "delta_e_2000": {"before": figures(fit.before), "after": figures(fit.after)},
+            "delta_e_2000_of_patches": {name: round(float(value), 2)
+                                        for name, value in zip(NAMES, fit.after, strict=True) if np.isfinite(value)},
+            "left_out": {reason: names for reason, names in chart.left_out.items() if names}}  # fmt: skip
+
+
+def chart_warnings(where: str, given: np.ndarray, corners: np.ndarray, chart: Chart, fit: ColourFit) -> Iterator[str]:
+    """Yield what a person should check: the order of the corners, patches left out, a poor fit."""
+    if not np.array_equal(given, corners):
+        first = ",".join(f"{value:g}" for value in corners[0])
+        yield f"{where}: the corners were not given clockwise from the dark skin patch, which is at {first}: corrected"
+    if not chart.usable.all():
+        yield f"{where}: patches left out, {chart.left_out_text}"
+    if (mean := float(np.nanmean(fit.after))) > _POOR:
+        yield (
+            f"{where}: ΔE2000 is still {mean:.1f} on average; check that the photograph is linear (--response), the"
+            " corners are exact and the chart does not shine"
+        )
+
+
+def _turns(corners: np.ndarray) -> np.ndarray:
+    """Return (4,) above 0 where the corners, in pixels with y down, turn clockwise."""
+    (x, y), (next_x, next_y) = (np.roll(corners, -n - 1, axis=0).T - np.roll(corners, -n, axis=0).T for n in (0, 1))
+    return x * next_y - y * next_x
+
+
+def _from_square(corners: np.ndarray) -> np.ndarray:
+    """Return the projective map (3, 3) of the unit square's corners, from (0, 0) to (1, 0), onto ``corners``."""
+    rows = []
+    for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners, strict=True):
+        rows += [(u, v, 1, 0, 0, 0, -u * x, -v * x), (0, 0, 0, u, v, 1, -u * y, -v * y)]
+    return np.append(np.linalg.solve(np.array(rows, np.float64), corners.ravel()), 1).reshape(3, 3)
+
+
+def _through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return points (…, 2), mapped by a projective map (3, 3)."""
+    seen = points @ matrix[:, :2].T + matrix[:, 2]
+    return seen[..., :2] / seen[..., 2:]
+
+
+def _white(greys: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return (3,) what a reflectance of 1 would measure, from grey patches (N, 3); glare lightens the dark ones."""
+    weight = known.mean(axis=1) / (known.mean(axis=1) + 0.05)
+    return np.exp((weight[:, None] * np.log(greys / known)).sum(axis=0) / weight.sum())
+
+
+def _tolerances(target: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3): a small difference of linear RGB in lightness, chroma and hue, over CIE94's tolerances."""
+    step = 1e-4
+    lab = lab_of_linear(target)
+    slope = np.stack([(lab_of_linear(target + step * axis) - lab) / step for axis in np.eye(3)], axis=-1)
+    chroma = np.maximum(np.hypot(lab[:, 1], lab[:, 2]), 1e-9)
+    across, along = lab[:, 1] / chroma, lab[:, 2] / chroma
+    turn = np.zeros((len(target), 3, 3))
+    turn[:, 0, 0] = 1
+    turn[:, 1, 1:] = np.stack([across, along], axis=-1) / (1 + 0.045 * chroma)[:, None]
+    turn[:, 2, 1:] = np.stack([-along, across], axis=-1) / (1 + 0.015 * chroma)[:, None]
+    return turn @ slope
+
+
+def _differences(found: np.ndarray, known: np.ndarray, use: np.ndarray) -> np.ndarray:
+    return np.where(use, delta_e_2000(lab_of_linear(found), lab_of_linear(known)), np.nan)
+
+
+def _falls(chart: Chart, fit: ColourFit) -> bool:
+    """Return True if the grey row darkens from patch to patch."""
+    evened = (chart.values * np.exp(-chart.places @ fit.shading)[:, None])[GREY][chart.usable[GREY]]
+    return bool((np.diff(evened.mean(axis=1)) < 0).all())
