@@ -50,7 +50,7 @@ def test_what_is_integrable_is_a_surface_up_to_a_bas_relief():
     matrix, clear = integrable(mixed, np.ones(len(mixed), bool), mask)
     found = unit(mixed @ matrix)
     # n = f @ H: of H only the diagonal and its last row may differ from 0, and the first two entries are equal.
-    h = np.linalg.svd(_equations(found, normals[mask]))[2][-1].reshape(3, 3)
+    h = np.linalg.svd(_equations(found, normals[mask]), full_matrices=False)[2][-1].reshape(3, 3)
     h = h / h[0, 0]
     assert abs(h[1, 1] - 1) < 0.03
     assert np.abs([h[0, 1], h[1, 0], h[0, 2], h[1, 2]]).max() < 0.03
