@@ -143,9 +143,13 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
     def draw(self, context) -> None:
         """Draw the settings of the mesh or the card."""
         layout, settings = self.layout, context.scene.irpso
-        layout.row().prop(settings, "subject", expand=True)
+        row = layout.row(align=True)
+        row.prop(settings, "subject", expand=True)
+        if settings.subject != "MESH" and settings.source == "FILES":
+            whole = settings.framing == "FILE" and settings.picture_scale == 1
+            row.popover(IRPSO_PT_frame.__name__, text="", icon="FULLSCREEN_ENTER" if whole else "FULLSCREEN_EXIT")
         if settings.subject != "MESH":
-            _draw_card(layout, context.scene)
+            _draw_distance(layout, context.scene)
             return
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -164,23 +168,36 @@ class IRPSO_PT_subject(BeforeRun, bpy.types.Panel):
         column.prop(settings, "shadows")
 
 
-def _draw_card(layout, scene) -> None:
-    """Draw the part of the photographs with the card, and its distance, if the result depends on it."""
+class IRPSO_PT_frame(bpy.types.Panel):
+    """The part of the photographs that is recovered, and its size."""
+
+    bl_label = "Frame"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "WINDOW"
+    bl_options = {"INSTANCED"}
+
+    def draw(self, context) -> None:
+        """Draw the settings, which the subject's panel opens beside the card's button."""
+        settings = context.scene.irpso
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(settings, "framing")
+        column.operator("irpso.mark_card", icon="EYEDROPPER")
+        if settings.framing == "CROP":
+            column.prop(settings, "crop")
+        elif settings.framing == "CORNERS":
+            _draw_corners(column, settings)
+        column.prop(settings, "picture_scale")
+
+
+def _draw_distance(layout, scene) -> None:
+    """Draw the distance from camera to card, if the result depends on it."""
     settings = scene.irpso
+    if not wants_distance(scene):
+        return
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     files = settings.source == "FILES"  # files have a unit of their own; a scene's distance uses the scene's unit
-    if files:
-        column.prop(settings, "framing")
-        if settings.framing != "FILE":
-            column.operator("irpso.mark_card", icon="EYEDROPPER")
-            if settings.framing == "CROP":
-                column.prop(settings, "crop")
-            else:
-                _draw_corners(column, settings)
-        column.prop(settings, "picture_scale")
-    if not wants_distance(scene):
-        return
     if files and not settings.card_distance:
         column.prop(settings, "card_width")
     if not settings.card_width:
@@ -234,4 +251,4 @@ def _draw_fixed(layout, item) -> None:
     box.template_ID(item, "image", open="image.open")
 
 
-CLASSES = (IRPSO_PT_capture, IRPSO_PT_capture_facts, IRPSO_PT_subject, IRPSO_PT_material)
+CLASSES = (IRPSO_PT_frame, IRPSO_PT_capture, IRPSO_PT_capture_facts, IRPSO_PT_subject, IRPSO_PT_material)
