@@ -53,7 +53,7 @@ class Drawn:
 
     def prop(self, data, name, text=None, **options):
         assert name in data.bl_rna.properties, name
-        assert set(options) <= {"expand", "slider", "translate", "icon"}
+        assert set(options) <= {"expand", "slider", "translate", "icon", "index"}
         self.notes["props"].append(name)
 
     def template_ID(self, data, name, open=""):
@@ -63,6 +63,11 @@ class Drawn:
     def menu(self, name, text="", translate=True):
         assert hasattr(bpy.types, name), name
         self.notes["texts"].append(text)
+
+    def popover(self, panel, text="", icon="NONE"):
+        assert icon in ICONS, icon
+        self.notes["texts"].append(text)
+        getattr(bpy.types, panel).draw(SimpleNamespace(layout=Drawn(self.notes)), bpy.context)
 
     def operator(self, name, text="", icon="NONE", emboss=True):
         assert icon in ICONS, icon
@@ -79,7 +84,7 @@ def panels(space="VIEW_3D"):
     from irpso_addon.ui.panels import capture, image_editor, recovery, sidebar, view
 
     classes = [one for module in (sidebar, capture, recovery, view, image_editor) for one in module.CLASSES]
-    own = [cls for cls in classes if cls.bl_space_type == space]
+    own = [cls for cls in classes if cls.bl_space_type == space and cls.bl_region_type == "UI"]  # popovers have none
     shown = [cls for cls in own if not hasattr(cls, "poll") or cls.poll(bpy.context)]
     names = {cls.__name__ for cls in shown}
     return [cls for cls in shown if getattr(cls, "bl_parent_id", None) in (None, *names)]
