@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks import report
 from benchmarks.scenes.ball_tables import HEIGHT, SAMPLES, WIDTH, BallTable, photographed
 from irpso_addon.calibration.balls.ball import SMALL, Ball
-from irpso_addon.calibration.balls.detect.filters import blurred
 from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, search_steps
 from irpso_addon.calibration.balls.lights import KINDS, Request, calibration_steps
+from irpso_addon.calibration.filters import blurred
 from irpso_addon.core.encode import srgb_from_linear
 from irpso_addon.core.steps import run_steps
 

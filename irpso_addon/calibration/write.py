@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..capture.formats.table import TABLE
 from ..capture.spec import CaptureSpec
 from ..capture.types import Light
 from ..core.errors import InputError
-from ..core.files import check_unused, new_folder, replacing_file
+from ..core.files import check_unused, new_folder
 from ..core.png import encode_png
 from .balls.contact_sheet import calibration_picture
 from .job import Calibrated, report_text, written_table
@@ -44,17 +45,10 @@ def write_calibration(calibrated: Calibrated, out: Path, keys: Mapping[str, Any]
 
     keys: of the camera. All files or none are written. Raises InputError where writing fails.
     """
-    if out.suffix.lower() == ".toml":
-        texts = {_beside(out, _REPORT): report_text(calibrated), out: written_table(calibrated, out.parent, keys)}
-        _write_beside(out, texts, calibration_picture(calibrated))
-        return
-    text = written_table(calibrated, out, keys)
-    with new_folder(out) as partial:
-        (partial / TABLE).write_text(text, encoding="utf-8")
-        (partial / _REPORT).write_text(report_text(calibrated), encoding="utf-8")
-        encode_png(partial / _PICTURE, calibration_picture(calibrated), 8)
-        for name, lines in _lists(calibrated).items():
-            (partial / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    _write(
+        out, lambda folder: written_table(calibrated, folder, keys), report_text(calibrated), _lists(calibrated),
+        calibration_picture(calibrated),
+    )  # fmt: skip
 
 
 def write_lights(
@@ -65,17 +59,35 @@ def write_lights(
     keys: of the camera. lights: one for each photograph. Raises InputError where writing fails.
     """
     cameras, by_number = {0: keys} if keys else {}, dict(enumerate(lights))
+    text = json.dumps(report, indent=1) + "\n"
+    _write(out, lambda folder: calibrated_table(spec, cameras, by_number, folder), text)
+
+
+def _write(
+    out: Path,
+    table_in: Callable[[Path], str],
+    report: str,
+    lists: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    picture: np.ndarray | None = None,
+) -> None:
+    """Write a table, a report and a picture: into a new folder, with lists, or as OUT.toml. All files or none.
+
+    table_in: the table's text for a folder. lists: file name → lines. Raises InputError where writing fails.
+    """
     if out.suffix.lower() == ".toml":
-        with replacing_file(out) as table, replacing_file(_beside(out, _REPORT)) as beside:
-            table.write_text(calibrated_table(spec, cameras, by_number, out.parent), encoding="utf-8")
-            beside.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        _write_beside(out, {_beside(out, _REPORT): report, out: table_in(out.parent)}, picture)
         return
+    table = table_in(out)
     with new_folder(out) as partial:
-        (partial / TABLE).write_text(calibrated_table(spec, cameras, by_number, out), encoding="utf-8")
-        (partial / _REPORT).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (partial / TABLE).write_text(table, encoding="utf-8")
+        (partial / _REPORT).write_text(report, encoding="utf-8")
+        if picture is not None:
+            encode_png(partial / _PICTURE, picture, 8)
+        for name, lines in lists.items():
+            (partial / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def _write_beside(out: Path, texts: dict[Path, str], image: np.ndarray) -> None:
+def _write_beside(out: Path, texts: dict[Path, str], picture: np.ndarray | None) -> None:
     """Write report and picture, then the table. Where writing fails, none of them stays."""
     partials = {path: path.with_name(f".{path.name}.partial-{os.getpid()}") for path in texts}
     shown = _beside(out, _PICTURE)
@@ -84,8 +96,9 @@ def _write_beside(out: Path, texts: dict[Path, str], image: np.ndarray) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
             partials[path].write_text(text, encoding="utf-8")
-        encode_png(hidden, image, 8)
-        os.replace(hidden, shown)
+        if picture is not None:
+            encode_png(hidden, picture, 8)
+            os.replace(hidden, shown)
         for path in texts:
             os.replace(partials[path], path)
     except OSError as error:

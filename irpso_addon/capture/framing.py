@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from ..core.optional import present
 from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .distortion import undistorted
@@ -113,7 +114,7 @@ class _View:
         return covered
 
     def _cut(self, image: np.ndarray) -> np.ndarray:
-        x, y, width, height = self.window or (0, 0, 0, 0)
+        x, y, width, height = present(self.window)
         return image[y : y + height, x : x + width]
 
     def _resampled(self, image: np.ndarray) -> np.ndarray:
@@ -197,8 +198,7 @@ def _facing(camera: Camera, framing: Framing) -> Camera:
             "corners",
         )
     sides = np.roll(corners, -1, axis=0) - corners
-    (x, y), (next_x, next_y) = sides.T, np.roll(sides, -1, axis=0).T
-    if not (x * next_y - y * next_x < 0).all():
+    if not (turns(corners) < 0).all():
         raise CaptureError(
             "corners: they do not go around a rectangle clockwise; give them from the upper left one, to the right and"
             " down",
@@ -221,6 +221,16 @@ def _facing(camera: Camera, framing: Framing) -> Camera:
     matrix = np.array(camera.matrix, np.float64)
     matrix[:3, :3] = matrix[:3, :3] @ axes
     return Camera(width, height, scale, (-low[0] * scale[0], -low[1] * scale[1]), matrix, camera.perspective)
+
+
+def turns(corners: np.ndarray) -> np.ndarray:
+    """Return (4,) the cross product of the sides before and after each of four corners (4, 2), beside the first.
+
+    Above 0 where they turn from x toward y: anticlockwise with y up, clockwise with y down.
+    """
+    sides = np.roll(corners, -1, axis=0) - corners
+    (x, y), (next_x, next_y) = sides.T, np.roll(sides, -1, axis=0).T
+    return np.asarray(x * next_y - y * next_x)
 
 
 def _axes(camera: Camera, rays: np.ndarray) -> np.ndarray:

@@ -79,8 +79,8 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
     found = run_steps(steps, lambda part: bar.show(part, "shading"))
     bar.show(1.0, "done")
     bar.close()
-    lights = [shot.light for shot in found.capture.observations]
-    write_lights(spec, keys, lights, found.report(), out)
+    lights, report = found.lights, found.report()
+    write_lights(spec, keys, lights, report, out)
     if not silent(options):
         turned = f"; its material then turned them by {found.refined.turned.mean():.1f}°" if found.kept else ""
         lines = [
@@ -90,7 +90,7 @@ def _by_shading(options: Namespace, keys: dict[str, Any]) -> dict:
             f"written to {out}",
         ]
         sys.stdout.write("\n".join(lines) + "\n")
-    return {"output": str(out), **found.report(), "photographs": len(lights), "lights": len(lights)}
+    return {"output": str(out), **report, "photographs": len(lights), "lights": len(lights)}
 
 
 def _photographs(options: Namespace, keys: dict[str, Any], masks: list[Path]) -> tuple[CaptureSpec, dict[str, Any]]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..calibration.radiometry.colour_chart import COLUMNS, ROWS
 from ..capture.camera import Camera
+from ..capture.images.exif import focal_in_pixels
 from .relief import HALF, THICKNESS
 
 TILE = (-56.0, 0.0)  # its centre
@@ -22,7 +23,6 @@ PITCH, PATCH, CHART_MARGIN = 19.0, 17.0, 4.0  # from patch to patch, of a patch,
 LAMP_DISTANCE = 950.0  # from the ball: the length of a string, which a hand keeps about tight
 LAMP_RADIUS = 6.0
 FOCAL_35MM = 52  # of the lens, as EXIF has it: the tele lens of a phone
-_DIAGONAL_35MM = math.hypot(36, 24)  # what that focal length is the equivalent for (CIPA DCG-001)
 _FIELD = (338.0, 252.0)  # of the table that the picture shows at least
 _OFF_AXIS = (14.0, 58.0)  # degrees, of the lamps seen from the middle
 _UNSTEADY = (6.0, 0.02)  # of a hand: degrees, and share of the distance
@@ -50,7 +50,7 @@ class Layout:
 def arranged(size: tuple[int, int], photographs: int, seed: int) -> Layout:
     """Return the layout for a size in pixels and a number of photographs. seed: of the hand that holds the lamp."""
     width, height = size
-    focal = FOCAL_35MM / _DIAGONAL_35MM * math.hypot(width, height)
+    focal = focal_in_pixels(FOCAL_35MM, width, height)
     matrix = np.eye(4)
     matrix[2, 3] = THICKNESS + focal * max(_FIELD[0] / width, _FIELD[1] / height)
     camera = Camera(width, height, (focal, focal), (width / 2, height / 2), matrix)

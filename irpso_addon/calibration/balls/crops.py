@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import InputError
+from ..filters import block_means
 from .ball import Ball
 
 _MARGIN = 3  # pixels around the outline
@@ -72,6 +73,5 @@ def _window(ball: Ball) -> tuple[int, int, int, int]:
 
 def _averaged(part: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
     """Return block means (h, w, 3) of an image (H, W, 4), and (h, w) bool: every pixel of the block is usable."""
-    height, width = (side // block for side in part.shape[:2])
-    part = part[: height * block, : width * block].reshape(height, block, width, block, 4)
-    return part[..., :3].mean(axis=(1, 3), dtype=np.float32), (part[..., 3] > 0).all(axis=(1, 3))
+    usable = block_means((part[..., 3] > 0).astype(np.float32), block) == 1
+    return block_means(part[..., :3].astype(np.float32, copy=False), block), usable

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...capture.framing import turns
 from ...core.errors import InputError
 from .colour_chart import COLUMNS, PATCHES, ROWS, patch_colours
 from .colour_difference import delta_e_2000, lab_of_linear
@@ -68,8 +69,8 @@ def sample_chart(rgba: np.ndarray, corners: np.ndarray, where: str) -> Chart:
     height, width = rgba.shape[:2]
     if not ((corners >= 0) & (corners <= (width, height))).all():
         raise InputError(f"{where}: a corner lies outside the photograph's {width}×{height} pixels")
-    turns = _turns(corners)
-    if not ((turns > 0).all() or (turns < 0).all()):
+    ways = turns(corners)
+    if not ((ways > 0).all() or (ways < 0).all()):
         raise InputError(f"{where}: the corners do not go around the chart; give them in order, clockwise")
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
@@ -129,7 +130,7 @@ def recognised(rgba: np.ndarray, corners: np.ndarray, where: str) -> tuple[np.nd
             f"{where}: the corners enclose no 24-patch chart (ΔE2000 {least:.0f} after the best matrix); check their"
             " places, and that the photograph is linear (--response)"
         )
-    if not (_turns(best[0]) > 0).all():
+    if not (turns(best[0]) > 0).all():
         raise InputError(f"{where}: the photograph shows the chart mirrored; undo the mirroring of all photographs")
     return best
 
@@ -193,12 +194,6 @@ def chart_warnings(where: str, given: np.ndarray, corners: np.ndarray, chart: Ch
             f"{where}: ΔE2000 is still {mean:.1f} on average; check that the photograph is linear (--response), the"
             " corners are exact and the chart does not shine"
         )
-
-
-def _turns(corners: np.ndarray) -> np.ndarray:
-    """Return (4,) above 0 where the corners, in pixels with y down, turn clockwise."""
-    (x, y), (next_x, next_y) = (np.roll(corners, -n - 1, axis=0).T - np.roll(corners, -n, axis=0).T for n in (0, 1))
-    return x * next_y - y * next_x
 
 
 def _from_square(corners: np.ndarray) -> np.ndarray:

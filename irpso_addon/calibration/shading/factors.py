@@ -7,7 +7,7 @@ from collections.abc import Generator
 import numpy as np
 
 _USUAL = 75.0  # percentile of a pixel's samples by which it is divided, so that albedo does not weigh
-_BRIGHT = 90.0  # percentile against which a pixel's shadows and highlights are told
+_BRIGHT = 90.0  # percentile against which a pixel's shadows and highlights are recognised
 _SHADOW, _HIGHLIGHT = 0.12, 1.3  # of that: samples between them take part
 _LIT = 0.35  # least part of a pixel's samples that take part, for it to enter the lights
 _PIXELS = 2500  # at most, for the lights

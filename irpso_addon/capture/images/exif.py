@@ -97,8 +97,12 @@ def field_of_view(data: bytes, width: int, height: int) -> float | None:
         shapes = max(across, down) / min(across, down), max(width, height) / min(width, height)
         if abs(shapes[0] / shapes[1] - 1) > _SAME_SHAPE:
             return None
-    pixels = focal * math.hypot(width, height) / _DIAGONAL_35MM
-    return math.degrees(2 * math.atan(width / 2 / pixels))
+    return math.degrees(2 * math.atan(width / 2 / focal_in_pixels(focal, width, height)))
+
+
+def focal_in_pixels(focal_35mm: float, width: int, height: int) -> float:
+    """Return the focal length in pixels of a picture of this size, by its 35 mm equivalent in millimetres."""
+    return focal_35mm * math.hypot(width, height) / _DIAGONAL_35MM
 
 
 def _exif_block(data: bytes) -> bytes:

@@ -203,8 +203,7 @@ class LightsFromBall(bpy.types.Operator):
         gpu_context.ensure()
         capture = framed(build_capture(spec, decode), spec.framing)
         found = yield from uncalibrated_steps(capture, load_model(DEFAULT_MODEL), inside_out=self.inside_out)
-        lights = [shot.light for shot in found.capture.observations]
-        write_lights(spec, keys, lights, found.report(), table)
+        write_lights(spec, keys, found.lights, found.report(), table)
         return table, found.warnings
 
     def _ball(self) -> BallRequest:

@@ -6,10 +6,10 @@ import pytest
 from irpso_addon.calibration.balls.ball import Ball
 from irpso_addon.calibration.balls.detect import shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
-from irpso_addon.calibration.balls.detect.filters import blurred, sampled
 from irpso_addon.calibration.balls.detect.outline import fitted
 from irpso_addon.calibration.balls.detect.search import FoundBall, as_ball, of_one_kind, search_steps
 from irpso_addon.calibration.balls.lights import Request, calibration_steps
+from irpso_addon.calibration.filters import blurred, sampled
 from irpso_addon.core.errors import InputError
 from irpso_addon.core.steps import run_steps
 from tests.builders.ball_scenes import Scene, Sphere, photographs, place

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...filters import blurred
 from .edges import Edges
-from .filters import blurred
 
 _STEP = 1.09  # ratio of neighbouring radii
 _EDGES = 0.2  # of the pixels: the strongest edges vote

@@ -9,12 +9,12 @@ import numpy as np
 
 from ....capture.camera import Camera
 from ....core.errors import InputError
+from ...filters import block_means
 from ..ball import SMALL, Ball, fit_ball, outline_of_circle
 from ..mirror import reflected
 from . import evidence
 from .circles import candidates
 from .edges import Edges
-from .filters import block_means
 from .outline import Outline, fitted
 from .shadow import Table, agreement
 
