@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
@@ -20,7 +18,6 @@ from ...capture.formats.table import TABLE
 from ...capture.framing import framed
 from ...capture.spec import build_capture
 from ...core.errors import InputError
-from ...core.optional import present
 from ...core.paths import DEFAULT_MODEL
 from ...gpu import context as gpu_context
 from ...gpu import probe
@@ -30,6 +27,7 @@ from ..common import failures
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
 from ..common.polls import usable
+from ..common.sliced import SlicedOperator
 from ..session import session
 
 _KINDS = (
@@ -43,7 +41,6 @@ _FOUND_BY = (
     ("CIRCLE", "Circle", "Center and radius in pixels"),
     ("NONE", "No Ball", "Distant lights are found from the subject's own shading and material; it needs relief"),
 )
-_SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from one redraw to the next work at least
 
 
 def free_table(folder: Path) -> Path:
@@ -52,12 +49,13 @@ def free_table(folder: Path) -> Path:
     return next(folder / name for name in names if not (folder / name).exists())
 
 
-class LightsFromBall(bpy.types.Operator):
+class LightsFromBall(SlicedOperator, bpy.types.Operator):
     """Find the light of every photograph from a ball in the picture, or from the subject's shading, and import them"""
 
     bl_idname = "irpso.lights_from_ball"
     bl_label = "Find Lights"
     bl_options = {"REGISTER"}
+    doing = "Finding lights"
 
     photographs: StringProperty(
         name="Photographs", description="Folder of the photographs, or a capture whose lights are replaced",
@@ -87,9 +85,6 @@ class LightsFromBall(bpy.types.Operator):
         subtype="ANGLE", min=0, max=math.radians(170),
     )  # fmt: skip
 
-    _steps: Generator[float, None, tuple[Path, tuple[str, ...]]] | None = None
-    _timer: Any = None
-
     @classmethod
     def poll(cls, context) -> bool:
         """Whether no recovery runs: both would share the GPU."""
@@ -115,62 +110,12 @@ class LightsFromBall(bpy.types.Operator):
         column.prop(self, "fov")
 
     def execute(self, context):
-        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written.
+        """Find the lights, write a new table beside the photographs and import it. On an error nothing is written."""
+        return self.begin(context, self._found())
 
-        In a window this goes on in time slices, with the progress in the status bar; Esc cancels.
-        """
-        self._steps = self._found()
-        context.window_manager.progress_begin(0, 1)
-        if not bpy.app.background and context.window is not None:
-            self._timer = context.window_manager.event_timer_add(_TIMER_SECONDS, window=context.window)
-            context.window_manager.modal_handler_add(self)
-            return {"RUNNING_MODAL"}
-        return self._slice(context, math.inf) or {"CANCELLED"}
-
-    def modal(self, context, event):
-        """Work for one slice at each timer event."""
-        if event.type == "ESC" and event.value == "PRESS":
-            return self._leave(context, {"CANCELLED"})
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        with failures.reported("Finding lights"):
-            return self._slice(context, _SLICE_SECONDS) or {"RUNNING_MODAL"}
-        return self._leave(context, {"CANCELLED"})
-
-    def cancel(self, context):
-        """End when the window or the file is closed."""
-        self._leave(context, {"CANCELLED"})
-
-    def _slice(self, context, seconds: float) -> set[str] | None:
-        """Work for some time; return how the operator ends, None if it goes on."""
-        begun = time.perf_counter()
-        try:
-            while time.perf_counter() - begun < seconds:
-                part = next(present(self._steps))
-                context.window_manager.progress_update(part)
-        except StopIteration as end:
-            self._leave(context, set())
-            return self._imported(*end.value)
-        except InputError as error:
-            self._leave(context, set())
-            return failures.refused(self, error)
-        if self._timer is not None:
-            context.workspace.status_text_set(f"Finding lights: {part:.0%}. Esc cancels")
-        return None
-
-    def _leave(self, context, result: set[str]) -> set[str]:
-        if self._steps is not None:
-            self._steps.close()
-            self._steps = None
-            context.window_manager.progress_end()
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-            if context.workspace is not None:
-                context.workspace.status_text_set(None)
-        return result
-
-    def _imported(self, path: Path, warnings: tuple[str, ...]) -> set[str]:
+    def finished(self, context, result):
+        """Import the table, and report the first warning."""
+        path, warnings = result
         bpy.ops.irpso.import_capture(filepath=str(path))
         if warnings:
             more = f" (and {len(warnings) - 1} more, in the report beside it)" if len(warnings) > 1 else ""

@@ -1,0 +1,87 @@
+"""Operators whose work is done in time slices, while the window stays responsive."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Generator
+from typing import Any
+
+import bpy
+
+from ...core.errors import InputError
+from ...core.optional import present
+from . import failures
+
+_SLICE_SECONDS, _TIMER_SECONDS = 0.2, 0.02  # of work between redraws, and from one redraw to the next work at least
+
+
+class SlicedOperator:
+    """Base of a ``bpy.types.Operator`` whose ``execute`` calls ``begin``.
+
+    doing: the work, for the status bar and for failures. A subclass defines ``finished``.
+    """
+
+    doing = ""
+    _steps: Generator[float, None, Any] | None = None
+    _timer: Any = None
+
+    def begin(self, context, steps: Generator[float, None, Any]) -> set[str]:
+        """Do all steps, which yield the finished fraction (0…1) and return what ``finished`` gets.
+
+        In a window this goes on in time slices, with the progress in the status bar; Esc cancels.
+        """
+        self._steps = steps
+        context.window_manager.progress_begin(0, 1)
+        if not bpy.app.background and context.window is not None:
+            self._timer = context.window_manager.event_timer_add(_TIMER_SECONDS, window=context.window)
+            context.window_manager.modal_handler_add(self)
+            return {"RUNNING_MODAL"}
+        return self._slice(context, math.inf) or {"CANCELLED"}
+
+    def finished(self, context, result: Any) -> set[str]:
+        """Use what the steps returned; return how the operator ends."""
+        raise NotImplementedError
+
+    def modal(self, context, event):
+        """Work for one slice at each timer event."""
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._leave(context, {"CANCELLED"})
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        with failures.reported(self.doing):
+            return self._slice(context, _SLICE_SECONDS) or {"RUNNING_MODAL"}
+        return self._leave(context, {"CANCELLED"})
+
+    def cancel(self, context):
+        """End when the window or the file is closed."""
+        self._leave(context, {"CANCELLED"})
+
+    def _slice(self, context, seconds: float) -> set[str] | None:
+        """Work for some time; return how the operator ends, None if it goes on."""
+        begun = time.perf_counter()
+        try:
+            while time.perf_counter() - begun < seconds:
+                part = next(present(self._steps))
+                context.window_manager.progress_update(part)
+        except StopIteration as end:
+            self._leave(context, set())
+            return self.finished(context, end.value)
+        except InputError as error:
+            self._leave(context, set())
+            return failures.refused(self, error)
+        if self._timer is not None:
+            context.workspace.status_text_set(f"{self.doing}: {part:.0%}. Esc cancels")
+        return None
+
+    def _leave(self, context, result: set[str]) -> set[str]:
+        if self._steps is not None:
+            self._steps.close()
+            self._steps = None
+            context.window_manager.progress_end()
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+            if context.workspace is not None:
+                context.workspace.status_text_set(None)
+        return result
