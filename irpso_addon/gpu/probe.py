@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import GpuUnavailableError
-from ..core.paths import ROOT
 from . import context, textures
+from .child import child_command
 from .passes import Entry, Kernel, Output, Pass
 
 COMPUTE_WORTHWHILE = 1.5  # least speed-up of the compute entry over the paper's fragment passes
@@ -30,23 +30,7 @@ def probe() -> dict:
 
     Without a usable EGL the process that creates a context dies.
     """
-    code = "import sys; sys.path.insert(0, sys.argv[-1]); from irpso_addon.gpu.probe import main; main()"
-    if _inside_blender():
-        import bpy
-
-        options = [
-            "--background",
-            "--factory-startup",
-            "--python-exit-code",
-            "1",
-            "--python-expr",
-            code,
-            "--",
-            str(ROOT),
-        ]
-        command = [bpy.app.binary_path, *options]
-    else:
-        command = [sys.executable, "-c", code, str(ROOT)]
+    command = child_command("from irpso_addon.gpu.probe import main; main()")
     try:
         child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
     except subprocess.TimeoutExpired as error:
@@ -129,13 +113,3 @@ def _expected() -> np.ndarray:
     for _ in range(_ROUNDS):
         value = 0.5 * np.exp(-value * value) + 0.25 * value
     return value
-
-
-def _inside_blender() -> bool:
-    """Whether Python runs inside the Blender program, not Blender inside Python (the bpy wheel)."""
-    try:
-        import bpy
-    except ImportError:
-        return False
-    # bpy.app.module is newer than 4.2; the wheel has no binary, unless a script has set one.
-    return not getattr(bpy.app, "module", not bpy.app.binary_path)

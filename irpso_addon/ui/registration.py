@@ -16,6 +16,7 @@ MODULES = (
     "properties.scene_settings",
     "operators.capture_import",
     "operators.ball_lights",
+    "operators.sample",
     "operators.camera_import",
     "operators.scene_setup",
     "operators.presets",

@@ -34,6 +34,7 @@ class IRPSO_PT_capture(BeforeRun, bpy.types.Panel):
             row.operator("irpso.import_capture", text="Import Capture…", icon="IMPORT")
             layout.operator("irpso.lights_from_ball", text="Find Lights…", icon="LIGHT_SUN")
             if not settings.capture_path:
+                layout.operator("irpso.open_sample", text="Open Sample…", icon="OUTLINER_OB_IMAGE")
                 return
             layout.prop(settings, "capture_path", text="")
             column = layout.column()

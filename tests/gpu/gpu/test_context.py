@@ -11,7 +11,7 @@ import pytest
 
 from irpso_addon.core.errors import GpuUnavailableError
 from irpso_addon.core.paths import ROOT
-from irpso_addon.gpu import context, probe
+from irpso_addon.gpu import child, context, probe
 
 # What Blender does with --python-expr CODE -- ARGUMENTS, in a file that any Python can run.
 STAND_IN = """#!{python}
@@ -64,7 +64,7 @@ def test_timing_noise_does_not_choose_between_equal_passes(renderer, entry):
 
 @pytest.mark.parametrize("facts", [{"module": False}, {}], ids=["since 4.3", "4.2"])
 def test_a_probe_inside_blender_uses_blender_itself(facts, monkeypatch, tmp_path):
-    assert not probe._inside_blender()
+    assert not child._inside_blender()
     ours = context.describe()
     binary = executable(tmp_path / "a renamed Blender", STAND_IN.format(python=sys.executable))
     monkeypatch.setattr(bpy, "app", SimpleNamespace(binary_path=binary, **facts))

@@ -1,0 +1,136 @@
+"""Opens the capture to practise on: renders it in a process of its own, finds its lights and imports it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Generator, Sequence
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ...blender.images import decode
+from ...calibration.balls.lights import Request
+from ...calibration.job import BallRequest, calibrate_steps
+from ...calibration.photographs import lens_of_files, read_photographs, with_camera
+from ...calibration.write import write_calibration
+from ...capture.images.image import ImageStore
+from ...core.errors import InputError
+from ...core.steps import map_steps
+from ...gpu.child import child_command
+from ...sample import layout
+from ...sample.job import FOLDER, PHOTOGRAPHS
+from ...sample.truth import PAGE
+from ..common.features import RELATIVE_PATH
+from ..common.file_paths import absolute
+from ..common.polls import usable
+from ..common.sliced import SlicedOperator
+from ..session import session
+from .ball_lights import free_table
+
+_RENDERING = 0.95  # of the work
+_CHILD = (
+    "import json; from irpso_addon.cli import main; from irpso_addon.gpu.context import exit_process;"
+    " exit_process(main(json.loads(sys.argv[-1])))"
+)
+_POLL_SECONDS = 0.05
+_PERCENT = re.compile(r"(\d+) %")
+
+
+class OpenSample(SlicedOperator, bpy.types.Operator):
+    """Open a capture to practise on: photographs of a tile beside a mirror ball, rendered once by Cycles"""
+
+    bl_idname = "irpso.open_sample"
+    bl_label = "Open Sample"
+    bl_options = {"REGISTER"}
+    doing = "Opening the sample"
+
+    folder: StringProperty(
+        name="Folder", description="Where the sample lies. It is rendered into this folder unless it is there already",
+        subtype="DIR_PATH", **RELATIVE_PATH,
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context) -> bool:
+        """Whether no recovery runs: both would share the processor."""
+        running = session.current()
+        return usable(cls, running is None or not running.active, "A recovery runs: pause or stop it first")
+
+    def invoke(self, context, event):
+        """Open the dialog."""
+        self.folder = self.folder or str(Path.home() / "irpso-sample")
+        return context.window_manager.invoke_props_dialog(self, width=420)
+
+    def draw(self, context) -> None:
+        """Draw the dialog."""
+        column = self.layout.column()
+        column.label(text=f"Cycles renders {PHOTOGRAPHS} photographs, in a minute or two", icon="INFO")
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(self, "folder")
+
+    def execute(self, context):
+        """Render the sample unless it is there, find the lights by its ball, and import the photographs."""
+        return self.begin(context, self._found())
+
+    def finished(self, context, result):
+        """Import the table, with the tile as the card."""
+        path, size = result
+        if bpy.ops.irpso.import_capture(filepath=str(path)) != {"FINISHED"}:
+            return {"CANCELLED"}
+        settings, found = context.scene.irpso, layout.arranged(size, 1, 0)
+        settings.framing, settings.crop = "CROP", layout.tile_crop(found.camera)
+        settings.card_distance = found.card_distance
+        self.report({"INFO"}, f"The sample is open; {path.parents[1] / PAGE} says what is in it")
+        return {"FINISHED"}
+
+    def _found(self) -> Generator[float, None, tuple[Path, tuple[int, int]]]:
+        """Yield the fraction done; return the table's path and the photographs' size. Raises InputError."""
+        if not self.folder:
+            raise InputError("Folder: none is chosen; choose where the sample shall lie")
+        folder = absolute(self.folder, "Folder")
+        photographs = folder / FOLDER
+        if not (folder / PAGE).is_file() or not photographs.is_dir():
+            yield from map_steps(_rendering(folder), lambda part: _RENDERING * part)
+        spec = read_photographs(photographs)
+        keys = lens_of_files(spec, decode)
+        request = Request("mirror", distance=layout.LAMP_DISTANCE)
+        steps = calibrate_steps(
+            with_camera(spec, keys, "EXIF"), [BallRequest()], request, decode, layout.BALL_RADIUS
+        )  # fmt: skip
+        calibration = yield from map_steps(steps, lambda part: _RENDERING + (1 - _RENDERING) * part)
+        table = free_table(photographs)
+        write_calibration(calibration, table, keys)
+        return table, ImageStore(decode).size(spec.observations[0].image)
+
+
+def _rendering(folder: Path, options: Sequence[str] = ()) -> Generator[float, None, None]:
+    """Yield the fraction rendered. When closed early, end the process and delete what it wrote. Raises InputError.
+
+    options: of the command ``sample``.
+    """
+    command = child_command(_CHILD, [json.dumps(["sample", "-o", str(folder), *options])])
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+        log = Path(place) / "log.txt"
+        with open(log, "wb") as file:
+            child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=file)
+        try:
+            while child.poll() is None:
+                time.sleep(_POLL_SECONDS)
+                yield int((_PERCENT.findall(log.read_text("utf-8", "replace")) or ["0"])[-1]) / 100
+        finally:
+            if child.poll() is None:
+                child.kill()
+                child.wait()
+                shutil.rmtree(folder.with_name(f".{folder.name}.partial-{child.pid}"), ignore_errors=True)
+        if child.returncode:
+            lines = log.read_text("utf-8", "replace").strip().splitlines()
+            told = [line.removeprefix("irpso: ") for line in lines if line.startswith("irpso: ")]
+            raise InputError((told or lines or [f"the process ended with code {child.returncode}"])[-1])
+
+
+CLASSES = (OpenSample,)
