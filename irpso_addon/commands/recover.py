@@ -22,6 +22,7 @@ from ..pipeline.result import found_of, make_material, pictures_of, report_of, s
 from ..pipeline.run import Run
 from ..results.report import plain
 from ..results.write import BLEND, REPORT, write_maps
+from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job import blend_of, derived_maps_of, job_of
@@ -43,21 +44,27 @@ def run(options: Namespace) -> dict:
 
 
 def _recover(options: Namespace, job: Job) -> dict:
-    probe.probe()
+    probed = probe.probe()
     context.ensure()
     run = Run(job, StepBars(silent(options)))
+    plan = run.first_plan()
+    seconds = forecast(plan.work, probed)
     if options.dry_run:
-        return _planned(options, {"plan": run.first_plan()})
+        return _planned(options, {"plan": plan, "seconds": seconds})
+    if not silent(options):
+        sys.stderr.write(f"{plan.texels} texels, {plan.observations} photographs: {forecast_text(seconds)}\n")
     return _recovered(options, run)
 
 
 def _planned(options: Namespace, result: dict) -> dict:
-    """Print the plan of a dry run; return the result with it as plain data."""
+    """Print the plan of a dry run, and its time where one is foreseen; return the result with it as plain data."""
     if "plan" not in result:
         return result
+    plan, seconds = result["plan"], result.get("seconds")
     if not silent(options):
-        sys.stdout.write("\n".join(result["plan"].lines()) + "\n")
-    return {"plan": result["plan"].as_dict()}
+        time_line = [f"search        {forecast_text(seconds)}"] if seconds else []
+        sys.stdout.write("\n".join([*plan.lines(), *time_line]) + "\n")
+    return {"plan": plan.as_dict(), **({"seconds": seconds} if seconds else {})}
 
 
 def _job_of_ranks(options: Namespace) -> Job:

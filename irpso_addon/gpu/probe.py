@@ -72,9 +72,19 @@ def check() -> dict[str, float]:
 
 
 @functools.cache
+def measured() -> dict[str, Any]:
+    """Return the description of this device and the times of the probe kernel. Raises GpuUnavailableError."""
+    return {**context.describe(), **check()}
+
+
 def faster_entry() -> Entry:
     """Return "compute" where it is sufficiently faster on this device, else "fragment"."""
-    return chosen_entry({**context.describe(), **check()})
+    return chosen_entry(measured())
+
+
+def rounds_per_second(seconds: float) -> float:
+    """Return the rounds of the probe kernel, over all its texels, that a device does in a second."""
+    return _SIZE**2 * _ROUNDS / seconds
 
 
 def chosen_entry(probed: Mapping[str, Any]) -> Entry:

@@ -97,7 +97,9 @@ class Run:
 
     def first_plan(self) -> Plan:
         """Return the plan from the subject's outline alone, before reading images. Raises InputError."""
-        return self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size))
+        if self._plan is None:
+            self._plan = self._planned(covered_texels(self.job.capture, self.job.mesh, self.job.size))
+        return self._plan
 
     def open(self) -> Generator[None, None, None]:
         """Take all steps to the recovery, yielding often. Raises InputError, ShaderError."""
@@ -170,7 +172,7 @@ class Run:
     def _read(self) -> Generator[None, None, Domain]:
         job, kept = self.job, self._kept
         self._show(READ, 0.0)
-        self._plan = plan = self.first_plan()  # a refusal comes before the images are read
+        plan = self.first_plan()  # a refusal comes before the images are read
         if kept.domain is not None and job.source is not None and kept.source == job.source:
             return kept.domain
         kept.clear()  # there may be no room for two domains

@@ -34,11 +34,16 @@ _ENOUGH = 500  # squares or border texels that make either a finding
 
 @dataclass(frozen=True)
 class Report:
-    """What inspect found. facts: (what, how much) in reading order."""
+    """What inspect found. facts: (what, how much) in reading order. images: usable ones.
+
+    texels: of the first camera's mask, framed as the capture says.
+    """
 
     path: Path
     facts: tuple[tuple[str, str], ...]
     findings: tuple[Finding, ...]
+    images: int = 0
+    texels: int = 0
 
     @property
     def usable(self) -> bool:
@@ -99,8 +104,10 @@ def inspect_steps(
         capture = yield from _numbered("Looking at headers", len(spec.observations), build_steps(spec, decoder))
     except CaptureError as error:
         return Report(path, tuple(facts), (*_errors(error), *findings))
+    texels = 0
     try:
         part = framed(capture, spec.framing)
+        texels = int(np.count_nonzero(part.masks[0]))
         capture = replace(capture, card_distance=part.card_distance)
         facts += _facts(spec, capture, part)
     except CaptureError as error:
@@ -114,7 +121,7 @@ def inspect_steps(
     if noise:
         facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
     yield from _image_steps(spec, capture, facts, findings)
-    return Report(path, tuple(facts), tuple(findings))
+    return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels)
 
 
 inspect_capture = at_once("inspect_capture", inspect_steps)

@@ -43,6 +43,7 @@ STEP = 1.7  # of a Levenberg–Marquardt render, which accumulates normal equati
 MOVING, CALM = 0.75, 0.2  # of a refinement step: cost relative to the previous step, and its lower limit
 LOOKS = 10.0  # of a prior, per neighbour
 SWEEP = 7.0  # of a surface: one sweep of its relaxation
+OVERHEAD = 100  # samples whose renders take as long as the rest of an evaluation
 INDIRECT = 0.1  # share of the texels whose light is indirect
 _FOUND = prior_kernels.FIRST_ROUND  # iterations of a prior or a surface before its rounds
 _Searched = ResolvedSwarm | ResolvedRefinement | ResolvedPrior | ResolvedSurface | ResolvedIndirect | ResolvedSheen
@@ -83,6 +84,7 @@ class Cost:
     rounds: int = 0
     elements: int = 0
     rays: int = 0
+    work: float = 0.0
 
     @property
     def estimates(self) -> int:
@@ -137,9 +139,11 @@ def recovery_cost(
     free = model.without_priors({p.name for p in model.parameters})
     numbers = sum(p.components for p in varied(free, fixed, schedule.fitness))
     light = schedule.interreflection
-    exchange = (light.rounds, light.resolution**2, light.rays) if light.rounds else ()
+    exchange = (light.rounds, light.resolution**2, light.rays) if light.rounds else (0, 0, 0)
     counts = observations - held_out, observations, model.components
-    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange)
+    work = (1 + light.rounds) * sum(sum(work_of(stage, model, schedule, counts[0])) for stage in stages)
+    work *= 1 + OVERHEAD / counts[0]
+    return Cost(*counts, phases, compute, -(-numbers // 4), *exchange, work)
 
 
 def phase_cost(resolved: Resolved, model: ReflectanceModel, schedule: Schedule) -> PhaseCost:

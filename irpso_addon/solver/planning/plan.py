@@ -71,7 +71,7 @@ class Plan:
     shape: (H, W) of the domain. texels: covered. tiles: rectangles that contain all of them, with ``halo`` texels
     around each. on_device: tiles on the device at once; where not all fit, tiles take turns. stack_on, state_on: place
     of the sample stack, and of the state of waiting tiles: "memory" or "scratch" (a file). passes: turns of each tile,
-    1 + exchanges. device, host, scratch: largest bytes.
+    1 + exchanges. device, host, scratch: largest bytes. work: as of a Cost, of all texels.
     """
 
     shape: tuple[int, int]
@@ -87,6 +87,7 @@ class Plan:
     host: int
     scratch: int
     evaluations: int
+    work: float
     memory: Memory
 
     @property
@@ -167,7 +168,7 @@ def plan_recovery(
     return Plan(
         (coverage.shape[0], coverage.shape[1]), texels, cost.observations, tiles,
         0 if boxes == [whole] else cost.reach, on_device, stack_on, state_on, 1 if resident else 1 + cost.exchanges,
-        device, host, scratch, texels * cost.evaluations, memory,
+        device, host, scratch, texels * cost.evaluations, texels * cost.work, memory,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,8 @@ from ...capture.places import card_depth, card_middle
 from ...capture.read import read_spec
 from ...capture.spec import CaptureSpec
 from ...capture.types import Capture
-from ...core.errors import InputError
+from ...core.errors import GpuUnavailableError, InputError
+from ...gpu import probe
 from ..common import drawing, failures
 from ..common.file_paths import absolute
 from ..common.polls import usable
@@ -158,6 +160,10 @@ def _slice(check: _Check, seconds: float) -> bool:
 def _store(settings, report: Report) -> None:
     settings.checked_path = settings.capture_path
     settings.summary = "\n".join(f"{what}: {value}" for what, value in report.facts)
+    settings.checked_images, settings.checked_texels = report.images, report.texels
+    if not bpy.app.background:
+        with suppress(GpuUnavailableError):  # Recover says so
+            probe.measured()
     folder = report.path if report.path.is_dir() else report.path.parent
     findings.keep(settings, report.findings, f"{folder}{os.sep}")
 

@@ -12,6 +12,7 @@ from ..common import drawing
 from ..operators.presets import label_of
 from ..operators.restore import draw_unkept
 from ..session import session
+from ..session.forecast import search_time
 from ..session.job import missing
 from ..session.keep import is_standard_view
 from .sidebar import Sidebar
@@ -50,6 +51,8 @@ def _draw_start(layout, context, text: str) -> None:
     row = layout.row()
     row.scale_y = 2
     row.operator("irpso.recover", text=text, icon="PLAY")
+    if time := search_time(context):
+        drawing.fact(layout, context, "Search", f"about {time}")
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(context.scene.irpso, "hold_out")  # below the button: a row above could push it out of view

@@ -268,6 +268,8 @@ class Settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     checked_path: StringProperty(description="The capture of the findings")
     summary: StringProperty(description="Facts about the capture")
+    checked_images: IntProperty(description="Number of images of the checked capture")
+    checked_texels: IntProperty(description="Texels of the checked capture as a card")
     findings: CollectionProperty(type=FindingItem)
     subject: EnumProperty(name="Subject", items=_SUBJECTS, default="CARD")
     object: PointerProperty(

@@ -66,6 +66,7 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(capture, tmp_path):
         "tiles ",
         "halo ",
         "1.0 MiB (--memory)",
+        "search        less than a minute",
     ):
         assert word in out
     assert not list(tmp_path.iterdir())

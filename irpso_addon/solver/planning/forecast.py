@@ -1,0 +1,32 @@
+"""The search time of a recovery, estimated before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...gpu.probe import chosen_entry, rounds_per_second
+
+# Rounds of the probe's kernel that take as long as one render of a sample, and how far off that may be: the work at a
+# texel depends on how soon it converges. Measured on llvmpipe with 16 to 96 observations.
+_ROUNDS_PER_RENDER, _SPREAD = 4.2, 1.8
+_MINUTE, _HOUR = 60, 3600
+
+
+def forecast(work: float, probed: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the least and the most seconds that a search is likely to take.
+
+    work: of a ``Plan``. probed: of ``gpu.probe``.
+    """
+    seconds = work * _ROUNDS_PER_RENDER / rounds_per_second(probed[f"{chosen_entry(probed)}_seconds"])
+    return seconds / _SPREAD, seconds * _SPREAD
+
+
+def forecast_text(seconds: tuple[float, float]) -> str:
+    """Return a range of seconds in words: "less than a minute", "2 to 6 minutes", "1 to 4 hours"."""
+    low, high = seconds
+    if high < _MINUTE:
+        return "less than a minute"
+    unit, name = (_MINUTE, "minutes") if high < 2 * _HOUR else (_HOUR, "hours")
+    least, most = max(1, round(low / unit)), max(2, round(high / unit))
+    return f"{least} to {most} {name}"

@@ -1,0 +1,50 @@
+"""The search time of the recovery that the settings ask for, before it begins."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from ...core.errors import InputError
+from ...gpu import probe
+from ...reflectance.model import ReflectanceModel
+from ...solver.planning.cost import recovery_cost
+from ...solver.planning.forecast import forecast, forecast_text
+from ...solver.settings.schedule import Schedule
+from ..properties import findings
+from ..properties.scene_settings import model_of
+from ..properties.schedule_settings import schedule_of
+
+_COVERED = 0.7  # of a mesh's maps: as a usual UV map
+
+
+def search_time(context) -> str:
+    """Return the time that a recovery of the checked files is likely to take; "" where that is not known."""
+    settings = context.scene.irpso
+    if settings.source != "FILES" or not findings.is_checked(settings) or not settings.checked_images:
+        return ""
+    if not probe.measured.cache_info().currsize:  # a panel must not wait for it
+        return ""
+    fixed = tuple(item.name for item in settings.parameters if not item.recover)
+    try:
+        each = _work(model_of(settings), schedule_of(settings.schedule), fixed, settings.checked_images)
+    except InputError:  # Recover says what is wrong
+        return ""
+    return forecast_text(forecast(_texels(settings) * each, probe.measured()))
+
+
+def _texels(settings) -> float:
+    """Return about how many texels the maps will have."""
+    if settings.subject == "MESH":
+        return _COVERED * settings.resolution**2
+    framed = settings.checked_texels
+    if settings.framing == "CROP":
+        framed = settings.crop[2] * settings.crop[3]
+    elif settings.framing == "CORNERS":
+        x, y = settings.corners[::2], settings.corners[1::2]
+        framed = abs(sum(x[i - 1] * y[i] - x[i] * y[i - 1] for i in range(4))) / 2
+    return framed * settings.picture_scale**2
+
+
+@lru_cache(maxsize=8)
+def _work(model: ReflectanceModel, schedule: Schedule, fixed: tuple[str, ...], observations: int) -> float:
+    return recovery_cost(model, schedule, fixed, observations).work

@@ -1,0 +1,42 @@
+"""The search time that is foreseen."""
+
+import pytest
+
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.planning.cost import recovery_cost
+from irpso_addon.solver.planning.forecast import forecast, forecast_text
+from irpso_addon.solver.settings.schedule import load_schedule
+
+QUIET = {"renderer": "llvmpipe (LLVM 15.0.6, 256 bits)", "fragment_seconds": 0.06, "compute_seconds": 0.05}
+
+
+def work_of(texels, observations, preset="standard"):
+    return texels * recovery_cost(load_model("metallic_roughness"), load_schedule(preset), (), observations).work
+
+
+def test_a_card_that_took_91_seconds_on_a_quiet_machine_lies_in_the_foreseen_range():
+    low, high = forecast(work_of(58077, 96), QUIET)
+    assert low < 90.7 < high < 4 * low
+
+
+def test_time_grows_with_texels_rounds_and_a_slower_device_and_less_than_with_photographs():
+    work = work_of(1000, 50)
+    assert work_of(3000, 50) == pytest.approx(3 * work)
+    assert work_of(1000, 50, "thorough") == pytest.approx(4 * work)
+    assert 1 < work_of(1000, 100) / work < 2
+    slow = forecast(work, QUIET | {"fragment_seconds": 0.6})
+    assert slow == pytest.approx([10 * seconds for seconds in forecast(work, QUIET)])
+
+
+def test_a_gpu_counts_with_the_passes_that_it_will_use():
+    data_centre = {"renderer": "NVIDIA H100", "fragment_seconds": 0.3, "compute_seconds": 0.01}
+    assert forecast(1e9, data_centre) == forecast(1e9, QUIET | {"fragment_seconds": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [((10, 30), "less than a minute"), ((20, 65), "1 to 2 minutes"), ((100, 350), "2 to 6 minutes"),
+     ((2400, 7800), "1 to 2 hours"), ((11000, 35000), "3 to 10 hours")],
+)  # fmt: skip
+def test_a_range_is_told_in_round_numbers(seconds, words):
+    assert forecast_text(seconds) == words
